@@ -16,7 +16,7 @@ export PYTHONUTF8 := 1
 # Files of tests stay whole: what their tests share is made once.
 SPREAD := -n 2 --dist loadfile
 
-.PHONY: demo test check-all lint types bench blind samples options pictures reproduction hooks clean
+.PHONY: demo test check-all lint types bench blind samples pictures reproduction hooks clean
 
 demo: $(VENV)/.ready
 	mkdir -p $(OUT)
@@ -63,11 +63,6 @@ blind: $(VENV)/.ready-dev
 # Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
 samples: $(VENV)/.ready-dev
 	$(BIN)/python -m tests.generators.make_samples
-
-# The page of all options.
-options: $(VENV)/.ready-dev
-	$(BIN)/python docs/options.py > docs/options.md.part
-	mv docs/options.md.part docs/options.md
 
 # The pictures of the manuals, from the sample logs.
 pictures: $(VENV)/.ready-dev

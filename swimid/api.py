@@ -52,7 +52,7 @@ NAMES = {
     "plot": "swimid.logs.plot",
     # classes of results
     "Result": "swimid.results.result",
-    "Fitted": "swimid.results.fitted",
+    "Fitted": "swimid.results.parameters",
     "Logged": "swimid.logs.logged",
     "Simulation": "swimid.simulation.simulate",
     "Comparison": "swimid.simulation.compare",

@@ -2,8 +2,8 @@
 
 A class of options derives from :class:`Options` and has one field for each option, declared with
 :func:`option`. The class determines the keyword arguments and the docstring of the function (:func:`takes`),
-the command with its options and help (``swimid.cli.builder``), the ``settings`` of the provenance
-(:meth:`Options.settings`), and the table of options in the documentation (``docs/options.py``).
+the command with its options and help (``swimid.cli.main``), and the ``settings`` of the provenance
+(:meth:`Options.settings`).
 
 A module with options imports nothing that takes long to load, so that ``--help`` stays fast.
 """
@@ -77,7 +77,7 @@ class Options(BaseModel):
     """Base class of the options of a command. Values are validated and cannot be changed afterwards.
 
     A subclass with the arguments below declares a command. Its docstring is the help text, and the first line
-    of the docstring appears in the list of commands. ``swimid.cli.builder`` reads the arguments and the
+    of the docstring appears in the list of commands. ``swimid.cli.main`` reads the arguments and the
     docstring from the source file, so they must be literals.
 
     Parameters
@@ -192,22 +192,6 @@ class Declared:
             return []
         several = value if isinstance(value, list | tuple) else [value]
         return [Path(one) for one in several if isinstance(one, str | Path)]
-
-    def stands_for(self) -> str:
-        """Return the placeholder of the value for the documentation; empty for a flag."""
-        if self.metavar or self.kind is bool:
-            return self.metavar or ""
-        if get_origin(self.kind) is Literal:
-            return "|".join(get_args(self.kind))
-        leaf = _leaves(self.kind)[0]
-        return {int: "N", float: "X", Path: "FILE"}.get(leaf, "TEXT")
-
-    def default_text(self) -> str:
-        """Return the default value as text for the documentation."""
-        if self.required:
-            return "required"
-        nothing = self.default is None or self.default is False or self.default in ((), {})
-        return "" if nothing else f"`{self.default}`"
 
     def type_text(self) -> str:
         """Return the type of the value as text for a docstring."""

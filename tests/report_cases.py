@@ -25,8 +25,7 @@ from swimid.results.evidence import (
     Trace,
     Verdict,
 )
-from swimid.results.fitted import Fitted
-from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, Pole
+from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, Pole
 
 RNG_SEED = 20240611
 
@@ -157,8 +156,8 @@ def band_figure() -> Figure:
     )
 
 
-def bars_figure() -> Figure:
-    """Two series of bars over named categories."""
+def categories_figure() -> Figure:
+    """Two series of points over named categories."""
     names = ["2025Rect", "2925Rect", "3825Rect", "forked tail <wide>"]
     return Figure(
         id="fins",
@@ -174,13 +173,13 @@ def bars_figure() -> Figure:
                         x=np.arange(4.0),
                         y=np.array([0.0029, 0.0191, 0.0485, 0.033]),
                         y_error=np.array([0.0004, 0.001, 0.003, 0.002]),
-                        style="bars",
+                        style="points",
                         label="fit",
                     ),
                     Trace(
                         x=np.arange(4.0),
                         y=np.array([0.0031, 0.018, 0.047, 0.036]),
-                        style="bars",
+                        style="points",
                         label="validation",
                     ),
                 ],
@@ -250,7 +249,7 @@ def track_figure() -> Figure:
 
 def all_figures() -> list[Figure]:
     """Every kind of panel once."""
-    return [fit_figure(), residual_figure(), band_figure(), bars_figure(), log_figure(), track_figure()]
+    return [fit_figure(), residual_figure(), band_figure(), categories_figure(), log_figure(), track_figure()]
 
 
 # ---------------------------------------------------------------- results
@@ -362,7 +361,7 @@ def drag_evidence(block: dict[str, Any]) -> Evidence:
                 caption="Good: within two standard errors of each other.",
             )
         ],
-        figures=[fit_figure(), residual_figure(), bars_figure()],
+        figures=[fit_figure(), residual_figure(), categories_figure()],
         notices=[
             NoticeRecord(code="SWM011", text="added_mass and pulley_friction correlate by -0.954"),
             NoticeRecord(code="SWM010", text="string_stiffness cannot be told from these trials"),

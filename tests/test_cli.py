@@ -18,9 +18,8 @@ import pytest
 from click.testing import CliRunner
 
 import swimid as package
-from swimid.cli.builder import found
 from swimid.cli.common import Shared, running
-from swimid.cli.main import SECTIONS, main
+from swimid.cli.main import SECTIONS, found, main
 from swimid.files.checkpoint import Checkpoint
 from swimid.notices import warn
 from swimid.results.kinds import FORMATS

@@ -48,18 +48,6 @@ def test_groups_have_colours_and_markers_of_their_own() -> None:
     assert len({(line.get_color(), line.get_marker()) for line in axes.lines}) == 6
 
 
-def test_bars_stand_side_by_side_with_their_errors() -> None:
-    axes = drawn(
-        Trace(x=[0.0, 1.0], y=[1.0, 2.0], style="bars", label="a", y_error=[0.1, 0.2]),
-        Trace(x=[0.0, 1.0], y=[3.0, 4.0], style="bars", label="b"),
-        x_categories=["surge", "sway"],
-    )
-    assert sorted(patch.get_height() for patch in axes.patches) == [1.0, 2.0, 3.0, 4.0]
-    middles = sorted(patch.get_x() + patch.get_width() / 2 for patch in axes.patches)
-    np.testing.assert_allclose(middles, [-0.2, 0.2, 0.8, 1.2])
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["surge", "sway"]
-
-
 def test_bands_marks_and_spans() -> None:
     axes = drawn(
         Trace(x=[0.0, 1.0], y=[1.0, 1.0], lower=[0.5, 0.5], upper=[1.5, 1.5], label="95 %"),

@@ -11,7 +11,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.provenance import Held
 from swimid.fitting.fit_common import fit_model
 from swimid.fitting.model import Trial
-from swimid.results.fitted import Fitted
+from swimid.results.parameters import Fitted
 from tests.toy_models import DECAY, TRUTH, Toy, decay, trials
 
 NOISE = {"y": 0.01}

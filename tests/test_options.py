@@ -15,8 +15,7 @@ import pytest
 from click.shell_completion import ShellComplete
 
 import swimid as package
-from swimid.cli.builder import CommandSpec, found, value_of
-from swimid.cli.main import main
+from swimid.cli.main import CommandSpec, found, main, value_of
 from swimid.errors import UsageError
 from swimid.logs.options import ImportOptions
 from swimid.notices import SwimidWarning
@@ -341,11 +340,3 @@ def test_options_may_be_given_whole() -> None:
     assert example("t", options=made) is made
     with pytest.raises(UsageError, match="no option 'options'"):
         example("t", options=made, method="fast")
-
-
-def test_the_page_of_options_is_current() -> None:
-    """docs/options.md is what docs/options.py prints."""
-    printed = subprocess.run(
-        [sys.executable, ROOT / "docs" / "options.py"], capture_output=True, text=True, check=True
-    )
-    assert printed.stdout == (ROOT / "docs" / "options.md").read_text(encoding="utf-8"), "run make options"

@@ -23,8 +23,8 @@ from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
 from swimid.results import drawing, evidence, page, parameters, terminal
 from swimid.results.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
-from swimid.results.fitted import Fitted
 from swimid.results.kinds import load_result
+from swimid.results.parameters import Fitted
 from swimid.results.report import report
 from tests import report_cases as cases
 
@@ -198,7 +198,7 @@ def test_hostile_texts_are_escaped(tmp_path: Path) -> None:
                 x_label=evil,
                 y_label="$\\frac{a}{b}$ " + evil,
                 x_categories=[evil, "b"],
-                traces=[Trace(x=[0.0, 1.0], y=[1.0, 2.0], label=evil, style="bars")],
+                traces=[Trace(x=[0.0, 1.0], y=[1.0, 2.0], label=evil, style="points")],
                 marks=[evidence.Mark(at=1.0, label=evil)],
                 spans=[evidence.Span(start=0, end=1, label=evil)],
             )
@@ -492,7 +492,7 @@ def _panel(**options: object) -> Panel:
     [
         _panel(traces=[]),
         _panel(traces=[Trace(x=[], y=[])]),
-        _panel(traces=[Trace(x=[1.0], y=[2.0], style="bars")]),
+        _panel(traces=[Trace(x=[1.0], y=[2.0], style="points")]),
         _panel(traces=[Trace(x=[1.0, 2.0], y=[None, None])]),
         _panel(traces=[Trace(x=[1.0, 2.0], y=[0.0, -1.0])], y_scale="log"),
         _panel(traces=[Trace(x=[1.0, 2.0], y=[3e-9, 4e-9])], x_scale="log", y_scale="log"),

@@ -24,7 +24,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers, parameters
 from swimid.results import evidence as ev
 from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Table, Trace
-from swimid.results.fitted import Fitted
+from swimid.results.parameters import Fitted
 
 #: Codes of the warnings whose text is the reason of a check, by the name of the check.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}

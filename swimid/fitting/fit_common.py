@@ -29,8 +29,7 @@ from swimid.notices import recorded, warn
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.fitted import Fitted
-from swimid.results.parameters import Correlation, Estimate, Fit, ParameterFile, spoken
+from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
 from swimid.robots.file import Robot, locate
 
 #: Minimum absolute correlation of two parameters that are reported as hard to tell apart.

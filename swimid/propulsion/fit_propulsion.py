@@ -24,8 +24,7 @@ from swimid.propulsion import trials as propulsion_trials
 from swimid.propulsion.options import FitPropulsionOptions
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.fitted import Fitted
-from swimid.results.parameters import Estimate, ParameterFile
+from swimid.results.parameters import Estimate, Fitted, ParameterFile
 
 #: Exponent of the amplitude in the law of thrust.
 AMPLITUDE_EXPONENT = 2.0

@@ -56,7 +56,6 @@ DARKEST = 0.55
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES = ((4, 2), (1, 1.5), (6, 2, 1, 2))
-HATCHES = ("", "////", "....", "xx")
 
 
 @cache
@@ -101,7 +100,6 @@ def style() -> Any:
         "legend.borderaxespad": 0.2,
         "legend.columnspacing": 1.2,
         "legend.markerscale": 1.5,
-        "hatch.linewidth": 0.6,
         "svg.hashsalt": "swimid",
     }
 
@@ -132,7 +130,6 @@ def paint(
     """
     if panel.heat is not None:
         _heat(axes, panel.heat)
-    bars = [trace for trace in panel.traces if trace.style == "bars"]
     # A group with points and a line is a measurement and its model: draw small dots on a broad, pale line.
     pointed = {trace.group for trace in panel.traces if trace.style == "points"} - {None}
     lined = {trace.group for trace in panel.traces if trace.style in ("line", "dashed", "step")}
@@ -141,12 +138,9 @@ def paint(
         slot = slots[_key(trace, index)]
         repeat = seen.setdefault((slot, trace.style), 0)
         seen[slot, trace.style] += 1
-        if trace.style == "bars":
-            _bars(axes, trace, slot, bars.index(trace), len(bars))
-        else:
-            paired = trace.group in pointed & lined
-            small = paired or panel.y_categories is not None
-            _trace(axes, trace, slot, repeat, paired=paired, small=small, compact=compact)
+        paired = trace.group in pointed & lined
+        small = paired or panel.y_categories is not None
+        _trace(axes, trace, slot, repeat, paired=paired, small=small, compact=compact)
     axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
     # the axis label may use two thirds of the height of the panel
     letters = int(72 * _height(panel) / (1.5 * LETTER * FONT))
@@ -233,27 +227,6 @@ def _trace(
         line.set_dashes(DASHES[repeat % len(DASHES)])
     elif slot and not paired and trace.style != "arrows":
         line.set_dashes(DASHES[(slot - 1) % len(DASHES)])
-
-
-def _bars(axes: Axes, trace: Trace, slot: int, index: int, count: int) -> None:
-    """Draw the bars of one trace next to the bars of the other traces of the panel."""
-    x = _array(trace.x)
-    pitch = float(np.min(np.diff(np.sort(x)), initial=np.inf))
-    if not math.isfinite(pitch):  # a single bar
-        pitch = 1.0
-    width = 0.8 * pitch / count
-    axes.bar(
-        x + (index - (count - 1) / 2) * width,
-        _array(trace.y),
-        yerr=trace.y_error and _array(trace.y_error),
-        width=0.92 * width,
-        color=_colour(slot),
-        hatch=HATCHES[index % len(HATCHES)],
-        edgecolor=palette()["paper"],
-        lw=0,
-        error_kw={"ecolor": palette()["ink"], "lw": 0.9, "capsize": 2},
-        label=trace.label or None,
-    )
 
 
 def _scales(axes: Axes, panel: Panel) -> None:

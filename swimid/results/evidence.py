@@ -49,7 +49,7 @@ class Trace(_Part):
     x: Numbers
     y: Numbers
     label: str = ""
-    style: Literal["line", "dashed", "points", "step", "bars", "stems", "arrows"] = "line"
+    style: Literal["line", "dashed", "points", "step", "stems", "arrows"] = "line"
     #: Traces with the same group number share a colour (a measurement and its model).
     group: int | None = None
     #: Half-width of the error bars of ``points``, same length as y.

@@ -11,7 +11,7 @@ from swimid.results.result import Result
 
 #: Class of the results with each ``format:`` in a YAML file, as ``module:class``.
 FORMATS = {
-    "swimid-parameters/1": "swimid.results.fitted:Fitted",
+    "swimid-parameters/1": "swimid.results.parameters:Fitted",
     "swimid-comparison/1": "swimid.simulation.compare:Comparison",
     "swimid-gap/1": "swimid.diagnosis.diagnosed:Diagnosis",
     "swimid-power/1": "swimid.diagnosis.power_file:DetectionPower",

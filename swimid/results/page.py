@@ -28,8 +28,7 @@ from swimid.results.evidence import (
     leaves,
     sidecar,
 )
-from swimid.results.fitted import Fitted, interval95, value_text
-from swimid.results.parameters import Estimate
+from swimid.results.parameters import Estimate, Fitted, interval95, value_text
 from swimid.results.result import Result
 
 #: Symbol and word for each level of a verdict, so that the level can be read without colour.

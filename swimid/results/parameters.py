@@ -1,9 +1,10 @@
-"""Parameter file (``swimid-parameters/1``), which every fit writes."""
+"""Parameter file (``swimid-parameters/1``), which every fit writes, and the result of a fit."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 from pydantic import ConfigDict, Field, PrivateAttr
 
@@ -11,9 +12,16 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
+from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
+from swimid.results.result import FileResult
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
+#: Text for the status of an estimate in tables.
+STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
 
 
 class Estimate(yamlio.Document):
@@ -204,3 +212,216 @@ def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path)
             )
         values.append(estimate.value)
     return values
+
+
+# ---------------------------------------------------------------- result of a fit
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted(FileResult[ParameterFile]):
+    """Fitted parameters, returned by ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls``.
+
+    ``fitted["added_mass"]`` is one estimate, with ``value``, ``stderr``, ``unit``, ``bounds`` and ``status``.
+    A simulation uses ``value`` whatever the status is. The data support the value only if the status is
+    ``"estimated"``.
+
+    Attributes
+    ----------
+    parameters : DataFrame
+        A row for each parameter: ``value``, ``stderr``, ``low95``, ``high95`` (in ``unit``), ``status``.
+    derived : DataFrame
+        Quantities computed from the parameters, with the same columns as ``parameters``.
+    correlation : DataFrame
+        Correlation matrix of the estimates, dimensionless.
+    converged : bool
+        Whether the fit converged to a minimum.
+    file : ParameterFile
+        Parameter file that :meth:`save` writes.
+
+    Examples
+    --------
+    >>> fitted = Fitted.load("sample_logs/gap/params.yaml")
+    >>> fitted.parameters.loc["c_ma", "status"], round(fitted["c_ma"].stderr, 3), fitted["d_p"].unit
+    ('estimated', 0.066, 'm')
+    """
+
+    file_type = ParameterFile
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Table with a row for each parameter: value, standard error, 95 % interval, unit, status."""
+        return _estimates_frame(self.file.parameters)
+
+    @property
+    def derived(self) -> pd.DataFrame:
+        """Quantities computed from the parameters, with the same columns as :attr:`parameters`."""
+        return _estimates_frame(self.file.derived)
+
+    @property
+    def correlation(self) -> pd.DataFrame:
+        """Correlation matrix of the estimates; empty if fewer than two estimates have a standard error."""
+        import pandas as pd
+
+        found = self.file.correlation or Correlation(names=[], matrix=[])
+        return pd.DataFrame(found.matrix, index=found.names, columns=found.names)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit converged to a minimum."""
+        return self.file.fit is not None and self.file.fit.converged
+
+    def __getitem__(self, name: str) -> Estimate:
+        return (self.file.parameters | self.file.derived)[name]
+
+    def _own_facts(self) -> dict[str, str]:
+        file = self.file
+        facts = {"Model": file.model, "Robot": file.robot or ""}
+        if file.fit is not None:
+            facts["Trials"] = str(len(file.fit.trials))
+        if file.sample_time_s is not None:
+            facts["Sample time"] = numbers.number(file.sample_time_s, unit="s")
+        if file.delay is not None:
+            facts["Delay"] = f"{file.delay} sample{'s' if file.delay != 1 else ''}"
+        return {name: value for name, value in facts.items() if value}
+
+    def _own_notes(self) -> list[str]:
+        return self.file.identifiability
+
+    def _own_tables(self) -> list[Table]:
+        file = self.file
+        shared = {name: e for name, e in file.parameters.items() if "[" not in name}
+        own = {name: e for name, e in file.parameters.items() if name not in shared}
+        tables = [
+            _estimates("parameters", "Parameters", shared),
+            _estimates("parameters-of-trials", "Parameters of single trials", own, folded=True),
+            _estimates("derived", "Derived quantities", file.derived),
+            _poles(file),
+            _correlation(file.correlation),
+        ]
+        if file.fit is not None:
+            tables.insert(3, _channels(file.fit))
+            more = file.fit.model_extra or {}
+            single = {name: value for name, value in more.items() if not _is_records(value)}
+            details = {"trials": file.fit.trials, "noise": file.fit.noise, **single}
+            tables.append(leaf_table("fit", "Fit details", details))
+        return [table for table in tables if table.rows]
+
+    def bare(self) -> Evidence:
+        """Return the minimal evidence for a parameter file whose evidence file is missing."""
+        parameters = self.file.parameters.items()
+        weak = [spoken(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
+        verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
+        if self.file.fit is not None and not self.file.fit.converged:
+            verdict = Verdict(level="bad", text="The fit did not converge.")
+        elif weak:
+            verdict = Verdict(level="bad", text=f"Not identifiable: {', '.join(weak)}. No evidence file.")
+            if any(e.status == "estimated" for _, e in parameters):
+                verdict.level = "caution"
+        title = f"Parameters of {self.file.model}"
+        return Evidence(command=self.command, title=title, verdict=verdict, provenance=self.file.provenance)
+
+
+def _is_records(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+
+
+def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: bool = False) -> Table:
+    """Return a table of estimates, rounded to two significant digits of their standard errors."""
+    rows: list[list[Any]] = []
+    for name, e in estimates.items():
+        band, ends = "", interval95(e)
+        if e.status == "estimated" and ends is not None:
+            band = numbers.interval(*ends, e.stderr)
+        elif e.status == "estimated" and e.ci95 is not None:
+            band = numbers.bounds_text(e.ci95)
+        status = STATUS.get(e.status, e.status)
+        rows.append([name, value_text(e), band, status, e.meaning, numbers.bounds_text(e.bounds)])
+    columns = ["parameter", "value ± sd", "95 % interval", "status", "meaning", "allowed"]
+    if not any(e.meaning for e in estimates.values()):
+        columns.remove("meaning")
+        rows = [[*row[:4], *row[5:]] for row in rows]
+    return Table(id=id, title=title, columns=columns, rows=rows, folded=folded)
+
+
+def value_text(estimate: Estimate) -> str:
+    """Return the value and standard error of a parameter as text; a dash if it is not identifiable."""
+    if estimate.status == "unidentifiable":
+        return numbers.NOTHING
+    if estimate.status == "fixed":
+        return numbers.number(estimate.value, 6, estimate.unit)
+    return numbers.measured(estimate.value, estimate.stderr, estimate.unit)
+
+
+def _correlation(correlation: Correlation | None) -> Table:
+    """Return the correlation matrix as a table, without rows if there are fewer than two estimates."""
+    names: list[str] = []
+    rows: list[list[Any]] = []
+    if correlation is not None and len(correlation.names) > 1:
+        names = correlation.names
+        for name, row in zip(names, correlation.matrix, strict=True):
+            rows.append([name, *(numbers.fixed(r, 2) for r in row)])
+    return Table(
+        id="correlation",
+        title="Correlation of the estimates",
+        columns=["", *names],
+        rows=rows,
+        caption="Above 0.9 in size the trials determine a combination of two better than either of them.",
+        folded=True,
+    )
+
+
+def _channels(fit: Fit) -> Table:
+    """Return a table of the errors on fitted and on validation trials by channel, with the noise."""
+    rows: list[list[Any]] = []
+    for label, entries in {"fit": fit.channels, "validation": fit.validation.get("channels", {})}.items():
+        for name, entry in entries.items():
+            unit, rmse, nrmse = str(entry.get("unit", "")), entry.get("rmse"), entry.get("nrmse")
+            noise, ratio = _noise(fit.noise.get(name, {}), rmse, unit)
+            errors = [numbers.number(rmse, 3, unit), noise, ratio, numbers.percent(nrmse)]
+            rows.append([name, label, *errors, entry.get("samples")])
+    columns = ["channel", "data", "RMSE", "noise", "RMSE / noise", "NRMSE", "samples"]
+    return Table(id="errors", title="Errors by channel", columns=columns, rows=rows)
+
+
+def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, str]:
+    """Return the noise of a channel, and the ratio of its root-mean-square error to the noise, as text.
+
+    The noise is the standard deviation of the values and, if it is known, of the sample times.
+    """
+    sd, time_sd_s = known.get("value_sd"), known.get("time_sd_s")
+    text, ratio = numbers.number(sd, 3, unit), numbers.NOTHING
+    if time_sd_s:
+        text += f", {numbers.number(1e3 * time_sd_s, 3, 'ms')} in time"
+    elif rmse is not None and sd:
+        ratio = numbers.number(rmse / sd, 3)
+    return text, ratio
+
+
+def _poles(file: ParameterFile) -> Table:
+    """Return a table of the poles of a discrete-time model."""
+    rows: list[list[Any]] = []
+    for p in file.poles or []:
+        magnitude = numbers.measured(p.magnitude, p.stderr_magnitude)
+        place = ("inside", "on or outside")[p.magnitude >= 1]
+        rows.append([numbers.fixed(p.real, 4), numbers.fixed(p.imag, 4), magnitude, place])
+    columns = ["real", "imaginary", "magnitude", "unit circle"]
+    return Table(id="poles", title="Poles", columns=columns, rows=rows)
+
+
+def interval95(estimate: Estimate) -> tuple[float, float] | None:
+    """Return the 95 % interval: from the profile likelihood if it is known, else from the standard error."""
+    low, high = estimate.ci95 or (None, None)
+    if low is not None and high is not None:
+        return low, high
+    return numbers.confidence95(estimate.value, estimate.stderr)
+
+
+def _estimates_frame(estimates: dict[str, Estimate]) -> pd.DataFrame:
+    import pandas as pd
+
+    nothing = (float("nan"), float("nan"))
+    return pd.DataFrame(
+        [(e.value, e.stderr, *(interval95(e) or nothing), e.unit, e.status) for e in estimates.values()],
+        columns=["value", "stderr", "low95", "high95", "unit", "status"],
+        index=pd.Index(list(estimates), name="parameter"),
+    )

@@ -31,8 +31,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.fitted import Fitted
-from swimid.results.parameters import Estimate, Fit, ParameterFile
+from swimid.results.parameters import Estimate, Fit, Fitted, ParameterFile
 from swimid.rig import derived, lack_of_fit
 from swimid.rig import trials as rig_experiment
 from swimid.rig.model import falling_weight_closed_form

@@ -28,8 +28,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
-from swimid.results.fitted import Fitted
-from swimid.results.parameters import ParameterFile
+from swimid.results.parameters import Fitted, ParameterFile
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.robots.planar import Multilink
