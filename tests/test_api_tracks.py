@@ -260,14 +260,14 @@ def camera() -> pd.DataFrame:
     return pd.read_csv(ROOT / "sample_logs" / "camera" / "polled.csv", sep=";")
 
 
-@pytest.mark.parametrize("asked", [{}, {"along": "line", "start_s": 2.0}], ids=["whole", "along"])
+@pytest.mark.parametrize("asked", [{}, {"clean": False}], ids=["cleaned", "raw"])
 def test_an_import_in_memory_is_the_import_on_disk(
     camera: pd.DataFrame, asked: dict[str, Any], swimid: Run, tmp_path: Path
 ) -> None:
     source = ROOT / "sample_logs" / "camera" / "polled.csv"
     rules = ROOT / "docs" / "examples" / "camera.yaml"
     path = tmp_path / "run.csv"
-    options = ["--along", "line", "--start", 2.0] if asked else []
+    options = ["--raw"] if asked else []
     ran = swimid("import", source, "--map", rules, *options, "-o", path, "--json")
     made = import_log(source, map_path=rules, **asked)
     assert made.outputs == ()
@@ -290,7 +290,7 @@ def test_a_table_is_not_changed(camera: pd.DataFrame) -> None:
     assert made.examined.cleaning is not None
     again = Log.from_frame(made.frame)
     kept = {name: values.copy() for name, values in again.columns.items()}
-    import_log(again, clean=True, along="line")
+    import_log(again, clean=True)
     for name, values in kept.items():
         np.testing.assert_array_equal(again[name], values)
 

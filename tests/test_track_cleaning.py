@@ -151,8 +151,6 @@ def test_harmonics_and_surge_at_twice_the_stroke(rng: np.random.Generator) -> No
     found = rhythm.find(time, columns)
     assert found is not None
     assert abs(found.beat.frequency_hz - 1.5) < 4 * found.beat.stderr_hz + 1e-3
-    assert [h.order for h in found.harmonics][:2] == [1, 3]
-    assert found.harmonics[1].amplitude == pytest.approx(0.02, abs=4 * found.harmonics[1].stderr)
     alone = rhythm.find(time, {"u_m_s": columns["u_m_s"]})
     assert alone is not None
     assert alone.maybe_double

@@ -24,7 +24,6 @@ class ImportLogOptions(
     Examples:
       swimid import field.csv --guess -o map.yaml
       swimid import field.csv --map map.yaml -o run.csv
-      swimid import run.csv --scale 0.0008 --along -y --start 1.2 --end 2.4 -o drop.csv
       swimid import STATES1.txt STATES2.txt --map docs/examples/msu-states.yaml -o logs/
     """
 

@@ -183,19 +183,6 @@ def unwrapped(counts: NDArray[Any], period: float) -> Array:
     return values + period * np.concatenate(([0.0], np.cumsum(steps < -period / 2)))
 
 
-def wrap_hint(times_s: Array, time: Time | None) -> str:
-    """Return the hint to add 'wraps_at' if a clock goes back by the range of a 16/32-bit counter; else ''."""
-    factor = 1.0
-    if time is not None and isinstance(time.unit, str):
-        factor = units.factor(time.unit, TIME)
-    steps = np.diff(times_s[np.isfinite(times_s)]) / factor
-    back = steps[steps < 0]
-    for bits in (16, 32):
-        if len(back) and np.all(np.abs(back + 2.0**bits) < 10 * np.median(np.abs(steps))):
-            return f"a counter of {bits} bits starts again at {2**bits}: add 'wraps_at: {2**bits}' to 'time:'"
-    return ""
-
-
 def _parsed(
     parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
 ) -> NDArray[Any]:

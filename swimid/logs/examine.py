@@ -1,4 +1,4 @@
-"""Cleaning and examination of a foreign log: row order, cut, scale, projection, track, speed and stroke."""
+"""Cleaning and examination of a foreign log: row order, track, speed and stroke."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from swimid.logs.clock import Order
 from swimid.logs.consistency import Comparison, compare_columns
 from swimid.logs.log import TIME, Doubt
 from swimid.logs.mapping import MappedLog
-from swimid.logs.options import ImportOptions, direction
+from swimid.logs.options import ImportOptions
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.tracks import Cleaning, TrackSpeed
 from swimid.notices import warn
@@ -30,39 +30,15 @@ _POSE, _POSE_RATES = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "v
 
 
 @dataclass(frozen=True)
-class Projection:
-    """Projection of a track on a line.
-
-    Attributes
-    ----------
-    along : ndarray, shape (n,)
-        Distance along the line from the first sample, in the unit of the track; NaN where the track is
-        missing.
-    direction : ndarray, shape (d,)
-        Unit vector of the line.
-    across : float
-        Root-mean-square distance of the track from the line, which goes through the mean position of the
-        track.
-    extent : float
-        Range of ``along``.
-    """
-
-    along: Array
-    direction: Array
-    across: float
-    extent: float
-
-
-@dataclass(frozen=True)
 class Examined:
     """Foreign log with its rows in order, together with the findings of the examination.
 
     Attributes
     ----------
     mapped : MappedLog
-        Log as it was read. It shares its columns with this object.
-    metadata, columns : dict
-        Metadata and columns as they are written to the log.
+        The log. Its columns are changed to those that are written to the log.
+    metadata : dict
+        Metadata as they are written to the log.
     order : Order
         Rows that were moved or left out.
     cleaning : Cleaning or None
@@ -79,16 +55,8 @@ class Examined:
         Reason why no stroke is found; empty if one is found.
     doubts : list of Doubt
         Columns with values that no swimmer reaches.
-    projection : Projection or None
-        Line on which the track was projected; None if it was not projected.
-    unit : str
-        Unit of the track, m or px.
     comparisons : list of Comparison
         Comparisons of columns that show the same motion.
-    frozen : dict of str to (float, float)
-        Start and end, s, of the longest period in which each frozen channel holds one value.
-    unmeasured : dict of str to str
-        Channels whose values no working sensor gives, each with a description of the fault.
     uneven : str
         Range of the time steps of uneven sampling, in words; empty for even sampling.
     bursts : bool
@@ -97,7 +65,6 @@ class Examined:
 
     mapped: MappedLog
     metadata: dict[str, Any]
-    columns: dict[str, Array]
     order: Order
     cleaning: Cleaning | None
     cleaned: bool
@@ -106,11 +73,7 @@ class Examined:
     against: str
     unknown: str
     doubts: list[Doubt]
-    projection: Projection | None
-    unit: str
     comparisons: list[Comparison]
-    frozen: dict[str, tuple[float, float]]
-    unmeasured: dict[str, str]
     uneven: str
     bursts: bool
 
@@ -120,9 +83,19 @@ class Examined:
         return self.mapped.path
 
     @property
+    def columns(self) -> dict[str, Array]:
+        """Columns as they are written to the log."""
+        return self.mapped.columns
+
+    @property
     def time_s(self) -> Array:
         """Sample times, s, shape (n,)."""
         return self.columns[TIME]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the track: m or px."""
+        return "px" if set(_track(self.columns)) & set(PIXELS) else "m"
 
     @property
     def channels(self) -> dict[str, Array]:
@@ -159,11 +132,9 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     if order.changed:
         _keep(columns, order.index)
         warn("SWM057", f"{name}: rows {order.summary}")
-    _cut(columns, options, source)
-    _to_metres(columns, options, source)
-    uneven, bursts = sampling.find_uneven(columns[TIME])
+    uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
-    coordinates, known = _track(columns), _measured(columns)
+    coordinates, known = _track(columns), measured(columns)
     cleaned = options.clean
     if cleaned is None:
         cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
@@ -176,14 +147,16 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         cleaning = tracks.clean(stamps, track, angles)
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
-    channels = {column: v for column, v in _measured(columns).items() if column != TIME}
+    channels = {column: v for column, v in measured(columns).items() if column != TIME}
     times, times_sd_s = columns[TIME], 0.0
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
         if (np.diff(measured_s) > 0).all():  # false if other channels have rows between pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
-    stated_hz = _stated(metadata)
+    stated_hz = metadata.get("frequency_hz")
+    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
+        stated_hz = None
     stroke = rhythm.find(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
     unknown, against, periodic_hz, period_s = "", "", None, None
     if stroke is None:
@@ -201,31 +174,19 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     for one in comparisons:
         if one.text:
             warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
-    frozen = sampling.find_frozen(columns[TIME], channels)
-    scales = {target: factor for target, (_, factor, _) in source.sources.items()}
-    unmeasured = sampling.find_unmeasured(columns, scales)
-    line = _along(columns, options, source)
-    if line is not None:
-        metadata["along"] = [float(part) for part in line.direction]
     return Examined(
-        mapped=source,
-        metadata=metadata,
-        columns=columns,
-        order=order,
-        cleaning=cleaning,
-        cleaned=cleaned,
-        speed=speed,
-        stroke=stroke,
-        against=against,
-        unknown=unknown,
-        doubts=doubts,
-        projection=line,
-        unit=_unit(coordinates),
-        comparisons=comparisons,
-        frozen=frozen,
-        unmeasured=unmeasured,
-        uneven=uneven,
-        bursts=bursts,
+        source,
+        metadata,
+        order,
+        cleaning,
+        cleaned,
+        speed,
+        stroke,
+        against,
+        unknown,
+        doubts,
+        comparisons,
+        *uneven,
     )
 
 
@@ -239,7 +200,8 @@ def _in_order(source: MappedLog) -> Order:
     if order.reset_row is not None:
         last = np.nanmax(source.time_s[: order.reset_row])
         text = f"the clock starts again: {source.time_s[order.reset_row]:g} s after {last:g} s"
-        line, hint = int(source.rows[order.reset_row]), source.hint or "split the file there"
+        line = int(source.rows[order.reset_row])
+        hint = "split the file there, or state the range of a counter: 'wraps_at: 65536' under 'time:'"
         raise InputError(text, file=source.path, line=line, column=TIME, hint=hint)
     return order
 
@@ -253,10 +215,6 @@ def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
 def _track(columns: dict[str, Array]) -> list[str]:
     """Return the names of the track's columns: in metres if the log has them, else in pixels."""
     return [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
-
-
-def _unit(coordinates: list[str]) -> str:
-    return "px" if set(coordinates) & set(PIXELS) else "m"
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
@@ -293,14 +251,6 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
     _keep(columns, ~empty)
 
 
-def _stated(metadata: dict[str, Any]) -> float | None:
-    """Return the stroke frequency in the metadata, Hz; None if it is not a positive number."""
-    stated = metadata.get("frequency_hz")
-    if isinstance(stated, bool) or not isinstance(stated, int | float) or not stated > 0:
-        return None
-    return float(stated)
-
-
 def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
     """Return words that say how a stroke contradicts the metadata; warn of this and of a doubtful stroke."""
     against = ""
@@ -312,22 +262,7 @@ def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
     return against
 
 
-def _cut(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
-    """Cut the log to the requested period, in place."""
-    if options.start_s is None and options.end_s is None:
-        return
-    time, kept = columns[TIME], np.ones(len(columns[TIME]), dtype=bool)
-    if options.start_s is not None:
-        kept &= time >= options.start_s
-    if options.end_s is not None:
-        kept &= time <= options.end_s
-    if kept.sum() < 2:
-        text = f"{int(kept.sum())} samples lie between --start and --end; the log goes from {time[0]:g} s "
-        raise InputError(f"{text}to {time[-1]:g} s", file=source.path)
-    _keep(columns, kept)
-
-
-def _measured(columns: dict[str, Array]) -> dict[str, Array]:
+def measured(columns: dict[str, Array]) -> dict[str, Array]:
     """Return the columns as they were measured.
 
     In a log written by ``swimid track`` the measured positions are those before smoothing, with NaN where a
@@ -339,59 +274,6 @@ def _measured(columns: dict[str, Array]) -> dict[str, Array]:
         return columns
     pose = {name: raw.get(name, values) for name, values in columns.items() if _of_pose(name)}
     return columns | {name: np.where(bridged == 1, np.nan, values) for name, values in pose.items()}
-
-
-def _to_metres(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> None:
-    """Convert the pose of a track from pixels to metres, in place."""
-    if options.scale is None:
-        return
-    if not any(name in columns for name in PIXELS):
-        raise InputError("--scale is for a track in pixels: there is no column x_px", file=source.path)
-    taken = [name for name in METRES if name in columns]
-    if taken:
-        raise InputError("there is a track in metres already", file=source.path, column=taken[0])
-    for name in [name for name in columns if "_px" in name and _of_pose(name)]:
-        columns[name.replace("_px", "_m")] = columns.pop(name) * options.scale
-
-
-def _along(columns: dict[str, Array], options: ImportOptions, source: MappedLog) -> Projection | None:
-    """Replace the pose by the distance along a line, in place; return the projection, if requested."""
-    if options.along is None:
-        return None
-    names = _track(columns)
-    if not names:
-        raise InputError("--along needs a track: x_m, y_m, z_m, or those in px", file=source.path)
-    stated = direction(options.along)
-    towards = None
-    if stated is not None:
-        towards = np.array(stated)[["xyz".index(name[0]) for name in names]]
-        if not np.isclose(np.linalg.norm(towards), 1.0):
-            text = f"--along {options.along} points out of the plane of {', '.join(names)}"
-            raise InputError(text, file=source.path)
-    place = np.column_stack([_measured(columns)[name] for name in names])
-    there: NDArray[np.bool_] = np.asarray(np.isfinite(place).all(axis=1))
-    if there.sum() < 2 or not np.ptp(place[there], axis=0).any():
-        raise InputError("the track does not move", file=source.path)
-    line = _project(place, there, towards)
-    rest = {name: values for name, values in columns.items() if not _of_pose(name)}
-    columns.clear()
-    columns.update({TIME: rest.pop(TIME), f"x_{_unit(names)}": line.along} | rest)
-    return line
-
-
-def _project(place: Array, there: NDArray[np.bool_], towards: Array | None) -> Projection:
-    """Project a track on a line: by default on the line of best fit, in the direction of travel."""
-    centred = place - place[there].mean(axis=0)
-    if towards is None:
-        towards = np.linalg.svd(centred[there], full_matrices=False)[2][0]
-        travel = place[there][-1] - place[there][0]
-        forward = float(travel @ towards)
-        if forward < 0 or (forward == 0 and towards[np.argmax(np.abs(towards))] < 0):
-            towards = -towards
-    along = centred @ towards
-    across = centred[there] - np.outer(along[there], towards)
-    rms = float(np.sqrt(np.mean(np.sum(across**2, axis=1))))
-    return Projection(along - along[there][0], towards, rms, float(np.ptp(along[there])))
 
 
 def _raw(name: str) -> str:

@@ -15,12 +15,12 @@ import numpy as np
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.logs import log, mapping
-from swimid.logs.examine import Examined, examine
+from swimid.logs.examine import Examined, examine, measured
 from swimid.logs.log import Log, LogLike
 from swimid.logs.logged import Logged, figures_of
 from swimid.logs.options import ImportOptions
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import LONG_ENOUGH, SET, may_freeze, usual_step
+from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, find_unmeasured, may_freeze, usual_step
 from swimid.notices import Notice, recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -227,9 +227,6 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
 MIN_SAMPLES = LONG_ENOUGH + 1
 #: Minimum number of samples per stroke. With fewer samples the path between them is not known.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: Maximum root-mean-square distance of a track from the line of its projection, as a fraction of its extent
-#: along the line.
-OFF_LINE = 0.1
 #: Maximum fraction of the rows that are dropped. With a larger fraction the time column is probably
 #: incomplete.
 MAX_DROPPED = 0.1
@@ -301,7 +298,7 @@ def _amount_checks(found: Examined) -> list[Check]:
     long = n >= MIN_SAMPLES and pause_s > 0.5 * (time[-1] - time[0])
     pause = (
         f"no sample lies between {time[last]:.6g} s and {time[last + 1]:.6g} s, more than half of the log: "
-        "do the times count from two origins? --start and --end take one part"
+        "do the times count from two origins?"
     )
     order, notes = found.order, found.mapped.notes
     odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
@@ -331,15 +328,17 @@ def _amount_checks(found: Examined) -> list[Check]:
 
 def _value_checks(found: Examined) -> list[Check]:
     """Return the checks of the values of the samples."""
+    stuck = find_frozen(found.time_s, measured(found.columns))
+    scales = {target: factor for target, (_, factor, _) in found.mapped.sources.items()}
     disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
-    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
-    faults = "; ".join(f"{name} {text}" for name, text in found.unmeasured.items())
+    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in stuck.items())
+    faults = "; ".join(f"{name} {text}" for name, text in find_unmeasured(found.columns, scales).items())
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     frozen, faulty = f"channels hold one value amid their motion: {holds}", f"channels look faulty: {faults}"
     uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
     enough = len(found.time_s) >= MIN_SAMPLES
-    measured = {name: values for name, values in found.channels.items() if not SET.fullmatch(name)}
-    long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in measured.values())
+    channels = {name: values for name, values in found.channels.items() if not SET.fullmatch(name)}
+    long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in channels.values())
     continuous = any(may_freeze(*channel) for channel in found.channels.items())
     limited = enough and any(map(LIMITED.fullmatch, found.channels))
     return [
@@ -352,15 +351,9 @@ def _value_checks(found: Examined) -> list[Check]:
 
 
 def _track_checks(found: Examined) -> list[Check]:
-    checks = []
-    line, cleaning = found.projection, found.cleaning
-    if line is not None:
-        across, extent = (numbers.number(v, 3, found.unit) for v in (line.across, line.extent))
-        why = f"the track leaves the line by {across} over {extent}, and is shortened by projecting it"
-        limit, keeps = f"≤ {100 * OFF_LINE:g} % of the extent", line.across <= OFF_LINE * line.extent
-        checks.append(_check("Distance from the line", keeps, limit, why, across))
+    cleaning = found.cleaning
     if cleaning is None:
-        return checks
+        return []
     lost, repeats = cleaning.counts["samples_jumped"], cleaning.counts["repeats"]
     seen, done = int(cleaning.good.sum()) + repeats + lost, found.done
     held = "the track holds repeated pictures (--clean leaves them out)"
@@ -371,7 +364,6 @@ def _track_checks(found: Examined) -> list[Check]:
     gaps = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
     kept, value = f"the track has gaps ({gaps}), which are kept", f"{repeats} of {seen} {done}"
     return [
-        *checks,
         _check("Repeated pictures", found.cleaned or not repeats, "none kept", held, value),
         _check(
             "Jumps",
@@ -406,7 +398,7 @@ def _stroke_checks(found: Examined) -> list[Check]:
 
 def _facts(found: Examined) -> dict[str, str]:
     """Return the facts of an imported log, in addition to the facts of any log."""
-    cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
+    cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     facts = {"Stroke": f"unknown: {found.unknown}"}
     if stroke is not None:
         facts["Stroke"] = f"{_frequency(stroke)} in {stroke.channel}"
@@ -418,9 +410,6 @@ def _facts(found: Examined) -> dict[str, str]:
     if speed is not None:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"
-    if line is not None:
-        way = ", ".join(f"{part:.4g}" for part in line.direction)
-        facts["Line"] = f"x_{found.unit} is the way along ({way})"
     return facts
 
 
@@ -438,13 +427,6 @@ def _tables(found: Examined) -> list[Table]:
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
     if stroke is not None:
-        rows = []
-        for h in stroke.harmonics:
-            frequency_hz = h.order * stroke.beat.frequency_hz
-            rows.append([f"{h.order} ×", frequency_hz, numbers.measured(h.amplitude, h.stderr)])
-        title = f"Stroke and harmonics in {stroke.channel}, over {stroke.beat.cycles:.3g} cycles"
-        columns = ["harmonic", "frequency (Hz)", "amplitude"]
-        tables.append(Table(id="stroke", title=title, columns=columns, rows=rows, folded=True))
         rows = []
         for name, beat in stroke.channels.items():
             frequency = numbers.measured(beat.frequency_hz, beat.stderr_hz)
@@ -484,7 +466,7 @@ def _methods(found: Examined) -> list[str]:
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
     """Return the findings as plain data (numbers, text, lists and dicts)."""
     time, unit, step = found.time_s, found.unit, usual_step(found.time_s)
-    cleaning, speed, line, stroke = found.cleaning, found.speed, found.projection, found.stroke
+    cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     made: dict[str, Any] = {
         "file": str(found.path),
         "samples": len(time),
@@ -498,7 +480,7 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
         "unlikely": found.mapped.unlikely,
         "contradictions": [asdict(one) for one in found.contradictions],
         "stroke": {"unknown": found.unknown},
-        **dict.fromkeys(("track", "speed", "line")),
+        **dict.fromkeys(("track", "speed")),
         "verdict": proof.verdict.model_dump(),
         "checks": [check.model_dump() for check in proof.checks],
     }
@@ -528,12 +510,8 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             "cycles": stroke.beat.cycles,
             "channel": stroke.channel,
             "maybe_double": stroke.maybe_double,
-            "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
             "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
             "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
             "contradiction": found.against or None,
         }
-    if line is not None:
-        direction = line.direction.tolist()
-        made["line"] = {"direction": direction, "extent": line.extent, "across_rms": line.across}
     return made

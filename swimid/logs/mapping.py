@@ -161,8 +161,6 @@ class MappedLog:
         Name of the profile that read the file; empty without a profile.
     unlikely : dict of str to int
         Number of samples that were left empty because of a low likelihood, by column of the likelihood.
-    hint : str
-        Advice for a clock that goes back; empty if there is none.
     """
 
     path: Path
@@ -174,7 +172,6 @@ class MappedLog:
     unknown: list[str] = field(default_factory=list)
     profile: str = ""
     unlikely: dict[str, int] = field(default_factory=dict)
-    hint: str = ""
 
     @property
     def time_s(self) -> Array:
@@ -297,7 +294,6 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         [column.target for column in columns if not (known or column.is_known)],
         table.profile,
         unlikely,
-        clock.wrap_hint(found[TIME], time),
     )
 
 
