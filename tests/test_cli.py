@@ -242,7 +242,7 @@ class TestTerminal:
         assert str(out) in words
         assert swimid(*words[1:-2], "-o", tmp_path / "comparison.yaml").status == 0
         drop = ("simulate", "--params", out, "--pulling-mass-kg", "0.02", "-o", tmp_path / "drop.csv")
-        assert f"next: swimid plot {tmp_path / 'drop.csv'} -o log.html" in swimid(*drop).stderr
+        assert f"next: swimid plot {tmp_path / 'drop.csv'} -o log.svg" in swimid(*drop).stderr
         for quiet in (["-q"], ["--json"], []):
             words = [*quiet, "-o", str(out)] if quiet else []
             assert "next:" not in swimid("fit-drag", trials, *words).stderr

@@ -269,7 +269,6 @@ class TestFilesOfOthers:
             ("import", samples / "rig" / "w10.csv", "--guess", "-o", out / "draft.yaml"),
             ("plot", out / "a.csv", "-o", out / "a.svg"),
             ("plot", out / "a.csv", "-o", out / "a.png"),
-            ("plot", out / "a.csv", "-o", out / "a.html"),
             ("report", out / "c.yaml", "-o", out / "c.html"),
             ("report", out / "c.yaml", "-o", out / "c.md"),
             ("report", out / "c.yaml", "-o", out / "c.json"),
@@ -286,7 +285,7 @@ class TestFilesOfOthers:
                 writer.write(0.04 * k, np.full((64, 64, 3), 20 * k, dtype=np.uint8))
             writer.close()
         assert [p.name for p in sorted(out.iterdir()) if not provenance.is_own(p)] == []
-        assert len(list(out.iterdir())) == 19
+        assert len(list(out.iterdir())) == 18
 
     def test_an_edited_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
         draft = tmp_path / "map.yaml"

@@ -73,7 +73,7 @@ class PlotOptions(
     command="plot",
     section="Publish",
     argument="LOG...",
-    output="The picture: .html, .svg or .png.",
+    output="The picture: .svg or .png.",
     required=True,
     beside=(),
 ):
@@ -81,7 +81,7 @@ class PlotOptions(
 
     Examples:
       swimid plot run.csv -o run.png
-      swimid plot imu.csv camera.csv -o both.html
+      swimid plot imu.csv camera.csv -o both.svg
     """
 
     title: str | None = option(None, help="Title above the figures.")

@@ -71,6 +71,7 @@ MAX_RATE_HZ = 60.0
 #: a smaller fraction all samples are used with their gaps, if there are at most ``MAX_SAMPLES``.
 MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
 
+
 @dataclass(frozen=True)
 class Rhythm:
     """Stroke of one log.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -89,11 +88,6 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
     stated = dict(zip(found.names, found.units, strict=False))
-    plain = None if options.missing else _read_plain(text, found)
-    if plain is not None:
-        rows = np.arange(plain.shape[1], dtype=np.int64) + found.first_line
-        columns = dict(zip(found.names, plain, strict=True))
-        return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
     parsed, width = None, len(found.names)
     if b'"' not in text:
         parsed = _parse(text, found, options)
@@ -256,21 +250,6 @@ def _fill(cells: list[str]) -> list[str]:
     for cell in cells:
         filled.append(cell or filled[-1])
     return filled[1:]
-
-
-def _read_plain(text: bytes, found: Layout) -> NDArray[np.float64] | None:
-    """Return the columns of a short text if all its cells are numbers, shape (k, n); otherwise None.
-
-    The text is read without pandas, because importing pandas takes longer than all other work on a short log.
-    """
-    width, lines = len(found.names), text.count(b"\n") + (not text.endswith(b"\n"))
-    if len(text) > SAMPLE or len(found.numbers) < width or found.decimal != ".":
-        return None
-    try:
-        cells = np.loadtxt(io.BytesIO(text), delimiter=found.delimiter, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    return np.ascontiguousarray(cells.T) if cells.shape == (lines, width) else None
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
