@@ -230,9 +230,7 @@ def test_dates_need_the_order_of_day_and_month(
     (tmp_path / "m.yaml").write_text(f"{HEAD}time: {{source: [Datum, Zeit]}}\n{rules}")
     ran = swimid("import", tmp_path / "a.csv", "--map", tmp_path / "m.yaml", "-o", tmp_path / "o.csv")
     assert ran.status == 3
-    assert "day_first" in ran.err
-    result = imported("time: {source: [Datum, Zeit], day_first: true, origin: first}\n" + rules)
-    assert result["duration_s"] == pytest.approx(T[-1])
+    assert "format: " in ran.err
     # the time of day alone passes midnight
     assert imported("time: {source: Zeit, origin: first}\n" + rules)["duration_s"] == pytest.approx(T[-1])
     strptime = "time: {source: [Datum, Zeit], format: '%d.%m.%Y %H:%M:%S.%f', origin: first}\n"

@@ -266,7 +266,6 @@ class TestFilesOfOthers:
             ("simulate", "--params", params, "--trials", trials, "--trial", "a", "-o", out / "a.csv"),
             ("simulate", "--params", params, "--trials", trials, "--trial", "a", "-o", out / "a.parquet"),
             ("import", samples / "rig" / "w10.csv", "-o", out / "w.csv"),
-            ("import", samples / "rig" / "w10.csv", "--guess", "-o", out / "draft.yaml"),
             ("plot", out / "a.csv", "-o", out / "a.svg"),
             ("plot", out / "a.csv", "-o", out / "a.png"),
             ("report", out / "c.yaml", "-o", out / "c.html"),
@@ -285,16 +284,14 @@ class TestFilesOfOthers:
                 writer.write(0.04 * k, np.full((64, 64, 3), 20 * k, dtype=np.uint8))
             writer.close()
         assert [p.name for p in sorted(out.iterdir()) if not provenance.is_own(p)] == []
-        assert len(list(out.iterdir())) == 18
+        assert len(list(out.iterdir())) == 17
 
-    def test_an_edited_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
+    def test_a_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
         draft = tmp_path / "map.yaml"
         command = ("import", samples / "rig" / "w10.csv", "--guess", "-o", draft)
         assert swimid(*command).status == 0
-        assert swimid(*command).status == 0
-        draft.write_text(draft.read_text() + "# mine\n")
         assert swimid(*command).status == 2
-        assert draft.read_text().endswith("# mine\n")
+        assert swimid(*command, "--force").status == 0
 
     def test_files_beside_the_output_are_those_of_others_too(self, swimid: Run, tmp_path: Path) -> None:
         trials, params = drops(tmp_path / "rig", "a"), tmp_path / "rig" / "params.yaml"

@@ -175,8 +175,7 @@ SOFTWARE = "swimid"
 MADE_BY = "made by swimid"
 #: ``free`` box at the end of a video file, which players skip (ISO/IEC 14496-12, section 8.1.2).
 VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
-#: Formats that people also write by hand. A file of such a format is recognised as swimid's only by the first
-#: line of an unedited draft.
+#: Formats that people also write by hand. A file of such a format is never recognised as swimid's.
 AUTHORED = ("trials", "robot", "setup", "mapping")
 #: Maximum distance of the mark of a text file from the start or the end of the file, bytes.
 NEAR = 65536
@@ -184,7 +183,6 @@ NEAR = 65536
 _SIMULATED = re.compile(r"\b(?:simulated?|synthetic)\b")
 _LOG = re.compile(r"(?:made_by|imported_by): *['\"]?swimid [a-z]")
 _FORMAT = re.compile(r"swimid-([a-z-]+)/\d+")
-_DRAFT = re.compile(r"# Drafted by swimid \S+, sha256 ([0-9a-f]{16})\b[^\n]*\n")
 #: Patterns of the marks at the beginning of a text, including the text that precedes the mark.
 _BEGINNINGS = (
     re.compile(r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d"),
@@ -224,24 +222,12 @@ def is_own(path: Path) -> bool:
     return False
 
 
-def mark_draft(text: str) -> str:
-    """Return a draft with the mark of swimid. A rerun may replace the draft until the user has edited it."""
-    return (
-        f"# Drafted by swimid {swimid.__version__}, sha256 {_short_digest(text)}. "
-        f"Once the lines below are edited, swimid does not overwrite this file.\n{text}"
-    )
-
-
 def mark_png(data: bytes) -> bytes:
     """Return a PNG file with the mark of swimid; ``data`` is a PNG file without metadata."""
     content = b"tEXtSoftware\0" + SOFTWARE.encode()
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
     after_header = 8 + 25  # signature and IHDR chunk
     return data[:after_header] + chunk + data[after_header:]
-
-
-def _short_digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _comments(text: str) -> list[str]:
@@ -274,10 +260,6 @@ def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
     end = tail.decode("utf-8", "replace").replace("\r\n", "\n")
     if any(mark.match(start) for mark in (*_BEGINNINGS, _SVG)) or _MARKDOWN.search(end):
         return True
-    if drafted := _DRAFT.match(start):
-        return drafted[1] == _short_digest(
-            path.read_text(encoding="utf-8", errors="replace")[drafted.end() :]
-        )
     if start.startswith("#"):
         return any(_LOG.match(line) for line in _comments(start))
     if start.startswith("{"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 from dataclasses import dataclass
@@ -11,21 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import InputError
-from swimid.files import atomic, provenance, yamlio
+from swimid.files import atomic, yamlio
 from swimid.files.provenance import path_of
-from swimid.logs import clock, log, mapping, units
-from swimid.logs.clock import ASK
-from swimid.logs.foreign import Format, Table, find_format, is_text, open_table
+from swimid.logs import log, mapping, units
+from swimid.logs.foreign import Table, find_format, is_text, open_table
 from swimid.logs.log import TIME, LogLike
-from swimid.logs.mapping import Mapping
+from swimid.logs.mapping import ASK, Mapping
 from swimid.results.result import Result
 
 #: Names of a sample rate, and names of columns with parts of a time, in lower case.
 RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec", "s", "seconds")
 NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
-#: Arbitrary values that replace open values of a drafted time, because the search for instances needs a time.
-ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Names that state a quantity but no unit: pattern of the whole name in lower case, and target column.
 _NAMES: list[tuple[str, str]] = [
@@ -70,7 +65,7 @@ class Draft(Result):
         return mapping.of(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
-        atomic.write_text(path, provenance.mark_draft(self.document))
+        atomic.write_text(path, self.document)
         return [path]
 
 
@@ -110,10 +105,18 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     given = log.unread(source)
     path = path_of(given)
     found = find_format(path, "") if isinstance(given, Path) else None
-    if found is not None and found.recognises is not None and found.name != "swimid":
-        lines = _of_profile(found, path, select)
+    table = open_table(given, select=select, kind=None if found is None else found.name)
+    lines = [
+        f"# Drafted from {path.name} by swimid import --guess. Answer or delete every line with {ASK};",
+        "# an axis may be swapped or flipped (factor: -1), which no name states.",
+        f"format: {mapping.FORMAT}",
+    ]
+    if select is not None or "topic" in table.metadata:
+        lines.append(_line("select", select or table.metadata["topic"]))
+    if table.profile not in ("", "swimid"):
+        lines += _of_profile(table)
     else:
-        lines = _of_names(path.name, open_table(given, select=select), select)
+        lines += _of_names(table)
     asked = sum(ASK in line.partition("#")[0] for line in lines)
     text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
     data = {"file": str(path), "mapping": text, "open": asked}
@@ -124,53 +127,25 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     return Draft("import", told, data, document=text).save(output)
 
 
-def _of_profile(profile: Format, path: Path, select: str | None) -> list[str]:
+def _of_profile(table: Table) -> list[str]:
     """Return the lines of the draft for a file of a known format."""
-    lines = [
-        f"# Drafted from {path.name} ({profile.title}) by swimid import --guess.",
-        f"format: {mapping.FORMAT}",
-        f"as: {profile.name}",
-    ]
-    try:
-        table = open_table(path, select=select, kind=profile.name)
-    except InputError as error:
-        return [*lines, _line("select", ASK, f"{error}; {error.hint or ''}")]
-    if select is not None:
-        lines.append(_line("select", select))
-    lines += [f"# {note}" for note in table.notes]
+    lines = [f"as: {table.profile}"]
     if TIME not in table.columns and "rate_hz" not in table.scalars:
-        comment = "frames per second of the film; the file does not state them"
-        lines.append(_line("time", {"rate_hz": ASK}, comment))
-    lines.append("# the log gets these columns; 'columns:' takes some of them, under other names:")
+        lines.append(_line("time", {"rate_hz": ASK}, "frames per second of the film"))
     names = [name for name in table.columns if name not in (TIME, "frame")]
-    return [*lines, *(f"#   - {{source: {name}, target: {name}}}" for name in names)]
+    return [*lines, f"# columns of the log, which 'columns:' may choose and rename: {', '.join(names)}"]
 
 
-def _of_names(name: str, table: Table, select: str | None) -> list[str]:
+def _of_names(table: Table) -> list[str]:
     """Return the lines of the draft that follow from column names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
-    lines = [
-        f"# Drafted from {name} by swimid import --guess. Answer or delete every line with {ASK};",
-        "# an axis may be swapped or flipped (factor: -1), which no name states.",
-        f"format: {mapping.FORMAT}",
-    ]
-    select = select or table.metadata.get("topic")
-    if select is not None:
-        lines.append(_line("select", select))
     time, comment = _time(table, columns)
-    taken: set[str] = set()
+    taken: list[str] = []
     if isinstance(time, dict):
-        answers = {key: ANSWERS[key] for key, value in time.items() if value == ASK}
-        stated = clock.Time(**(time | answers))
-        taken = {str(key) for key in stated.sources}
-        with contextlib.suppress(InputError):
-            seconds = clock.seconds(table, stated, usual, Path(name), {})
-            by, there = mapping.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
-            if there:
-                lines.append(_line("where", {_written("", by): ASK}, ", ".join(there)))
-                taken.add(by)
-    lines += [_line("time", time, comment), "columns:"]
+        for key in {"source", "frame"} & set(time):
+            taken += np.atleast_1d(time[key]).tolist()
+    lines = [_line("time", time, comment), "columns:"]
     seen = {ASK}
     for source, values in columns.items():
         if source in taken:
@@ -282,7 +257,7 @@ def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, 
         if len(parts) > 1:
             time["source"] = parts
         if re.match(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{4}", str(columns[chosen][0])):
-            time["day_first"] = ASK
+            time["format"] = ASK
     elif rest and chosen.strip().lower() in SECONDS:
         time = {"source": [chosen, rest[0]], "unit": ["s", "ns"], "origin": "first"}
     elif columns[chosen].dtype.kind != "M":
@@ -303,7 +278,9 @@ def _counts(name: str, values: Any) -> bool:
         return False
     known = values[np.isfinite(values.astype(float))]
     whole = len(known) > 2 and bool(np.all(known == np.round(known)) and np.all(np.diff(known) >= 0))
-    named_so = clock.COUNT.fullmatch(name.strip().lower()) or name.lower().startswith(("column 1", "unnamed"))
+    named_so = mapping.COUNT.fullmatch(name.strip().lower()) or name.lower().startswith(
+        ("column 1", "unnamed")
+    )
     return whole and bool(named_so or np.all(np.diff(known) == 1))
 
 

@@ -524,8 +524,6 @@ def write(
     path: str | Path,
     columns: Mapping[str, Any],
     metadata: Mapping[str, Any] | None = None,
-    *,
-    step: Callable[[int], object] = lambda amount: None,
 ) -> None:
     """Write a log in blocks of rows. If writing fails, an existing file is not changed.
 
@@ -536,8 +534,6 @@ def write(
         text are allowed.
     metadata : mapping, optional
         Entries of the ``# key: value`` lines.
-    step : callable
-        Function that is called after each block with its number of samples.
     """
     import pandas as pd
 
@@ -554,7 +550,6 @@ def write(
             with pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer:
                 for piece in pieces:
                     writer.write_table(pyarrow.Table.from_pandas(piece, schema, preserve_index=False))
-                    step(len(piece))
             return
         stream.writelines(f"# {line}\n".encode() for line in lines)
         stream.write(frame.iloc[:0].to_csv(index=False, lineterminator="\n").encode())
@@ -564,7 +559,6 @@ def write(
                 stream.write(_printed(piece.to_numpy()))
             else:
                 stream.write(piece.to_csv(index=False, header=False, lineterminator="\n").encode())
-            step(len(piece))
 
 
 def _printed(samples: NDArray[np.float64]) -> bytes:

@@ -72,8 +72,11 @@ def test_rows_of_two_tags(case: Case, drafted: Callable[[str], str], imported: A
     case("c-01-interleaved-instances")
     text = drafted("tags.csv")
     assert "rate_hz: ASK" in text
-    assert '"tag_id": ASK' in text
-    _answer(text, rate_hz="30", **{'"tag_id"': "3"})
+    _answer(text, rate_hz="30")
+    mixed = swimid("import", "tags.csv", "--map", "map.yaml", "-o", "out.csv")
+    assert mixed.status == 3
+    assert "where: {tag_id: " in mixed.err
+    Path("map.yaml").write_text(Path("map.yaml").read_text() + "where: {tag_id: 3}\n")
     result = imported("tags.csv", "--map", "map.yaml")
     assert result["track"]["jumps"] == 0
     assert result["speed"]["line_m_s"] == pytest.approx(0.2, rel=0.01)
@@ -136,7 +139,7 @@ def test_stamps_of_messages_survive_a_recorder_whose_clock_steps_back(
     [
         ("d02_datetime.csv", "{source: [Date, Time], origin: first}"),
         ("d03b_tod.csv", "{source: Time, origin: first}"),
-        ("d08_dayfirst.csv", "{source: time, day_first: true, origin: first}"),
+        ("d08_dayfirst.csv", "{source: time, format: '%d/%m/%Y %H:%M:%S.%f', origin: first}"),
         ("d09_comma.csv", "{source: time, origin: first}"),
         ("d11_secnsec.csv", "{source: [secs, nsecs], unit: [s, ns], origin: first}"),
     ],
@@ -152,7 +155,7 @@ def test_times_in_parts(
     assert result["duration_s"] == pytest.approx(59.9, abs=1e-6)
     assert result["median_rate_hz"] == pytest.approx(10, rel=1e-6)
     assert result["verdict"]["level"] == "good"
-    _answer(drafted(file), day_first="true")
+    _answer(drafted(file), format="'%d/%m/%Y %H:%M:%S.%f'")
     assert imported(file, "--map", "map.yaml")["duration_s"] == pytest.approx(59.9, abs=1e-6)
 
 
