@@ -149,23 +149,17 @@ def import_logs(
     if options.map_path is not None:
         mapping.of(options.map_path)  # refuse an invalid mapping before any file is read
     done: list[Logged] = []
-    failed: list[InputError | NoTrustworthyResult] = []
+    failed: list[str] = []
     for path, target in zip(paths, destinations(paths, Path(output)), strict=True):
         try:
             done.append(import_log(path, options=options, output=target, progress=progress))
         except (InputError, NoTrustworthyResult) as error:
             if len(paths) == 1:
                 raise
-            failed.append(error)
+            failed.append(f"\n  {error}")
     if failed:
-        listed = ""
-        for refused in failed:
-            listed += f"\n  {refused}"
-            if refused.hint:
-                listed += f" ({refused.hint})"
-        written = ", ".join(str(outcome.outputs[0]) for outcome in done) or "none"
-        text = f"{len(failed)} of {len(paths)} logs cannot be imported:{listed}"
-        raise InputError(text, hint=f"the others were written: {written}")
+        text = f"{len(failed)} of {len(paths)} logs cannot be imported:{''.join(failed)}"
+        raise InputError(text, hint="the others were written; import one of these alone for more help")
     if len(done) == 1:
         return done[0]
     text = "\n\n".join(outcome.summary() for outcome in done)
@@ -482,6 +476,12 @@ MAX_DROPPED = 0.1
 MAX_JUMPED = 0.2
 #: Columns whose values are limited for a swimmer (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
+METHODS = [
+    "Tracks: repeated pictures and jumps (Hampel identifier on the steps) are left out unless they are kept on "
+    "request; the speed is that of cubic smoothing splines, corrected for noise by a parametric bootstrap.",
+    "Stroke: slope of the phases of a sine in windows of two cycles beside a cubic drift, by generalised least "
+    "squares.",
+]
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
     "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
@@ -504,7 +504,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         tables=_tables(found),
         figures=shown,
         notices=blocks.notices([*notices, *drawn]),
-        methods=_methods(found),
+        methods=METHODS,
         references=[] if found.cleaning is None else REFERENCES,
         provenance=origin,
     )
@@ -662,26 +662,17 @@ def _facts(found: Examined) -> dict[str, str]:
 
 
 def _tables(found: Examined) -> list[Table]:
-    """Return the tables of the speed, of the stroke and its channels, and of the sources of the columns."""
-    tables, speed, stroke, unit = [], found.speed, found.stroke, found.unit
+    """Return the tables of the speed and of the sources of the columns."""
+    tables, speed, unit = [], found.speed, found.unit
     if speed is not None:
         rows: list[list[Any]] = [
             ["along the path", speed.path.value, speed.path.low, speed.path.high],
             ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
-            ["naive mean of |dx/dt|", speed.naive_m_s, None, None],
         ]
         noise = numbers.number(speed.noise_m, 3, unit)
         caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
-    if stroke is not None:
-        rows = []
-        for name, beat in stroke.channels.items():
-            frequency = numbers.measured(beat.frequency_hz, beat.stderr_hz)
-            rows.append([name, frequency, beat.amplitude, 100 * beat.share])
-        title = "Beat of every channel"
-        columns = ["channel", "frequency (Hz)", "amplitude", "share of the variance (%)"]
-        tables.append(Table(id="beats", title=title, columns=columns, rows=rows, folded=True))
     rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
@@ -689,26 +680,6 @@ def _tables(found: Examined) -> list[Table]:
 
 def _frequency(stroke: Rhythm) -> str:
     return numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
-
-
-def _methods(found: Examined) -> list[str]:
-    sentences = []
-    if found.cleaned:
-        sentences.append(
-            "Repeated samples of the camera and jumps, found by a Hampel identifier on the steps of the "
-            "track, were left out; gaps were not bridged."
-        )
-    if found.speed is not None:
-        sentences.append(
-            "The mean speed was taken along cubic smoothing splines, their smoothness chosen by "
-            "cross-validation, and corrected for the noise by a parametric bootstrap."
-        )
-    if found.stroke is not None:
-        sentences.append(
-            "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles "
-            "beside a cubic drift, by generalised least squares."
-        )
-    return sentences
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
@@ -745,7 +716,6 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             "path_ci95": [speed.path.low, speed.path.high],
             f"line_{unit}_s": speed.line.value,
             "line_ci95": [speed.line.low, speed.line.high],
-            f"naive_{unit}_s": speed.naive_m_s,
             f"noise_{unit}": speed.noise_m,
             "covered_s": speed.covered_s,
         }

@@ -107,12 +107,7 @@ class Log:
         for column in (TIME, *required):
             if column not in given:
                 raise missing_column(column, list(given), path, None)
-        columns = {}
-        for column, values in ({TIME: given[TIME]} | given).items():
-            strict = column == TIME or column in required
-            numbers = _numbers(values, strict, lambda row: {"row": row}, path, column)
-            if numbers is not None:
-                columns[column] = numbers
+        columns = _columns({TIME: given[TIME]} | given, {TIME, *required}, lambda row: {"row": row}, path)
         log = cls(path, dict(metadata or {}), columns, None)
         _check(log, required)
         return log
@@ -326,15 +321,17 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
             raise InputError(f"cannot be parsed: {first_line(error)}", file=path) from error
     if table[names[-1]].isna().any() or not _is_regular(path, header_line, len(table), len(names)):
         _refuse_ragged(path, header_line, len(names))
-    columns: dict[str, NDArray[np.float64]] = {}
-    for name in wanted:
-        strict = name in {TIME, *required, *(optional or ())}
-        values = _numbers(
-            table[name], strict, lambda row: {"line": _line_of(path, header_line, row)}, path, name
-        )
-        if values is not None:
-            columns[name] = values
+    cells, strict = {name: table[name] for name in wanted}, {TIME, *required, *(optional or ())}
+    columns = _columns(cells, strict, lambda row: {"line": _line_of(path, header_line, row)}, path)
     return Log(path, metadata, columns, header_line + 1)
+
+
+def _columns(
+    cells: Mapping[str, Any], strict: set[str], place: Callable[[int], dict[str, Any]], path: Path
+) -> dict[str, Array]:
+    """Return the columns of numbers; an error is raised for a column in ``strict`` that holds text."""
+    found = {name: _numbers(values, name in strict, place, path, name) for name, values in cells.items()}
+    return {name: values for name, values in found.items() if values is not None}
 
 
 def _numbers(
@@ -437,14 +434,11 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
         raise InputError(f"is no readable Parquet file: {first_line(error)}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")
     metadata = metadata_of(stored.decode("utf-8", "replace").splitlines(), path)
-    columns = {}
-    for name in wanted:
-        kind, types = table.schema.field(name).type, pyarrow.types
-        if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind):
-            columns[name] = table.column(name).to_pandas().to_numpy(dtype=float, na_value=np.nan)
-        elif name in {TIME, *required, *(optional or ())}:
-            raise InputError(f"holds {kind}, not numbers", file=path, column=name)
-    return Log(path, metadata, columns)
+    cells, strict = (
+        arrays(table.to_pandas(ignore_metadata=True), str(path)),
+        {TIME, *required, *(optional or ())},
+    )
+    return Log(path, metadata, _columns(cells, strict, lambda row: {"row": row + 1}, path))
 
 
 # ---------------------------------------------------------------- checks
