@@ -477,10 +477,10 @@ MAX_JUMPED = 0.2
 #: Columns whose values are limited for a swimmer (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 METHODS = [
-    "Tracks: repeated pictures and jumps (Hampel identifier on the steps) are left out unless they are kept on "
-    "request; the speed is that of cubic smoothing splines, corrected for noise by a parametric bootstrap.",
-    "Stroke: slope of the phases of a sine in windows of two cycles beside a cubic drift, by generalised least "
-    "squares.",
+    "Repeated pictures and jumps of a track are found by a Hampel identifier on its steps. The mean speed is "
+    "taken along cubic smoothing splines and corrected for the noise by a parametric bootstrap.",
+    "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles beside a cubic "
+    "drift, by generalised least squares.",
 ]
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
