@@ -337,21 +337,6 @@ def test_a_file_with_several_topics_needs_a_selection(swimid: Run, tmp_path: Pat
     assert "source: yaw" in ran.out.replace('"', "")
 
 
-def test_several_logs_go_to_a_folder(swimid: Run, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.csv").write_text("t_s,u_m_s\n0,1\n1,2\n2,3\n")
-    ran = swimid("import", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "out", "--json")
-    assert ran.status == 0, ran.err
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "a.csv",
-        "b.csv",
-        "a.evidence.json",
-        "b.evidence.json",
-    }
-    refused = swimid("import", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "a.csv")
-    assert refused.status == 2
-
-
 def test_a_draft_can_be_used_after_its_questions_are_answered(swimid: Run, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     acc = np.array([0.05, -0.02, 1.0]) + 0.01 * rng.normal(size=(400, 3))

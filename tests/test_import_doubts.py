@@ -247,18 +247,6 @@ def test_a_column_without_a_quantity_is_bad(imported: Callable[..., dict[str, An
     assert imported()["columns"] == ["t_s", "x_m"]
 
 
-def test_other_files_are_imported_if_one_cannot_be_read(swimid: Run, tmp_path: Path) -> None:
-    for name in ("a", "c"):
-        (tmp_path / f"{name}.csv").write_text("t_s,u_m_s\n0,1\n1,2\n2,3\n")
-    (tmp_path / "b.csv").write_bytes(b"\x00\x01\x02" * 40)
-    files = [tmp_path / f"{name}.csv" for name in ("a", "b", "c")]
-    ran = swimid("import", *files, "-o", tmp_path / "out")
-    assert ran.status == 3
-    assert "1 of 3 logs" in ran.err
-    assert "b.csv" in ran.err
-    assert {path.name for path in (tmp_path / "out").glob("*.csv")} == {"a.csv", "c.csv"}
-
-
 @pytest.mark.parametrize("decimals", [3, 4])
 def test_rounding_of_a_steady_motion_is_no_stroke(decimals: int, imported: Any, tmp_path: Path) -> None:
     """A line of constant speed, rounded: the rounding error is periodic, and fits a sine without an error."""

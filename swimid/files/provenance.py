@@ -85,13 +85,6 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
     return digests
 
 
-def digest_of(given: Input) -> str:
-    """Return the SHA-256 of one input in hexadecimal digits."""
-    if isinstance(given, str | Path):
-        return sha256(given)
-    return given.digest()
-
-
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
     """Return one SHA-256 for several files under one name, computed from their digests and names.
 

@@ -63,11 +63,10 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
 
 
 def parse(
-    source: Path | bytes,
+    text: bytes,
     names: Sequence[str],
     types: type | Mapping[str, type],
     *,
-    skip_lines: int = 0,
     delimiter: str = ",",
     decimal: str = ".",
     missing: Sequence[str] = MISSING,
@@ -79,8 +78,8 @@ def parse(
 
     Parameters
     ----------
-    source : path or bytes
-        File, or its content as UTF-8 text.
+    text : bytes
+        Lines under the header, as UTF-8 text.
     names : sequence of str
         Names of all columns.
     types : type or mapping of str to type
@@ -99,14 +98,13 @@ def parse(
             # ignore warnings of pandas: too many cells in the first line, mixed types in a column
             warnings.simplefilter("ignore")
             return pd.read_csv(
-                source if isinstance(source, Path) else io.BytesIO(source),
+                io.BytesIO(text),
                 sep=delimiter,
                 decimal=decimal,
                 header=None,
                 names=names,
                 index_col=False,
                 dtype=types,
-                skiprows=skip_lines,
                 keep_default_na=False,
                 na_values=missing,
                 on_bad_lines="skip",

@@ -18,9 +18,6 @@ from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import ASK, Mapping
 from swimid.results.result import Result
 
-#: Names of a sample rate, and names of columns with parts of a time, in lower case.
-RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec", "s", "seconds")
-NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Names that state a quantity but no unit: pattern of the whole name in lower case, and target column.
 _NAMES: list[tuple[str, str]] = [
@@ -40,10 +37,6 @@ _NAMES: list[tuple[str, str]] = [
     (r"joint[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
     (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
 ]
-_TIME = re.compile(
-    r"ts?|_*time|(time)?[ _.]?stamp|timestamp|seconds|secs?|millis|micros|elapsed([ _.]time)?|"
-    r"(header|log)?[ _.]?(stamp|time)|clock|date|datum|(uhr)?zeit"
-)
 _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<over>[^\d\s]\S*))\s*")
 #: Pattern of a column name that ends in a unit, such as ``heading_deg`` or ``x mm``.
 _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
@@ -140,12 +133,13 @@ def _of_names(table: Table) -> list[str]:
     """Return the lines of the draft that follow from column names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
-    time, comment = _time(table, columns)
+    time = _time(table, columns)
     taken: list[str] = []
     if isinstance(time, dict):
         for key in {"source", "frame"} & set(time):
             taken += np.atleast_1d(time[key]).tolist()
-    lines = [_line("time", time, comment), "columns:"]
+    forms = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
+    lines = [_line("time", time, forms), "columns:"]
     seen = {ASK}
     for source, values in columns.items():
         if source in taken:
@@ -233,55 +227,24 @@ def _target(bare: str, unit: str | None) -> str | None:
     return f"{word}_{next(iter(units.UNITS[quantities[0]])).replace('/', '_')}"
 
 
-def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
-    """Return the value of ``time:`` and the comment for its line."""
+def _time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
+    """Return the value of ``time:``, as far as names and units state it."""
+    units_of = {name: named(name, table.units.get(name))[1] or units.canonical(name) for name in columns}
+    seconds = {name: unit if unit in units.UNITS["time"] else ASK for name, unit in units_of.items()}
+    stamps = [n for n in columns if mapping.OF_TIME.fullmatch(_split(n.strip())[0]) or seconds[n] != ASK]
     # the time stamp of the sensor has precedence over the time stamp of the recorder
-    stamps = sorted(filter(_is_time, columns), key=lambda name: "header" not in name.lower())
-    counts = [name for name, values in columns.items() if _counts(name, values)]
-    rates = [name for name in table.scalars if name.lower() in RATES]
+    stamps.sort(key=lambda name: "header" not in name.lower())
+    counts = [name for name in columns if mapping.COUNT.fullmatch(name.strip().lower())]
     if TIME in columns:
-        return {"source": TIME, "unit": "s"}, ""
-    if not stamps and counts:
-        return {"frame": counts[0], "rate_hz": ASK}, "frames per second"
-    if not stamps and rates:
-        return {"rate_hz": rates[0]}, f"= {table.scalars[rates[0]]:g}"
-    if not stamps:
-        return ASK, "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
-    chosen = stamps[0]
-    time: dict[str, Any] = {"source": chosen, "origin": "first"}
-    rest = [name for name in columns if name.strip().lower() in NANOSECONDS]
-    if is_text(columns[chosen]):
-        parts = [name for name in stamps if is_text(columns[name])][:2]
-        parts.sort(key=lambda name: not name.strip().lower().startswith("dat"))
-        chosen = time["source"] = parts[0]
-        if len(parts) > 1:
-            time["source"] = parts
-        if re.match(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{4}", str(columns[chosen][0])):
-            time["format"] = ASK
-    elif rest and chosen.strip().lower() in SECONDS:
-        time = {"source": [chosen, rest[0]], "unit": ["s", "ns"], "origin": "first"}
-    elif columns[chosen].dtype.kind != "M":
-        _, unit = named(chosen, table.units.get(chosen))
-        stated = [one for one in (unit, units.canonical(chosen)) if one in units.UNITS["time"]]
-        time = {"source": chosen, "unit": [*stated, ASK][0]}
-    return time, _first(columns[chosen])
-
-
-def _is_time(name: str) -> bool:
-    bare, _ = _split(name.strip().lower())
-    return _TIME.fullmatch(re.sub(r"(us|ms|ns)$", "", bare).strip(" _.")) is not None
-
-
-def _counts(name: str, values: Any) -> bool:
-    """Return whether a column counts frames or rows, by its name or by its values 0, 1, 2, ..."""
-    if is_text(values) or values.dtype.kind == "M":
-        return False
-    known = values[np.isfinite(values.astype(float))]
-    whole = len(known) > 2 and bool(np.all(known == np.round(known)) and np.all(np.diff(known) >= 0))
-    named_so = mapping.COUNT.fullmatch(name.strip().lower()) or name.lower().startswith(
-        ("column 1", "unnamed")
-    )
-    return whole and bool(named_so or np.all(np.diff(known) == 1))
+        return {"source": TIME, "unit": "s"}
+    if stamps and is_text(columns[stamps[0]]):
+        texts = [name for name in stamps if is_text(columns[name])]
+        return {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
+    if stamps and columns[stamps[0]].dtype.kind == "M":
+        return {"source": stamps[0], "origin": "first"}
+    if stamps:
+        return {"source": stamps[0], "unit": seconds[stamps[0]]}
+    return {"frame": counts[0], "rate_hz": ASK} if counts else ASK
 
 
 def _first(values: Any) -> str:

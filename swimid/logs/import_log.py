@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.logs import log, mapping, rhythm, sampling, tracks
 from swimid.logs.beat import contradiction
@@ -30,7 +29,6 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, check, judged
-from swimid.results.result import Result
 
 Array = NDArray[np.float64]
 
@@ -112,85 +110,6 @@ def import_log(
         made = Log(Path(name), found.metadata, found.columns, None)
         proof = _evidence(found, origin, notices)
     return Logged("import", "", _data(found, proof), evidence=proof, document=made).saved(output)
-
-
-@takes(ImportOptions)
-def import_logs(
-    files: Sequence[str | Path],
-    *,
-    options: ImportOptions,
-    output: str | Path,
-    progress: Progress = silent,
-) -> Result:
-    """Import several foreign logs, each as :func:`import_log` does.
-
-    If a file cannot be imported, the other files are still imported.
-
-    Parameters
-    ----------
-    files : sequence of paths
-        Paths of the logs, at least one.
-    output : path
-        Path of the log, CSV or Parquet by its ending; for several files a folder, which is created.
-
-    Raises
-    ------
-    InputError
-        The mapping cannot be used, or some files cannot be imported. In the second case all other files are
-        imported before the error is raised.
-    NoTrustworthyResult
-        There is only one file, and its cleaned track has too few samples.
-    UsageError
-        No file is named, or two logs would be written to the same file.
-    """
-    if not files:
-        raise UsageError("name at least one log to import")
-    paths = list(dict.fromkeys(Path(file) for file in files))
-    if options.map_path is not None:
-        mapping.of(options.map_path)  # refuse an invalid mapping before any file is read
-    done: list[Logged] = []
-    failed: list[str] = []
-    for path, target in zip(paths, destinations(paths, Path(output)), strict=True):
-        try:
-            done.append(import_log(path, options=options, output=target, progress=progress))
-        except (InputError, NoTrustworthyResult) as error:
-            if len(paths) == 1:
-                raise
-            failed.append(f"\n  {error}")
-    if failed:
-        text = f"{len(failed)} of {len(paths)} logs cannot be imported:{''.join(failed)}"
-        raise InputError(text, hint="the others were written; import one of these alone for more help")
-    if len(done) == 1:
-        return done[0]
-    text = "\n\n".join(outcome.summary() for outcome in done)
-    outputs = [path for outcome in done for path in outcome.outputs]
-    return Result("import", text, {"logs": [outcome.data for outcome in done]}, outputs)
-
-
-def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
-    """Return the path of each imported log: the output file, or a file in the output folder.
-
-    The folder is created.
-
-    Raises
-    ------
-    UsageError
-        Several logs would be written to the same file.
-    """
-    if len(paths) == 1 and not output.is_dir() and not str(output).endswith("/"):
-        atomic.check_writable(output, inputs=tuple(paths))
-        return [output]
-    if output.exists() and not output.is_dir():
-        text = f"{len(paths)} logs cannot all go to the file {output}"
-        raise UsageError(text, hint="name a folder with -o")
-    atomic.check_writable(output.parent / "x")
-    output.mkdir(exist_ok=True)
-    # some file systems do not distinguish capital letters
-    folded = Counter(path.stem.casefold() for path in paths)
-    twice = [path.stem for path in paths if folded[path.stem.casefold()] > 1]
-    if twice:
-        raise UsageError(f"two logs would be written to {twice[0]}.csv", hint="import them one by one")
-    return [atomic.check_writable(output / f"{path.stem}.csv", inputs=tuple(paths)) for path in paths]
 
 
 # ---------------------------------------------------------------- examination

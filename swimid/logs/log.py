@@ -31,8 +31,8 @@ TIME = "t_s"
 #: Relative tolerance of a stroke frequency. A frequency that differs by more contradicts the stated
 #: frequency.
 FREQUENCY_RTOL = 0.05
-#: Number of samples written at once, and number of bytes read at once.
-ROWS, BLOCK = 100_000, 1 << 20
+#: Number of samples written at once.
+ROWS = 100_000
 #: Type of a log as an argument: the path of the log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -304,12 +304,8 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     if all(number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
     wanted = _wanted(names, required, optional, path, header_line)
-    source: Path | bytes = path
-    skip = header_line
-    if any('"' in line for line in comments):
-        # pandas would skip the lines up to the next quotation mark
-        source, skip = path.read_bytes().split(b"\n", header_line)[-1], 0
-    read = partial(tabular.parse, source, names, skip_lines=skip)
+    text = path.read_bytes().split(b"\n", header_line)[-1]
+    read = partial(tabular.parse, text, names)
     try:
         table = read(dict.fromkeys(wanted, float))
     except ValueError:
@@ -319,7 +315,8 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
         except ValueError as error:
             _refuse_ragged(path, header_line, len(names))
             raise InputError(f"cannot be parsed: {first_line(error)}", file=path) from error
-    if table[names[-1]].isna().any() or not _is_regular(path, header_line, len(table), len(names)):
+    is_regular = b'"' not in text and text.count(b",") == len(table) * (len(names) - 1)
+    if table[names[-1]].isna().any() or not is_regular:
         _refuse_ragged(path, header_line, len(names))
     cells, strict = {name: table[name] for name in wanted}, {TIME, *required, *(optional or ())}
     columns = _columns(cells, strict, lambda row: {"line": _line_of(path, header_line, row)}, path)
@@ -388,19 +385,6 @@ def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
     with path.open("r", encoding="utf-8", errors="replace") as stream:
         lines = enumerate(stream, start=1)
         yield from ((at, line) for at, line in lines if at > header_line and line.strip())
-
-
-def _is_regular(path: Path, header_line: int, rows: int, width: int) -> bool:
-    """Return whether the file has no quotation mark and the number of commas of a table of this shape."""
-    commas = 0
-    with path.open("rb") as stream:
-        for _ in range(header_line):
-            stream.readline()
-        for block in iter(partial(stream.read, BLOCK), b""):
-            if b'"' in block:
-                return False
-            commas += block.count(b",")
-    return commas == rows * (width - 1)
 
 
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:

@@ -35,7 +35,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 #: Maximum number of instances (sensors, animals, tags) whose rows may alternate in one table.
 MAX_INSTANCES = 16
 #: Names of columns that are part of a time, and names of columns that number instances.
-_OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
+OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
 _INSTANCE = re.compile(
     r"(.*[ _.])?(i|id|instance|instances|tag|track|individual|animal|sensor|marker|device)"
 )
@@ -524,7 +524,7 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
     if len(time) < 10:
         return "", []
     for name, whole in table.columns.items():
-        of_time = whole.dtype.kind == "M" or _OF_TIME.fullmatch(name.strip()) is not None
+        of_time = whole.dtype.kind == "M" or OF_TIME.fullmatch(name.strip()) is not None
         if name in used or len(whole) != len(kept) or of_time:
             continue
         values = whole[kept]
