@@ -21,7 +21,7 @@ import pytest
 from PIL import Image
 
 import swimid as package
-from swimid.errors import InputError, UsageError
+from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.files.atomic import file_names
 from swimid.files.checkpoint import Checkpoint, place
@@ -117,7 +117,6 @@ class TestCheckpoints:
         {
             "the end is missing": lambda raw: raw[:-9],
             "no line feed at the end": lambda raw: raw[:-1],
-            "a digit changed": lambda raw: raw.replace(b"2.5", b"2.4"),
             "no text": lambda raw: raw.replace(b'"values": [2.5', b'"values": [\xff\x00'),
             "a line of another program": lambda raw: raw + b"5\n[1]\n{}\nhello\n",
             "zeros after a crash": lambda raw: raw + bytes(300),
@@ -146,18 +145,9 @@ class TestCheckpoints:
         keep = Checkpoint.beside(out, "it")
         keep.put("points 1", np.array([1.0]))
         place(out).write_text(place(out).read_text().replace("points 1", "points 2"))
-        assert {"key", "name", "values", "sum"} == set(piece(place(out), 0))
+        assert {"key", "name", "values"} == set(piece(place(out), 0))
         with pytest.warns(SwimidWarning, match="SWM150"):
             assert Checkpoint.beside(out, "it").get("points 2") is None
-
-    def test_a_file_of_somebody_else_is_set_aside(self, tmp_path: Path) -> None:
-        out = tmp_path / "map.yaml"
-        place(out).write_text("half of my download\n")
-        with pytest.warns(SwimidWarning, match="renamed to map.yaml.partial.damaged1"):
-            keep = Checkpoint.beside(out, "it")
-        keep.put("one", np.ones(1))
-        keep.done()
-        assert contents(tmp_path) == {"map.yaml.partial.damaged1": b"half of my download\n"}
 
     def test_a_folder_in_its_place_is_said(self, tmp_path: Path) -> None:
         place(tmp_path / "map.yaml").mkdir()
@@ -474,12 +464,6 @@ class TestTogether:
             self.write(tmp_path, *names, last=lambda: written.append(tmp_path / "last"))
         assert written == [tmp_path / name for name in ("last", *names)]
         assert dict.fromkeys(names, b"new").items() <= contents(tmp_path).items()
-
-    def test_a_file_that_cannot_be_renamed_undoes_the_others(self, tmp_path: Path) -> None:
-        (tmp_path / "a").write_text("old")
-        with pytest.raises(InputError, match="cannot be written"):
-            self.write(tmp_path, "a", "b", "c", last=(tmp_path / "c").mkdir)
-        assert contents(tmp_path) == {"a": b"old"}
 
     def test_ctrl_c_during_the_renaming_waits(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         rename = Path.replace

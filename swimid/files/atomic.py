@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import tempfile
 import threading
@@ -75,29 +74,16 @@ class _Group:
     folders: list[Path] = field(default_factory=list)
 
     def commit(self) -> None:
-        """Rename every file to its final name. Ctrl-C is delayed, and an error undoes the renaming."""
-        several = len(self.pending) + len(self.removed) > 1
-        before: dict[Path, Path | None] = {}
+        """Rename every file to its final name. Ctrl-C is delayed."""
         with _uninterrupted():
             try:
-                for path in (*self.pending, *self.removed):
-                    before[path] = _second_name(path) if several and path.exists() else None
                 for path, temporary in self.pending.items():
                     temporary.chmod(_mode(path))
                     temporary.replace(path)
                 for path in self.removed:
                     path.unlink(missing_ok=True)
             except OSError as error:
-                for path, spare in before.items():
-                    with suppress(OSError):
-                        if spare is not None:
-                            spare.replace(path)
-                        elif path in self.pending and not self.pending[path].exists():
-                            path.unlink()
                 raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
-            finally:
-                for spare in filter(None, before.values()):
-                    spare.unlink(missing_ok=True)
             self.folders.clear()
             _WRITTEN.get([]).extend(self.pending)
 
@@ -123,7 +109,7 @@ def together() -> Iterator[_Group]:
     Raises
     ------
     InputError
-        If a file cannot be renamed. Files that were renamed before are restored.
+        If a file cannot be renamed.
     """
     outer = _GROUP.get()
     if outer is not None:
@@ -237,19 +223,6 @@ def _uninterrupted() -> Iterator[None]:
             received[-1]()
 
 
-def _second_name(path: Path) -> Path:
-    """Return the path of a hidden backup, from which the file can be restored."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
-    os.close(handle)
-    spare = Path(name)
-    try:
-        spare.unlink()
-        os.link(path, spare)
-    except OSError:  # a file system without links
-        shutil.copy2(path, spare)
-    return spare
-
-
 def _mode(path: Path) -> int:
     """Return the permissions of a new file: those of the old file, or the default ones."""
     if path.exists():
@@ -337,9 +310,6 @@ def locked(output: Path | None) -> Iterator[None]:
 
 # ---------------------------------------------------------------- file names
 
-#: Names that Windows reserves for devices.
-DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT") for k in range(1, 10))}
-
 
 def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
     """Return one file name for each id. The names are different files on every operating system.
@@ -368,8 +338,6 @@ def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
     for one in ids:
         bare = next((one.removesuffix(e) for e in endings if one.endswith(e)), one)
         stem = re.sub(r"[^\w.-]", "_", unicodedata.normalize("NFC", bare))
-        if stem.partition(".")[0].upper() in DEVICES:
-            stem += "_"
         other, name = names.setdefault(stem.casefold(), (one, stem + endings[0]))
         if other != one:
             raise UsageError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import threading
 import weakref
@@ -21,7 +20,7 @@ from swimid.errors import file_errors
 from swimid.files import atomic
 from swimid.notices import warn
 
-#: Number of hexadecimal digits of a key and of a checksum.
+#: Number of hexadecimal digits of a key.
 DIGITS = 32
 
 
@@ -42,10 +41,9 @@ def has_pieces(output: Path) -> bool:
 class Checkpoint:
     """Named pieces of a computation (arrays of numbers), each stored as one JSON line.
 
-    A line is ``{"key": ..., "name": ..., "values": [...], "sum": ...}``. ``key`` is the SHA-256 of the inputs
-    and settings of the run and of the name of the piece. ``sum`` is the SHA-256 of key, name and values. A
-    line with a wrong sum is damaged. A line with another key belongs to another run. Both are ignored, and
-    the lines of other runs are preserved.
+    A line is ``{"key": ..., "name": ..., "values": [...]}``. The key is the SHA-256 of the inputs and settings
+    of the run and of the name of the piece. A line that is not of this form is damaged. A line with another
+    key belongs to another run. Both are ignored, and the lines of other runs are preserved.
 
     Parameters
     ----------
@@ -110,7 +108,7 @@ class Checkpoint:
         if self.path is None:
             return
         key, listed = self._key_of(name), [float(v) for v in values]
-        line = {"key": key, "name": name, "values": listed, "sum": _sum(key, name, listed)}
+        line = {"key": key, "name": name, "values": listed}
         with self._writing:
             try:
                 with self.path.open("a", encoding="utf-8") as stream:
@@ -164,13 +162,6 @@ class Checkpoint:
             elif not anew:
                 self._known[name] = values
         _PIECES[path] = len(self._known)
-        if damaged == len(lines) > 0:
-            names = (path.with_name(f"{path.name}.damaged{k}") for k in itertools.count(1))
-            aside = next(name for name in names if not name.exists())
-            path.rename(aside)
-            text = f"{path} is no checkpoint, or is damaged throughout; it was renamed to {aside.name}"
-            warn("SWM150", text)
-            return
         if anew:
             self._rewrite()
         elif lines and not raw.endswith(b"\n"):
@@ -185,15 +176,9 @@ class Checkpoint:
             warn("SWM150", f"{path}: {others + damaged} of {len(lines)} lines were ignored: {told}")
 
 
-def _sum(key: str, name: str, values: list[float]) -> str:
-    return hashlib.sha256(json.dumps([key, name, values]).encode()).hexdigest()[:DIGITS]
-
-
 def _parsed(line: str) -> tuple[str, str, list[float]]:
     """Return key, name and values of a line; the key of a damaged line is empty."""
     with suppress(ValueError, TypeError, KeyError):
         piece = json.loads(line)
-        key, name, values = piece["key"], piece["name"], piece["values"]
-        if piece["sum"] == _sum(key, name, values):
-            return key, name, values
+        return str(piece["key"]), str(piece["name"]), [float(value) for value in piece["values"]]
     return "", "", []

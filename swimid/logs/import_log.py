@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -99,13 +98,11 @@ def import_log(
         inputs.append(map_path if isinstance(map_path, str | Path) else rules)
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
-    with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
-        # hash a long file while it is read
-        digests = beside.submit(provenance.digests_of, inputs)
+    with recorded(repeat=True) as notices:
         read = mapping.apply(rules, given, options.stated, progress=progress)
         found = examine(read, options)
         settings = options.settings(clean=found.cleaned)
-        origin = provenance.collect(inputs, settings=settings, digests=digests.result())
+        origin = provenance.collect(inputs, settings=settings)
         name = f"{found.path.stem}.csv" if output is None else output.name
         made = Log(Path(name), found.metadata, found.columns, None)
         proof = _evidence(found, origin, notices)
@@ -398,8 +395,8 @@ LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 METHODS = [
     "Repeated pictures and jumps of a track are found by a Hampel identifier on its steps. The mean speed is "
     "taken along cubic smoothing splines and corrected for the noise by a parametric bootstrap.",
-    "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles beside a cubic "
-    "drift, by generalised least squares.",
+    "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles beside a "
+    "cubic drift, by generalised least squares.",
 ]
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "

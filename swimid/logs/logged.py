@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs import log, rhythm
-from swimid.logs.log import TIME, Log, runs
+from swimid.logs.log import TIME, Log, extremes, runs
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import warn
@@ -97,19 +97,10 @@ class Logged(Result):
 
     def _own_tables(self) -> list[Table]:
         rows: list[list[Any]] = []
-        after = pauses(self.log.time_s)
-        for name, values in self.log.columns.items():
-            if name == log.TIME:
-                continue
-            known = values[np.isfinite(values)]
-            gaps = _missing(self.log.time_s, values, after)
-            ends: list[float | None] = [None, None]
-            if len(known):
-                ends = [float(known.min()), float(known.max())]
-            lost = numbers.percent(1 - len(known) / len(values))
-            longest = max((end - start for start, end in gaps), default=0.0)
-            rows.append([name, *ends, lost, numbers.number(longest, 3, "s")])
-        columns = ["channel", "smallest", "largest", "missing", "longest gap"]
+        for name, values in _signals(self.log).items():
+            lost = numbers.percent(float(np.isnan(values).mean()))
+            rows.append([name, *extremes(values), lost])
+        columns = ["channel", "smallest", "largest", "missing"]
         folded = self.evidence is not None
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
@@ -133,8 +124,6 @@ class Logged(Result):
 MAX_PANELS = 12
 #: Maximum number of shaded gaps in a panel, of spectra in a figure, and of arrows along a path.
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
-#: Names of columns that show the same channel as another column, by name.
-SAME_CHANNEL = {"wz_rad_s": "yaw_rate_rad_s"}
 
 
 def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]:
@@ -181,10 +170,7 @@ def channels(logs: Sequence[Log]) -> Figure:
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
     for number, record in enumerate(logs):
         for column, values in _signals(record).items():
-            channel = column
-            if several:
-                channel = SAME_CHANNEL.get(column, column)
-            by_channel.setdefault(channel, []).append((number, record, values))
+            by_channel.setdefault(column, []).append((number, record, values))
     # list channels of several logs before the others
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []

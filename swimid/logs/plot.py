@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -15,7 +15,6 @@ from swimid.logs.logged import figures_of
 from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
 from swimid.options import takes
-from swimid.progress import Progress, silent
 from swimid.results import blocks, drawing
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.result import Result
@@ -25,17 +24,9 @@ PICTURES = (".svg", ".png")
 
 @dataclass(frozen=True, eq=False)
 class Drawn(Result):
-    """Figures of logs: result of ``plot``. They are saved as one picture.
-
-    Attributes
-    ----------
-    progress : Progress
-        Shows the progress of the drawing.
-    """
+    """Figures of logs: result of ``plot``. They are saved as one picture."""
 
     kind = "Log"
-
-    progress: Progress = field(default=silent, repr=False)
 
     def save(self, path: str | Path) -> Self:
         """Write the figures to a file that ends in ``.svg`` or ``.png``.
@@ -49,9 +40,7 @@ class Drawn(Result):
         """
         path = _picture(Path(path))
         assert self.evidence is not None
-        figures = self.evidence.figures
-        with self.progress("drawing", total=sum(len(figure.panels) for figure in figures)) as step:
-            drawing.write(path, figures, title=self.evidence.title, step=step)
+        drawing.write(path, self.evidence.figures, title=self.evidence.title)
         return replace(self, outputs=(*self.outputs, path))
 
 
@@ -61,7 +50,6 @@ def plot(
     *,
     options: PlotOptions,
     output: str | Path | None = None,
-    progress: Progress = silent,
 ) -> Drawn:
     """Draw logs: channels over time, the track from above, and spectra of the channels.
 
@@ -74,8 +62,6 @@ def plot(
         columns of the log format, shape (n, k), in SI units.
     output : path, optional
         File that ends in ``.svg`` or ``.png``. Without this path nothing is written.
-    progress : Progress
-        Shows the progress of the drawing.
 
     Returns
     -------
@@ -124,7 +110,7 @@ def plot(
         notices=blocks.notices(notices),
     )
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
-    drawn = Drawn("plot", "", data, evidence=proof, document=records, progress=progress)
+    drawn = Drawn("plot", "", data, evidence=proof, document=records)
     return drawn.saved(output)
 
 
