@@ -41,9 +41,9 @@ def has_pieces(output: Path) -> bool:
 class Checkpoint:
     """Named pieces of a computation (arrays of numbers), each stored as one JSON line.
 
-    A line is ``{"key": ..., "name": ..., "values": [...]}``. The key is the SHA-256 of the inputs and settings
-    of the run and of the name of the piece. A line that is not of this form is damaged. A line with another
-    key belongs to another run. Both are ignored, and the lines of other runs are preserved.
+    A line is ``{"key": ..., "name": ..., "values": [...]}``. The key is the SHA-256 of the inputs and
+    settings of the run and of the name of the piece. A line that is not of this form is damaged. A line with
+    another key belongs to another run. Both are ignored, and the lines of other runs are preserved.
 
     Parameters
     ----------

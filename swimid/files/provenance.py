@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import swimid
 from swimid.errors import file_errors
@@ -30,19 +30,6 @@ def sha256(path: str | Path) -> str:
     """Return the SHA-256 of a file in hexadecimal digits."""
     with file_errors(path), Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-class InMemory(Protocol):
-    """Input that is an object in memory."""
-
-    @property
-    def name(self) -> str:
-        """Name of the input."""
-        ...
-
-    def digest(self) -> str:
-        """Return the SHA-256 of the content of the input in hexadecimal digits."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -57,8 +44,8 @@ class Held:
         return self.sha256
 
 
-#: Input of a result: a file, or an object in memory.
-Input = str | Path | InMemory
+#: Input of a result: a file, or an object in memory with a ``name`` and a method ``digest``.
+Input = str | Path | Any
 
 
 def path_of(given: Input) -> Path:

@@ -13,7 +13,7 @@ import numpy as np
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import log, mapping, units
-from swimid.logs.foreign import Table, find_format, is_text, open_table
+from swimid.logs.foreign import Table, is_text, open_table
 from swimid.logs.log import TIME, LogLike
 from swimid.logs.mapping import ASK, Mapping
 from swimid.results.result import Result
@@ -97,8 +97,7 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     """
     given = log.unread(source)
     path = path_of(given)
-    found = find_format(path, "") if isinstance(given, Path) else None
-    table = open_table(given, select=select, kind=None if found is None else found.name)
+    table = open_table(given, select=select, kind="")
     lines = [
         f"# Drafted from {path.name} by swimid import --guess. Answer or delete every line with {ASK};",
         "# an axis may be swapped or flipped (factor: -1), which no name states.",
@@ -140,7 +139,6 @@ def _of_names(table: Table) -> list[str]:
             taken += np.atleast_1d(time[key]).tolist()
     forms = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
     lines = [_line("time", time, forms), "columns:"]
-    seen = {ASK}
     for source, values in columns.items():
         if source in taken:
             continue
@@ -149,9 +147,6 @@ def _of_names(table: Table) -> list[str]:
             left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
             lines.append(f"  # {left_out}")
             continue
-        if target in seen:
-            target, unit = ASK, unit or ASK
-        seen.add(target)
         entries = {"source": source, "target": target, "unit": unit}
         lines.append("  " + _line("-", entries, _first(values)))
     lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")

@@ -252,7 +252,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         unknown, periodic_hz = rhythm.explain_missing(columns[TIME], channels)
     else:
         stroke = rhythm.add_time_error(stroke, times_sd_s, times)
-        periodic_hz, period_s = stroke.beat.frequency_hz, stroke.period_s[0]
+        periodic_hz, period_s = stroke.beat.frequency_hz, 1.0 / stroke.beat.frequency_hz
         against = _against(stroke, stated_hz, name)
     if cleaning is not None:
         speed = tracks.speed(stamps, track, cleaning, periodic_hz)
@@ -640,7 +640,7 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             "frequency_hz": stroke.beat.frequency_hz,
             "stderr_hz": stroke.beat.stderr_hz,
             "ci95_hz": list(stroke.beat.interval_hz),
-            "period_s": stroke.period_s[0],
+            "period_s": 1.0 / stroke.beat.frequency_hz,
             "cycles": stroke.beat.cycles,
             "channel": stroke.channel,
             "maybe_double": stroke.maybe_double,

@@ -598,11 +598,11 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
 
 def _doubt(name: str, time_s: Array, values: Array) -> str | None:
     """Return words that name the unusual values of a column; None if there are none."""
-    low, high = extremes(values)
+    low, high = _ends(values)
     largest = max(-low, high)
     if name.endswith("_rad"):
         tilted = name in ("roll_rad", "pitch_rad") and largest > 1.5 * np.pi
-        wrapped = max(extremes(np.diff(values))) > 2.2 * np.pi
+        wrapped = max(_ends(np.diff(values))) > 2.2 * np.pi
         bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
         if tilted or wrapped or bent:
             return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
@@ -638,7 +638,7 @@ def _usual_rate(time_s: Array, values: Array) -> float:
     return float(np.quantile(rates, 1.0 - OUTLIER_SHARE)) if len(rates) else 0.0
 
 
-def extremes(values: Array) -> tuple[float, float]:
+def _ends(values: Array) -> tuple[float, float]:
     """Return the minimum and the maximum of an array; zeros if it has no value."""
     if len(values) == 0:
         return 0.0, 0.0

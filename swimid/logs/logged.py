@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs import log, rhythm
-from swimid.logs.log import TIME, Log, extremes, runs
+from swimid.logs.log import TIME, Log, runs
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import warn
@@ -99,7 +99,9 @@ class Logged(Result):
         rows: list[list[Any]] = []
         for name, values in _signals(self.log).items():
             lost = numbers.percent(float(np.isnan(values).mean()))
-            rows.append([name, *extremes(values), lost])
+            known = values[np.isfinite(values)]
+            ends = [float(end(known)) for end in (np.min, np.max) if len(known)]
+            rows.append([name, *(ends or (None, None)), lost])
         columns = ["channel", "smallest", "largest", "missing"]
         folded = self.evidence is not None
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]

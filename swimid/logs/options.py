@@ -19,7 +19,7 @@ class ImportOptions(Options):
         flag="--as",
         metavar="FORMAT",
         help="Format of the file: ardupilot, deeplabcut, dynamixel, opensim, px4, ros2, sleap, swimid, "
-        "tracker, delimited, hdf5, jsonl, mat, mcap, parquet, ulog  [default: recognised by its content].",
+        "tracker, delimited, hdf5, mat, mcap, parquet, ulog  [default: recognised by its content].",
     )
     select: str | None = option(
         None,

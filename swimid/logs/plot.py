@@ -94,9 +94,7 @@ def plot(
     with recorded(repeat=True) as notices:
         for number, given in enumerate(logs, start=1):
             if isinstance(given, str | Path):
-                # a path that is named twice is drawn once
-                if Path(given) not in [record.path for record in records]:
-                    records.append(log.read(given))
+                records.append(log.read(given))
             else:
                 name = f"log {number}" if len(logs) > 1 else "log"
                 records.append(log.of(given, name=name))

@@ -114,12 +114,6 @@ class Rhythm:
             )
         return "; ".join(said)
 
-    @property
-    def period_s(self) -> tuple[float, float]:
-        """Period of the stroke and its standard error, s."""
-        period = 1.0 / self.beat.frequency_hz
-        return period, period**2 * self.beat.stderr_hz
-
 
 def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict[str, Array]:
     """Return the oscillation of a track about its averaged path, in the unit of the track.

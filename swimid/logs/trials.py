@@ -9,7 +9,7 @@ import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Discriminator, Field, PositiveFloat, PrivateAttr, Tag, model_validator
 
@@ -73,12 +73,11 @@ class Trial(yamlio.Document):
     start_s: float | None = None
     end_s: float | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _name_after_log(cls, data: Any) -> Any:
-        if isinstance(data, dict) and isinstance(data.get("log"), str) and "id" not in data:
-            data = {**data, "id": Path(data["log"]).name}
-        return data
+    @model_validator(mode="after")
+    def _name_after_log(self) -> Self:
+        if "id" not in self.model_fields_set:
+            self.id = Path(self.log).name
+        return self
 
 
 class RigTrial(Trial):
