@@ -135,8 +135,7 @@ def _of_names(table: Table) -> list[str]:
     time = _time(table, columns)
     taken: list[str] = []
     if isinstance(time, dict):
-        for key in {"source", "frame"} & set(time):
-            taken += np.atleast_1d(time[key]).tolist()
+        taken = np.atleast_1d(time.get("source") or time["frame"]).tolist()
     forms = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
     lines = [_line("time", time, forms), "columns:"]
     for source, values in columns.items():
@@ -224,9 +223,8 @@ def _target(bare: str, unit: str | None) -> str | None:
 
 def _time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
     """Return the value of ``time:``, as far as names and units state it."""
-    units_of = {name: named(name, table.units.get(name))[1] or units.canonical(name) for name in columns}
-    seconds = {name: unit if unit in units.UNITS["time"] else ASK for name, unit in units_of.items()}
-    stamps = [n for n in columns if mapping.OF_TIME.fullmatch(_split(n.strip())[0]) or seconds[n] != ASK]
+    stated = {name: _unit_of_time(name, table.units.get(name)) for name in columns}
+    stamps = [n for n in columns if stated[n] != ASK or mapping.OF_TIME.fullmatch(_split(n.strip())[0])]
     # the time stamp of the sensor has precedence over the time stamp of the recorder
     stamps.sort(key=lambda name: "header" not in name.lower())
     counts = [name for name in columns if mapping.COUNT.fullmatch(name.strip().lower())]
@@ -238,8 +236,16 @@ def _time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
     if stamps and columns[stamps[0]].dtype.kind == "M":
         return {"source": stamps[0], "origin": "first"}
     if stamps:
-        return {"source": stamps[0], "unit": seconds[stamps[0]]}
-    return {"frame": counts[0], "rate_hz": ASK} if counts else ASK
+        return {"source": stamps[0], "unit": stated[stamps[0]]}
+    if counts:
+        return {"frame": counts[0], "rate_hz": ASK}
+    return ASK
+
+
+def _unit_of_time(name: str, written: str | None) -> str:
+    """Return the unit of time that a column states, in its name or as its name; ``ASK`` if it states none."""
+    units_stated = (named(name, written)[1], units.canonical(name))
+    return next((unit for unit in units_stated if unit in units.UNITS["time"]), ASK)
 
 
 def _first(values: Any) -> str:

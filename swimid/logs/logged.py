@@ -199,7 +199,6 @@ def channels(logs: Sequence[Log]) -> Figure:
         if len(record) > MAX_POINTS:
             text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
             warn("SWM051", f"{record.path.name}: {text}")
-            caption += f" The {text.replace('drawn', 'are drawn')}."
     if len(order) > MAX_PANELS:
         caption += f" {len(order) - MAX_PANELS} further channels are not drawn."
     return Figure(id="channels", title=title, caption=caption, panels=panels)
@@ -228,8 +227,6 @@ def track(logs: Sequence[Log]) -> Figure | None:
         line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
         traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-        if len(there) and not several:
-            traces.append(Trace(x=x[there[:1]], y=y[there[:1]], label="start", style="points"))
         heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]
         if heading in record and len(there) > 1:
             traces.append(_arrows(x, y, record[heading], arrows))

@@ -91,9 +91,8 @@ class Time(Stated):
     format: str | None = None
     #: Value at which the time counter restarts from 0, in the unit of the source column.
     wraps_at: PositiveFloat | None = None
-    #: Origin of the time: ``keep`` leaves the times as in the file, ``first`` counts from the first sample,
-    #: and a number, s, is subtracted.
-    origin: Literal["keep", "first"] | float = "keep"
+    #: Origin of the time: ``keep`` leaves the times as in the file, ``first`` counts from the first sample.
+    origin: Literal["keep", "first"] = "keep"
 
     @model_validator(mode="after")
     def _one_way(self) -> Time:
@@ -631,8 +630,6 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
         total += values * factor
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
-    elif not isinstance(time.origin, str):
-        total -= time.origin
     return np.where(known, total, np.nan)
 
 
