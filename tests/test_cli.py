@@ -21,7 +21,7 @@ import swimid as package
 from swimid.cli.builder import found
 from swimid.cli.common import Shared, running
 from swimid.cli.main import SECTIONS, main
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
 from swimid.results.kinds import FORMATS
 from swimid.results.result import Result

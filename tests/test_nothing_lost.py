@@ -23,8 +23,7 @@ from PIL import Image
 import swimid as package
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
-from swimid.files.atomic import file_names
-from swimid.files.checkpoint import Checkpoint, place
+from swimid.files.atomic import Checkpoint, file_names, place
 from swimid.files.video import open_writer
 from swimid.notices import SwimidWarning, recorded
 from tests.conftest import SAMPLES, Ran

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.progress import Progress, silent
