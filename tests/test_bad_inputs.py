@@ -159,13 +159,6 @@ TRIALS_FAULTS: dict[str, tuple[str, list[str]]] = {
         HEAD + "  - {log: w10.csv, pulling_mass_kg: 10 g}\n",
         ["t.yaml, line 5, 'trials.0.pulling_mass_kg': '10 g' is not allowed"],
     ),
-    "YAML bomb": (
-        "a: &a [x, x, x, x, x, x, x, x, x]\n"
-        + "".join(
-            f"{n}: &{n} [{', '.join([f'*{p}'] * 9)}]\n" for p, n in ["ab", "bc", "cd", "de", "ef", "fg", "gh"]
-        ),
-        ["t.yaml: expands to more than"],
-    ),
     "stretch outside the log": (
         HEAD + "  - {log: w10.csv, pulling_mass_kg: 0.01, start_s: 900}\n",
         ["w10.csv: no samples between start_s 900", "the log runs from"],

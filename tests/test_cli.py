@@ -20,7 +20,7 @@ from click.testing import CliRunner
 import swimid as package
 from swimid.cli.common import Shared, running
 from swimid.cli.main import SECTIONS, found, main
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
 from swimid.results.kinds import FORMATS
 from swimid.results.result import Result
@@ -241,7 +241,7 @@ class TestTerminal:
         assert str(out) in words
         assert swimid(*words[1:-2], "-o", tmp_path / "comparison.yaml").status == 0
         drop = ("simulate", "--params", out, "--pulling-mass-kg", "0.02", "-o", tmp_path / "drop.csv")
-        assert f"next: swimid plot {tmp_path / 'drop.csv'} -o log.html" in swimid(*drop).stderr
+        assert f"next: swimid plot {tmp_path / 'drop.csv'} -o log.svg" in swimid(*drop).stderr
         for quiet in (["-q"], ["--json"], []):
             words = [*quiet, "-o", str(out)] if quiet else []
             assert "next:" not in swimid("fit-drag", trials, *words).stderr

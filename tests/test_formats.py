@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
 from pathlib import Path
 
@@ -165,9 +164,8 @@ class TestYaml:
             ("- a\n- b\n", ["top level"]),
             ("a: [1, 2\n", ["not valid YAML", "line"]),
             ("a: 1\nb: 2\na: 3\n", ["line 3", "duplicate key"]),
-            ("a: &a [*a]\n", ["anchors"]),
+            ("a: &a [*a]\n", ["not valid YAML"]),
             ("a: " + "[" * 3000 + "]" * 3000, ["not valid YAML"]),
-            ("a: " + "[" * 80 + "]" * 80, ["levels deep"]),
             ("a: !!python/object/apply:os.system [echo]\n", ["x.yaml"]),
             ("a: \x00\n", ["x.yaml"]),
         ],
@@ -180,13 +178,6 @@ class TestYaml:
             yamlio.validated(_file(tmp_path, text, "x.yaml"), Any1)
         for word in words:
             assert word in str(caught.value)
-
-    def test_bomb_is_refused_at_once(self, tmp_path: Path) -> None:
-        lines = ["a: &a [x, x, x, x, x, x, x, x, x]"]
-        names = "abcdefghij"
-        lines += [f"{n}: &{n} [{', '.join([f'*{p}'] * 9)}]" for p, n in itertools.pairwise(names)]
-        with pytest.raises(InputError, match="expands to more than"):
-            yamlio.load(_file(tmp_path, "\n".join(lines), "x.yaml"))
 
     def test_floats_survive_to_the_last_bit(self, tmp_path: Path, rng: np.random.Generator) -> None:
         values = [float(v) for v in rng.normal(size=200) * 10.0 ** rng.integers(-300, 300, 200)] + [

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from swimid.errors import InputError
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting import global_search
 from swimid.results import evidence
 from swimid.results import parameters as parameters_format

@@ -66,7 +66,7 @@ def test_mutated_files(kind: str, folder: Path) -> None:
     run()
 
 
-@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".jsonl", ".mcap", ".ulg", ".h5"])
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".mcap", ".ulg", ".h5"])
 def test_arbitrary_files(ending: str, folder: Path) -> None:
     path = folder / f"y{ending}"
     heads = [

@@ -382,23 +382,6 @@ def test_dynamixel_ticks(imported: Callable[..., tuple[Log, Ran]], tmp_path: Pat
     assert record.metadata["servos"] == [1, 4]
 
 
-def test_cells_with_a_unit(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
-    lines = ["time,load,force"]
-    lines += [
-        f"{1000 * t:.3f} ms," + (f"{0.05 + t:.4f} kg" if k % 2 else f"{50 + 1000 * t:.1f} g") + f",{t:.4f} N"
-        for k, t in enumerate(T)
-    ]
-    (tmp_path / "cell.csv").write_text("\n".join(lines) + "\n")
-    (tmp_path / "m.yaml").write_text(
-        "format: swimid-mapping/1\ntime: {source: time, unit: ms}\n"
-        "columns: [{source: load, target: load_kg}, {source: force, target: force_N}]\n"
-    )
-    record, _ = imported(tmp_path / "cell.csv", "--map", str(tmp_path / "m.yaml"))
-    assert np.allclose(record.time_s, T, atol=1e-6)
-    assert np.allclose(record["load_kg"], 0.05 + T, atol=1e-4)
-    assert np.allclose(record["force_N"], T, atol=1e-4)
-
-
 @pytest.mark.parametrize("name", ["deeplabcut", "sleap", "tracker", "opensim", "ardupilot", "dynamixel"])
 def test_a_file_that_is_none_of_the_format_named(name: str, swimid: Run, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t_s,x_m\n0,1\n1,2\n2,3\n")

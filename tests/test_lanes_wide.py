@@ -16,7 +16,7 @@ import pytest
 from swimid.diagnosis.generic import AXES, ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import TRACEABLE, Trial

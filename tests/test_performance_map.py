@@ -12,7 +12,7 @@ import pytest
 
 import swimid as package
 from swimid.errors import NoTrustworthyResult, UsageError
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.optimisation.performance import Performance
 from swimid.optimisation.performance_map import MapFile, MeasuredPoint, fit_efficiency
 from tests.conftest import Ran, interrupting

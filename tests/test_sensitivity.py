@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting.problem import map_in_threads
 from swimid.results import evidence
 from swimid.sensitivity_analysis import indices, sensitivity

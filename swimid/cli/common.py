@@ -149,7 +149,7 @@ def _as_error(caught: BaseException, output: Path | None, written: list[Path]) -
 
 def _left(output: Path | None, written: list[Path]) -> str:
     """Return a text about the files that an interrupted command has written."""
-    from swimid.files.checkpoint import has_pieces, place
+    from swimid.files.atomic import has_pieces, place
 
     if written:
         return f"written before: {', '.join(map(str, written))}"

@@ -1,4 +1,4 @@
-"""Command ``swimid import``: import of logs, or the draft of a mapping for one file."""
+"""Command ``swimid import``: import of a log, or the draft of its mapping."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from swimid.cli.options import ImportLogOptions
 from swimid.errors import UsageError
-from swimid.logs.import_log import destinations, import_logs
+from swimid.logs import import_log as logs
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import evidence
@@ -16,20 +16,20 @@ from swimid.results.result import Result
 
 @takes(ImportLogOptions)
 def import_log(
-    files: tuple[Path, ...],
+    file: Path,
     *,
     options: ImportLogOptions,
     output: Path | None,
     allow: Callable[[Path | None], object],
     progress: Progress = silent,
 ) -> Result:
-    """Import files of other programs, or draft the mapping of one file.
+    """Import a file of another program, or draft its mapping.
 
     Parameters
     ----------
-    files : tuple of Path
+    file : Path
     output : Path
-        Log to write; a folder for several logs; the mapping with ``guess``.
+        Log to write; the mapping with ``guess``.
     allow : callable
         Function that is called with every file before it is written. It raises an error if the file must not
         be written.
@@ -37,19 +37,17 @@ def import_log(
     Raises
     ------
     UsageError
-        If no output is given for a log, or if several files are given for the draft of a mapping.
+        If no output is given for a log, or if a mapping is given for the draft of one.
     """
+    allow(output)
     if options.guess:
-        if len(files) > 1 or options.map_path is not None:
-            raise UsageError("--guess drafts the mapping of one file")
+        if options.map_path is not None:
+            raise UsageError("--guess drafts a mapping, and takes none")
         from swimid.logs.guess_mapping import guess_mapping
 
-        allow(output)
-        return guess_mapping(files[0], select=options.select, output=output)
+        return guess_mapping(file, select=options.select, output=output)
     if output is None:
         raise UsageError("say where the log goes", hint="add -o run.csv")
-    for target in destinations(files, output):
-        allow(target)
-        allow(evidence.sidecar(target))
-        evidence.check_beside(target)
-    return import_logs(files, options=options, output=output, progress=progress)
+    allow(evidence.sidecar(output))
+    evidence.check_beside(output)
+    return logs.import_log(file, options=options, output=output, progress=progress)

@@ -11,21 +11,20 @@ class ImportLogOptions(
     command="import",
     section="Make logs",
     function="import_log",
-    argument="FILE...",
-    output="The log, CSV or Parquet by its ending; a folder for several; with --guess the mapping.",
+    argument="FILE",
+    output="The log, CSV or Parquet by its ending; with --guess the mapping.",
     beside=(),
 ):
-    """Import logs: delimited text, MATLAB, HDF5, Parquet, JSON lines, MCAP, ULog.
+    """Import a log: delimited text, MATLAB, HDF5, Parquet, MCAP, ULog.
 
     A mapping says which source column becomes which column of the log, and in which unit it was
-    written. Without one the columns must have the names of the log format already. Beside each log
+    written. Without one the columns must have the names of the log format already. Beside the log
     goes its evidence (<stem>.evidence.json).
 
     Examples:
       swimid import field.csv --guess -o map.yaml
       swimid import field.csv --map map.yaml -o run.csv
-      swimid import run.csv --scale 0.0008 --along -y --start 1.2 --end 2.4 -o drop.csv
-      swimid import STATES1.txt STATES2.txt --map docs/examples/msu-states.yaml -o logs/
+      swimid import STATES1.txt --map docs/examples/msu-states.yaml -o run1.csv
     """
 
     guess: bool = option(

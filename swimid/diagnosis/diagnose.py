@@ -17,7 +17,7 @@ from swimid.diagnosis.power_file import DetectionPower, PowerFile
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes

@@ -36,7 +36,7 @@ from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.remainder import Left, LowFrequency
 from swimid.diagnosis.weighting import random_effect_columns, see, settled, tells_noise, weigh
 from swimid.effects.base import Effect
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import map_in_processes
 from swimid.logs.sampling import white_noise_sd

@@ -11,7 +11,7 @@ from swimid.exporters import gazebo, mjcf, plain
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Source
 from swimid.files import atomic
-from swimid.files.provenance import digest_of
+from swimid.files.provenance import digests_of
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.results import parameters
@@ -119,7 +119,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
     origin = {
         "file": path.name,
-        "sha256": digest_of(parameters.origin(params)),
+        "sha256": next(iter(digests_of([parameters.origin(params)]).values())),
         "version": swimid.__version__,
         "robot": name,
     }

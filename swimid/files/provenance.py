@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import swimid
 from swimid.errors import file_errors
@@ -30,19 +30,6 @@ def sha256(path: str | Path) -> str:
     """Return the SHA-256 of a file in hexadecimal digits."""
     with file_errors(path), Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-class InMemory(Protocol):
-    """Input that is an object in memory."""
-
-    @property
-    def name(self) -> str:
-        """Name of the input."""
-        ...
-
-    def digest(self) -> str:
-        """Return the SHA-256 of the content of the input in hexadecimal digits."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -57,8 +44,8 @@ class Held:
         return self.sha256
 
 
-#: Input of a result: a file, or an object in memory.
-Input = str | Path | InMemory
+#: Input of a result: a file, or an object in memory with a ``name`` and a method ``digest``.
+Input = str | Path | Any
 
 
 def path_of(given: Input) -> Path:
@@ -83,13 +70,6 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
             name = f"{given.name} ({count})"
         digests[name] = digest
     return digests
-
-
-def digest_of(given: Input) -> str:
-    """Return the SHA-256 of one input in hexadecimal digits."""
-    if isinstance(given, str | Path):
-        return sha256(given)
-    return given.digest()
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
@@ -175,8 +155,7 @@ SOFTWARE = "swimid"
 MADE_BY = "made by swimid"
 #: ``free`` box at the end of a video file, which players skip (ISO/IEC 14496-12, section 8.1.2).
 VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
-#: Formats that people also write by hand. A file of such a format is recognised as swimid's only by the first
-#: line of an unedited draft.
+#: Formats that people also write by hand. A file of such a format is never recognised as swimid's.
 AUTHORED = ("trials", "robot", "setup", "mapping")
 #: Maximum distance of the mark of a text file from the start or the end of the file, bytes.
 NEAR = 65536
@@ -184,7 +163,6 @@ NEAR = 65536
 _SIMULATED = re.compile(r"\b(?:simulated?|synthetic)\b")
 _LOG = re.compile(r"(?:made_by|imported_by): *['\"]?swimid [a-z]")
 _FORMAT = re.compile(r"swimid-([a-z-]+)/\d+")
-_DRAFT = re.compile(r"# Drafted by swimid \S+, sha256 ([0-9a-f]{16})\b[^\n]*\n")
 #: Patterns of the marks at the beginning of a text, including the text that precedes the mark.
 _BEGINNINGS = (
     re.compile(r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d"),
@@ -224,24 +202,12 @@ def is_own(path: Path) -> bool:
     return False
 
 
-def mark_draft(text: str) -> str:
-    """Return a draft with the mark of swimid. A rerun may replace the draft until the user has edited it."""
-    return (
-        f"# Drafted by swimid {swimid.__version__}, sha256 {_short_digest(text)}. "
-        f"Once the lines below are edited, swimid does not overwrite this file.\n{text}"
-    )
-
-
 def mark_png(data: bytes) -> bytes:
     """Return a PNG file with the mark of swimid; ``data`` is a PNG file without metadata."""
     content = b"tEXtSoftware\0" + SOFTWARE.encode()
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
     after_header = 8 + 25  # signature and IHDR chunk
     return data[:after_header] + chunk + data[after_header:]
-
-
-def _short_digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _comments(text: str) -> list[str]:
@@ -274,10 +240,6 @@ def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
     end = tail.decode("utf-8", "replace").replace("\r\n", "\n")
     if any(mark.match(start) for mark in (*_BEGINNINGS, _SVG)) or _MARKDOWN.search(end):
         return True
-    if drafted := _DRAFT.match(start):
-        return drafted[1] == _short_digest(
-            path.read_text(encoding="utf-8", errors="replace")[drafted.end() :]
-        )
     if start.startswith("#"):
         return any(_LOG.match(line) for line in _comments(start))
     if start.startswith("{"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,19 +30,12 @@ def head(path: Path) -> tuple[list[str], str, int]:
     comments: list[str] = []
     with path.open("rb") as stream:
         for number, raw in enumerate(stream, start=1):
-            if len(raw) > 1_000_000 or b"\x00" in raw:
-                raise InputError("is not a text file", file=path, line=number)
+            if len(raw) > 1_000_000 or b"\x00" in raw or b"\r" in raw.rstrip():
+                raise InputError("is not a text file with line feeds", file=path, line=number)
             try:
                 line = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
             except UnicodeDecodeError as error:
                 raise InputError("is not UTF-8 text", file=path, line=number) from error
-            if "\r" in line:
-                raise InputError(
-                    "its lines end with a carriage return alone",
-                    file=path,
-                    line=number,
-                    hint="save it with line feeds at the ends of lines",
-                )
             if line.startswith("#"):
                 comments.append(line[1:])
             elif line:
@@ -60,12 +54,8 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
         If the names are not separated by commas, or two names are equal.
     """
     names = [name.strip().strip('"') for name in header.split(",")]
-    if len(names) == 1:
-        for other, word in ((";", "semicolons"), ("\t", "tabs")):
-            if other in header:
-                raise InputError(
-                    f"its columns are separated by {word}; they must be by commas", file=path, line=line
-                )
+    if len(names) == 1 and re.search(r"[;\t]", header):
+        raise InputError("its columns must be separated by commas", file=path, line=line)
     for name in names:
         if names.count(name) > 1:
             raise InputError("two columns have this name", file=path, line=line, column=name)
@@ -73,11 +63,10 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
 
 
 def parse(
-    source: Path | bytes,
+    text: bytes,
     names: Sequence[str],
     types: type | Mapping[str, type],
     *,
-    skip_lines: int = 0,
     delimiter: str = ",",
     decimal: str = ".",
     missing: Sequence[str] = MISSING,
@@ -89,8 +78,8 @@ def parse(
 
     Parameters
     ----------
-    source : path or bytes
-        File, or its content as UTF-8 text.
+    text : bytes
+        Lines under the header, as UTF-8 text.
     names : sequence of str
         Names of all columns.
     types : type or mapping of str to type
@@ -109,14 +98,13 @@ def parse(
             # ignore warnings of pandas: too many cells in the first line, mixed types in a column
             warnings.simplefilter("ignore")
             return pd.read_csv(
-                source if isinstance(source, Path) else io.BytesIO(source),
+                io.BytesIO(text),
                 sep=delimiter,
                 decimal=decimal,
                 header=None,
                 names=names,
                 index_col=False,
                 dtype=types,
-                skiprows=skip_lines,
                 keep_default_na=False,
                 na_values=missing,
                 on_bad_lines="skip",

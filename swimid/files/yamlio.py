@@ -15,17 +15,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.constructor import DuplicateKeyError
-from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
 
 #: Maximum size of a file, bytes. A larger file is refused before it is parsed.
 MAX_BYTES = 20_000_000
-#: Maximum number of nodes of a document with all its aliases written out. A larger document is refused.
-MAX_NODES = 500_000
-#: Maximum nesting depth of a document. A deeper document is refused.
-MAX_DEPTH = 60
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -131,7 +126,7 @@ def load(path: str | Path) -> CommentedMap:
     ------
     InputError
         If the file cannot be read, is empty, is not a mapping, is not valid YAML, repeats a key, or is too
-        large with all its aliases written out.
+        large.
     """
     path = Path(path)
     with file_errors(path):
@@ -144,9 +139,8 @@ def load(path: str | Path) -> CommentedMap:
     if len(raw) > MAX_BYTES:
         raise InputError(f"has {len(raw)} bytes; a YAML input may have {MAX_BYTES}", file=path)
     try:
-        node = _yaml().compose(io.StringIO(text))
-        size = 0 if node is None else _expanded(node, {}, 0)
-        data = _yaml().load(io.StringIO(text)) if 0 < size <= MAX_NODES else None
+        data = _yaml().load(io.StringIO(text))
+        plain(data)  # fails for an anchor inside itself
     except Exception as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
         place = mark and mark.line + 1
@@ -155,11 +149,8 @@ def load(path: str | Path) -> CommentedMap:
             twice = problem.split("with value")[0].strip()
             raise InputError(twice, file=path, line=place, hint="keep one of them") from error
         raise InputError(f"is not valid YAML: {problem}", file=path, line=place) from error
-    if size == 0:
+    if data is None:
         raise InputError("is empty", file=path)
-    if size > MAX_NODES:
-        text = f"expands to more than {MAX_NODES} nodes through its anchors"
-        raise InputError(text, file=path, hint="write it out")
     if not isinstance(data, CommentedMap):
         raise InputError("its top level must be 'key: value' lines", file=path, line=1)
     return data
@@ -177,19 +168,6 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
     if data.get("format") != form:
         raise InputError(f"is no {what}: its 'format' must be {form}", file=path, line=1, column="format")
     return data
-
-
-def _expanded(node: Node, known: dict[int, int], depth: int) -> int:
-    """Return the number of nodes of a document with every alias written out."""
-    if depth > MAX_DEPTH:
-        raise ValueError(f"nested more than {MAX_DEPTH} levels deep")
-    if id(node) not in known:
-        known[id(node)] = MAX_NODES + 1  # a node inside itself never ends
-        inner = node.value if isinstance(node, MappingNode | SequenceNode) else ()
-        parts = (part for entry in inner for part in (entry if isinstance(entry, tuple) else (entry,)))
-        total = 1 + sum(_expanded(part, known, depth + 1) for part in parts)
-        known[id(node)] = min(total, MAX_NODES + 1)
-    return known[id(node)]
 
 
 def validated(path: str | Path, model: type[M]) -> M:

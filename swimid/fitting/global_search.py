@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult, extra_needed
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial

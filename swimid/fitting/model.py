@@ -22,7 +22,7 @@ from numba.core.errors import NumbaExperimentalFeatureWarning
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.progress import Progress, silent
 

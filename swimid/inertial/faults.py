@@ -30,8 +30,8 @@ from swimid.inertial.record import (
 )
 from swimid.inertial.setup import DEG, MAX_REST_ACCELERATION
 from swimid.logs import sampling
-from swimid.logs.clock import in_order
 from swimid.logs.log import runs
+from swimid.logs.mapping import in_order
 from swimid.logs.rotation import rearranged
 
 

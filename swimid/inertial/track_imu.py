@@ -284,10 +284,6 @@ def _stroke(run: Run, stroke: Rhythm) -> dict[str, Any]:
         "channel": stroke.channel,
         "frequency_hz": beat.frequency_hz,
         "stderr_hz": beat.stderr_hz,
-        "harmonics": [
-            {"frequency_hz": h.order * beat.frequency_hz, "amplitude": h.amplitude, "stderr": h.stderr}
-            for h in stroke.harmonics
-        ],
         "stated_hz": run.stated_hz,
         "contradicts": run.contradiction is not None,
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 from dataclasses import dataclass
@@ -11,21 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import InputError
-from swimid.files import atomic, provenance, yamlio
+from swimid.files import atomic, yamlio
 from swimid.files.provenance import path_of
-from swimid.logs import clock, log, mapping, units
-from swimid.logs.clock import ASK
-from swimid.logs.foreign import Format, Table, find_format, is_text, open_table
+from swimid.logs import log, mapping, units
+from swimid.logs.foreign import Table, is_text, open_table
 from swimid.logs.log import TIME, LogLike
-from swimid.logs.mapping import Mapping
+from swimid.logs.mapping import ASK, Mapping
 from swimid.results.result import Result
 
-#: Names of a sample rate, and names of columns with parts of a time, in lower case.
-RATES, SECONDS = ("fs", "rate", "rate_hz", "fps", "sample_rate"), ("secs", "sec", "s", "seconds")
-NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds", "ns")
-#: Arbitrary values that replace open values of a drafted time, because the search for instances needs a time.
-ANSWERS = {"unit": "s", "rate_hz": 1.0, "day_first": True}
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Names that state a quantity but no unit: pattern of the whole name in lower case, and target column.
 _NAMES: list[tuple[str, str]] = [
@@ -45,10 +37,6 @@ _NAMES: list[tuple[str, str]] = [
     (r"joint[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
     (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
 ]
-_TIME = re.compile(
-    r"ts?|_*time|(time)?[ _.]?stamp|timestamp|seconds|secs?|millis|micros|elapsed([ _.]time)?|"
-    r"(header|log)?[ _.]?(stamp|time)|clock|date|datum|(uhr)?zeit"
-)
 _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<over>[^\d\s]\S*))\s*")
 #: Pattern of a column name that ends in a unit, such as ``heading_deg`` or ``x mm``.
 _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
@@ -70,7 +58,7 @@ class Draft(Result):
         return mapping.of(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
-        atomic.write_text(path, provenance.mark_draft(self.document))
+        atomic.write_text(path, self.document)
         return [path]
 
 
@@ -109,11 +97,18 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     """
     given = log.unread(source)
     path = path_of(given)
-    found = find_format(path, "") if isinstance(given, Path) else None
-    if found is not None and found.recognises is not None and found.name != "swimid":
-        lines = _of_profile(found, path, select)
+    table = open_table(given, select=select, kind="")
+    lines = [
+        f"# Drafted from {path.name} by swimid import --guess. Answer or delete every line with {ASK};",
+        "# an axis may be swapped or flipped (factor: -1), which no name states.",
+        f"format: {mapping.FORMAT}",
+    ]
+    if select is not None or "topic" in table.metadata:
+        lines.append(_line("select", select or table.metadata["topic"]))
+    if table.profile not in ("", "swimid"):
+        lines += _of_profile(table)
     else:
-        lines = _of_names(path.name, open_table(given, select=select), select)
+        lines += _of_names(table)
     asked = sum(ASK in line.partition("#")[0] for line in lines)
     text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
     data = {"file": str(path), "mapping": text, "open": asked}
@@ -124,54 +119,25 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     return Draft("import", told, data, document=text).save(output)
 
 
-def _of_profile(profile: Format, path: Path, select: str | None) -> list[str]:
+def _of_profile(table: Table) -> list[str]:
     """Return the lines of the draft for a file of a known format."""
-    lines = [
-        f"# Drafted from {path.name} ({profile.title}) by swimid import --guess.",
-        f"format: {mapping.FORMAT}",
-        f"as: {profile.name}",
-    ]
-    try:
-        table = open_table(path, select=select, kind=profile.name)
-    except InputError as error:
-        return [*lines, _line("select", ASK, f"{error}; {error.hint or ''}")]
-    if select is not None:
-        lines.append(_line("select", select))
-    lines += [f"# {note}" for note in table.notes]
+    lines = [f"as: {table.profile}"]
     if TIME not in table.columns and "rate_hz" not in table.scalars:
-        comment = "frames per second of the film; the file does not state them"
-        lines.append(_line("time", {"rate_hz": ASK}, comment))
-    lines.append("# the log gets these columns; 'columns:' takes some of them, under other names:")
+        lines.append(_line("time", {"rate_hz": ASK}, "frames per second of the film"))
     names = [name for name in table.columns if name not in (TIME, "frame")]
-    return [*lines, *(f"#   - {{source: {name}, target: {name}}}" for name in names)]
+    return [*lines, f"# columns of the log, which 'columns:' may choose and rename: {', '.join(names)}"]
 
 
-def _of_names(name: str, table: Table, select: str | None) -> list[str]:
+def _of_names(table: Table) -> list[str]:
     """Return the lines of the draft that follow from column names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
-    lines = [
-        f"# Drafted from {name} by swimid import --guess. Answer or delete every line with {ASK};",
-        "# an axis may be swapped or flipped (factor: -1), which no name states.",
-        f"format: {mapping.FORMAT}",
-    ]
-    select = select or table.metadata.get("topic")
-    if select is not None:
-        lines.append(_line("select", select))
-    time, comment = _time(table, columns)
-    taken: set[str] = set()
+    time = _time(table, columns)
+    taken: list[str] = []
     if isinstance(time, dict):
-        answers = {key: ANSWERS[key] for key, value in time.items() if value == ASK}
-        stated = clock.Time(**(time | answers))
-        taken = {str(key) for key in stated.sources}
-        with contextlib.suppress(InputError):
-            seconds = clock.seconds(table, stated, usual, Path(name), {})
-            by, there = mapping.find_mixed(Table(columns), seconds, np.ones(usual, dtype=bool), taken)
-            if there:
-                lines.append(_line("where", {_written("", by): ASK}, ", ".join(there)))
-                taken.add(by)
-    lines += [_line("time", time, comment), "columns:"]
-    seen = {ASK}
+        taken = np.atleast_1d(time.get("source") or time["frame"]).tolist()
+    forms = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
+    lines = [_line("time", time, forms), "columns:"]
     for source, values in columns.items():
         if source in taken:
             continue
@@ -180,9 +146,6 @@ def _of_names(name: str, table: Table, select: str | None) -> list[str]:
             left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
             lines.append(f"  # {left_out}")
             continue
-        if target in seen:
-            target, unit = ASK, unit or ASK
-        seen.add(target)
         entries = {"source": source, "target": target, "unit": unit}
         lines.append("  " + _line("-", entries, _first(values)))
     lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
@@ -258,53 +221,31 @@ def _target(bare: str, unit: str | None) -> str | None:
     return f"{word}_{next(iter(units.UNITS[quantities[0]])).replace('/', '_')}"
 
 
-def _time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
-    """Return the value of ``time:`` and the comment for its line."""
+def _time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
+    """Return the value of ``time:``, as far as names and units state it."""
+    stated = {name: _unit_of_time(name, table.units.get(name)) for name in columns}
+    stamps = [n for n in columns if stated[n] != ASK or mapping.OF_TIME.fullmatch(_split(n.strip())[0])]
     # the time stamp of the sensor has precedence over the time stamp of the recorder
-    stamps = sorted(filter(_is_time, columns), key=lambda name: "header" not in name.lower())
-    counts = [name for name, values in columns.items() if _counts(name, values)]
-    rates = [name for name in table.scalars if name.lower() in RATES]
+    stamps.sort(key=lambda name: "header" not in name.lower())
+    counts = [name for name in columns if mapping.COUNT.fullmatch(name.strip().lower())]
     if TIME in columns:
-        return {"source": TIME, "unit": "s"}, ""
-    if not stamps and counts:
-        return {"frame": counts[0], "rate_hz": ASK}, "frames per second"
-    if not stamps and rates:
-        return {"rate_hz": rates[0]}, f"= {table.scalars[rates[0]]:g}"
-    if not stamps:
-        return ASK, "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
-    chosen = stamps[0]
-    time: dict[str, Any] = {"source": chosen, "origin": "first"}
-    rest = [name for name in columns if name.strip().lower() in NANOSECONDS]
-    if is_text(columns[chosen]):
-        parts = [name for name in stamps if is_text(columns[name])][:2]
-        parts.sort(key=lambda name: not name.strip().lower().startswith("dat"))
-        chosen = time["source"] = parts[0]
-        if len(parts) > 1:
-            time["source"] = parts
-        if re.match(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{4}", str(columns[chosen][0])):
-            time["day_first"] = ASK
-    elif rest and chosen.strip().lower() in SECONDS:
-        time = {"source": [chosen, rest[0]], "unit": ["s", "ns"], "origin": "first"}
-    elif columns[chosen].dtype.kind != "M":
-        _, unit = named(chosen, table.units.get(chosen))
-        stated = [one for one in (unit, units.canonical(chosen)) if one in units.UNITS["time"]]
-        time = {"source": chosen, "unit": [*stated, ASK][0]}
-    return time, _first(columns[chosen])
+        return {"source": TIME, "unit": "s"}
+    if stamps and is_text(columns[stamps[0]]):
+        texts = [name for name in stamps if is_text(columns[name])]
+        return {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
+    if stamps and columns[stamps[0]].dtype.kind == "M":
+        return {"source": stamps[0], "origin": "first"}
+    if stamps:
+        return {"source": stamps[0], "unit": stated[stamps[0]]}
+    if counts:
+        return {"frame": counts[0], "rate_hz": ASK}
+    return ASK
 
 
-def _is_time(name: str) -> bool:
-    bare, _ = _split(name.strip().lower())
-    return _TIME.fullmatch(re.sub(r"(us|ms|ns)$", "", bare).strip(" _.")) is not None
-
-
-def _counts(name: str, values: Any) -> bool:
-    """Return whether a column counts frames or rows, by its name or by its values 0, 1, 2, ..."""
-    if is_text(values) or values.dtype.kind == "M":
-        return False
-    known = values[np.isfinite(values.astype(float))]
-    whole = len(known) > 2 and bool(np.all(known == np.round(known)) and np.all(np.diff(known) >= 0))
-    named_so = clock.COUNT.fullmatch(name.strip().lower()) or name.lower().startswith(("column 1", "unnamed"))
-    return whole and bool(named_so or np.all(np.diff(known) == 1))
+def _unit_of_time(name: str, written: str | None) -> str:
+    """Return the unit of time that a column states, in its name or as its name; ``ASK`` if it states none."""
+    units_stated = (named(name, written)[1], units.canonical(name))
+    return next((unit for unit in units_stated if unit in units.UNITS["time"]), ASK)
 
 
 def _first(values: Any) -> str:

@@ -3,52 +3,33 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import log, mapping
-from swimid.logs.examine import Examined, examine
-from swimid.logs.log import Log, LogLike
+from swimid.logs import log, mapping, rhythm, sampling, tracks
+from swimid.logs.beat import contradiction
+from swimid.logs.consistency import Comparison, compare_columns
+from swimid.logs.log import TIME, Doubt, Log, LogLike
 from swimid.logs.logged import Logged, figures_of
+from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import LONG_ENOUGH, SET, may_freeze, usual_step
-from swimid.notices import Notice, recorded
+from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, find_unmeasured, may_freeze, usual_step
+from swimid.logs.tracks import Cleaning, TrackSpeed
+from swimid.notices import Notice, recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, check, judged
-from swimid.results.result import Result
 
-
-@dataclass(frozen=True, eq=False)
-class Imported(Logged):
-    """Log of another program, converted to the log format: result of ``import_log``.
-
-    Attributes
-    ----------
-    examined : Examined or None
-        Findings on the log: order of the rows, jumps and speed of the track, stroke. None for a result read
-        from a file.
-    progress : Progress
-        Shows the progress of the writing.
-    """
-
-    examined: Examined | None = None
-    progress: Progress = field(default=silent, repr=False)
-
-    def _write(self, path: Path) -> list[Path]:
-        with self.progress(f"writing {path.name}", total=len(self.log)) as step:
-            log.write(path, self.log.columns, self.log.metadata, step=step)
-        return [path]
+Array = NDArray[np.float64]
 
 
 @takes(ImportOptions)
@@ -58,7 +39,7 @@ def import_log(
     options: ImportOptions,
     output: str | Path | None = None,
     progress: Progress = silent,
-) -> Imported:
+) -> Logged:
     """Convert a foreign recording to a log in SI units, with rows in order and jumps removed.
 
     A profile reads a file of a known format. For any other file, a mapping (file or dict) assigns a source
@@ -79,8 +60,8 @@ def import_log(
 
     Returns
     -------
-    Imported
-        ``.log`` and ``.frame`` hold the columns, each shape (n,), in SI units. ``.examined`` holds the speed
+    Logged
+        ``.log`` and ``.frame`` hold the columns, each shape (n,), in SI units. ``.data`` holds the speed
         (m/s), the stroke (Hz) and the jumps. ``.checks()`` and ``.figures()`` return the checks and the
         figures.
 
@@ -117,108 +98,285 @@ def import_log(
         inputs.append(map_path if isinstance(map_path, str | Path) else rules)
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
-    with recorded(repeat=True) as notices, ThreadPoolExecutor(1) as beside:
-        # hash a long file while it is read
-        digests = beside.submit(provenance.digests_of, inputs)
+    with recorded(repeat=True) as notices:
         read = mapping.apply(rules, given, options.stated, progress=progress)
         found = examine(read, options)
         settings = options.settings(clean=found.cleaned)
-        origin = provenance.collect(inputs, settings=settings, digests=digests.result())
+        origin = provenance.collect(inputs, settings=settings)
         name = f"{found.path.stem}.csv" if output is None else output.name
         made = Log(Path(name), found.metadata, found.columns, None)
         proof = _evidence(found, origin, notices)
-    data = _data(found, proof)
-    result = Imported("import", "", data, evidence=proof, document=made, examined=found, progress=progress)
-    return result.saved(output)
+    return Logged("import", "", _data(found, proof), evidence=proof, document=made).saved(output)
 
 
-@takes(ImportOptions)
-def import_logs(
-    files: Sequence[str | Path],
-    *,
-    options: ImportOptions,
-    output: str | Path,
-    progress: Progress = silent,
-) -> Result:
-    """Import several foreign logs, each as :func:`import_log` does.
+# ---------------------------------------------------------------- examination
 
-    If a file cannot be imported, the other files are still imported.
+METRES = ("x_m", "y_m", "z_m")
+PIXELS = ("x_px", "y_px", "z_px")
+ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
+#: Beginnings of the names of pose columns, and of the rates that are computed from a pose.
+_POSE, _POSE_RATES = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
 
-    Parameters
+
+@dataclass(frozen=True)
+class Examined:
+    """Foreign log with its rows in order, together with the findings of the examination.
+
+    Attributes
     ----------
-    files : sequence of paths
-        Paths of the logs, at least one.
-    output : path
-        Path of the log, CSV or Parquet by its ending; for several files a folder, which is created.
+    mapped : MappedLog
+        The log. Its columns are changed to those that are written to the log.
+    metadata : dict
+        Metadata as they are written to the log.
+    order : Order
+        Rows that were moved or left out.
+    cleaning : Cleaning or None
+        Repeated samples, jumps and gaps of the track; None without a track.
+    cleaned : bool
+        Whether repeated samples and jumps were left out of the log.
+    speed : TrackSpeed or None
+        Speed of the track.
+    stroke : Rhythm or None
+        Stroke; None if none is found.
+    against : str
+        Words that say how the stroke contradicts the metadata; empty if both agree.
+    unknown : str
+        Reason why no stroke is found; empty if one is found.
+    doubts : list of Doubt
+        Columns with values that no swimmer reaches.
+    comparisons : list of Comparison
+        Comparisons of columns that show the same motion.
+    uneven : str
+        Range of the time steps of uneven sampling, in words; empty for even sampling.
+    bursts : bool
+        Whether the samples are stamped in bursts.
+    """
+
+    mapped: MappedLog
+    metadata: dict[str, Any]
+    order: Order
+    cleaning: Cleaning | None
+    cleaned: bool
+    speed: TrackSpeed | None
+    stroke: Rhythm | None
+    against: str
+    unknown: str
+    doubts: list[Doubt]
+    comparisons: list[Comparison]
+    uneven: str
+    bursts: bool
+
+    @property
+    def path(self) -> Path:
+        """Path of the foreign log."""
+        return self.mapped.path
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Columns as they are written to the log."""
+        return self.mapped.columns
+
+    @property
+    def time_s(self) -> Array:
+        """Sample times, s, shape (n,)."""
+        return self.columns[TIME]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the track: m or px."""
+        return "px" if set(_track(self.columns)) & set(PIXELS) else "m"
+
+    @property
+    def channels(self) -> dict[str, Array]:
+        """Columns of the log except the time."""
+        return {name: values for name, values in self.columns.items() if name != TIME}
+
+    @property
+    def done(self) -> str:
+        """Words for the treatment of repeated samples and jumps of the track."""
+        return "left out" if self.cleaned else "kept"
+
+    @property
+    def contradictions(self) -> list[Comparison]:
+        """Comparisons of columns that disagree."""
+        return [one for one in self.comparisons if one.text]
+
+
+def examine(source: MappedLog, options: ImportOptions) -> Examined:
+    """Clean a foreign log and its track, and find the speed and the stroke.
+
+    ``source.columns`` is changed in place, so that a long log is in memory only once.
 
     Raises
     ------
     InputError
-        The mapping cannot be used, or some files cannot be imported. In the second case all other files are
-        imported before the error is raised.
+        No sample has a time, or the clock is reset within the log.
     NoTrustworthyResult
-        There is only one file, and its cleaned track has too few samples.
-    UsageError
-        No file is named, or two logs would be written to the same file.
+        A cleaned track has fewer samples than :data:`swimid.logs.tracks.MIN_SAMPLES`.
     """
-    if not files:
-        raise UsageError("name at least one log to import")
-    paths = list(dict.fromkeys(Path(file) for file in files))
-    if options.map_path is not None:
-        mapping.of(options.map_path)  # refuse an invalid mapping before any file is read
-    done: list[Imported] = []
-    failed: list[InputError | NoTrustworthyResult] = []
-    for path, target in zip(paths, destinations(paths, Path(output)), strict=True):
-        try:
-            done.append(import_log(path, options=options, output=target, progress=progress))
-        except (InputError, NoTrustworthyResult) as error:
-            if len(paths) == 1:
-                raise
-            failed.append(error)
-    if failed:
-        listed = ""
-        for refused in failed:
-            listed += f"\n  {refused}"
-            if refused.hint:
-                listed += f" ({refused.hint})"
-        written = ", ".join(str(outcome.outputs[0]) for outcome in done) or "none"
-        text = f"{len(failed)} of {len(paths)} logs cannot be imported:{listed}"
-        raise InputError(text, hint=f"the others were written: {written}")
-    if len(done) == 1:
-        return done[0]
-    text = "\n\n".join(outcome.summary() for outcome in done)
-    outputs = [path for outcome in done for path in outcome.outputs]
-    return Result("import", text, {"logs": [outcome.data for outcome in done]}, outputs)
+    name, columns = source.path.name, source.columns
+    order = _in_order(source)
+    for note in source.notes:
+        warn("SWM057", f"{name}: {note}")
+    if order.changed:
+        _keep(columns, order.index)
+        warn("SWM057", f"{name}: rows {order.summary}")
+    uneven = sampling.find_uneven(columns[TIME])
+    metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
+    coordinates, known = _track(columns), _measured(columns)
+    cleaned = options.clean
+    if cleaned is None:
+        cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
+    cleaned = cleaned and bool(coordinates)
+    cleaning = speed = None
+    if len(coordinates) > 1 or cleaned:
+        track = [known[column] for column in coordinates]
+        angles = [known[column] for column in ANGLES if column in columns]
+        stamps = columns[TIME]
+        cleaning = tracks.clean(stamps, track, angles)
+        if cleaned:
+            _take_out(columns, cleaning, name, metadata)
+    channels = {column: v for column, v in _measured(columns).items() if column != TIME}
+    times, times_sd_s = columns[TIME], 0.0
+    if cleaning is not None and cleaning.held is not None:
+        times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
+        measured_s = np.interp(times, stamps, cleaning.held.measured_s)
+        if (np.diff(measured_s) > 0).all():  # false if other channels have rows between pictures
+            times, times_sd_s = measured_s, cleaning.held.measured_sd_s
+    stated_hz = metadata.get("frequency_hz")
+    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
+        stated_hz = None
+    stroke = rhythm.find(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
+    unknown, against, periodic_hz, period_s = "", "", None, None
+    if stroke is None:
+        unknown, periodic_hz = rhythm.explain_missing(columns[TIME], channels)
+    else:
+        stroke = rhythm.add_time_error(stroke, times_sd_s, times)
+        periodic_hz, period_s = stroke.beat.frequency_hz, 1.0 / stroke.beat.frequency_hz
+        against = _against(stroke, stated_hz, name)
+    if cleaning is not None:
+        speed = tracks.speed(stamps, track, cleaning, periodic_hz)
+    doubts = [*log.doubts(columns[TIME], columns), *_bent(stroke)]
+    for doubt in doubts:
+        warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
+    comparisons = compare_columns(columns, period_s)
+    for one in comparisons:
+        if one.text:
+            warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
+    return Examined(
+        source,
+        metadata,
+        order,
+        cleaning,
+        cleaned,
+        speed,
+        stroke,
+        against,
+        unknown,
+        doubts,
+        comparisons,
+        *uneven,
+    )
 
 
-def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
-    """Return the path of each imported log: the output file, or a file in the output folder.
+def _in_order(source: MappedLog) -> Order:
+    """Return the row order with strictly increasing times; raise an error if the clock was reset."""
+    channels = {name: values for name, values in source.columns.items() if name != TIME}
+    order = mapping.in_order(source.time_s, channels)
+    if len(order.index) < 2:
+        text = f"{len(order.index)} of {len(source)} rows have a time of their own; at least 2 are needed"
+        raise InputError(text, file=source.path, column=TIME, hint="is the time complete?")
+    if order.reset_row is not None:
+        last = np.nanmax(source.time_s[: order.reset_row])
+        text = f"the clock starts again: {source.time_s[order.reset_row]:g} s after {last:g} s"
+        line = int(source.rows[order.reset_row])
+        hint = "split the file there, or state the range of a counter: 'wraps_at: 65536' under 'time:'"
+        raise InputError(text, file=source.path, line=line, column=TIME, hint=hint)
+    return order
 
-    The folder is created.
 
-    Raises
-    ------
-    UsageError
-        Several logs would be written to the same file.
+def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
+    """Reduce all columns to the given rows, in place."""
+    for name in columns:
+        columns[name] = columns[name][rows]
+
+
+def _track(columns: dict[str, Array]) -> list[str]:
+    """Return the names of the track's columns: in metres if the log has them, else in pixels."""
+    return [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
+
+
+def _bent(stroke: Rhythm | None) -> list[Doubt]:
+    """Return a doubt for each angle that oscillates over more than 180 degrees, which no joint can."""
+    if stroke is None:
+        return []
+    text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
+    beats = {name: beat.amplitude for name, beat in stroke.channels.items() if name.endswith("_rad")}
+    return [Doubt(name, text.format(size)) for name, size in beats.items() if size > np.pi]
+
+
+def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
+    """Empty the pose of repeated samples and of jumps in place, and remove rows that hold nothing else."""
+    done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
+    elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
+    if elsewhere:
+        at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
+        warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
+        done["elsewhere_s"] = elsewhere
+    out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
+    if not out.any():
+        return
+    if len(out) >= 2 * tracks.MIN_SAMPLES and good < tracks.MIN_SAMPLES:
+        text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
+        raise NoTrustworthyResult(text, hint="--raw keeps them all; is this a track of positions in metres?")
+    lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
+    warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
+    empty = out.copy()
+    for column, values in columns.items():
+        if column in (*METRES, *PIXELS, *ANGLES):
+            columns[column] = np.where(out, np.nan, values)
+        elif column != TIME:
+            empty &= np.isnan(values)
+    _keep(columns, ~empty)
+
+
+def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
+    """Return words that say how a stroke contradicts the metadata; warn of this and of a doubtful stroke."""
+    against = ""
+    if stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
+        against = f"{stroke.channel} {text}; the metadata say {stated_hz:g} Hz"
+        warn("SWM032", f"{name}: {against}")
+    if stroke.doubt:
+        warn("SWM033", f"{name}: {stroke.doubt}")
+    return against
+
+
+def _measured(columns: dict[str, Array]) -> dict[str, Array]:
+    """Return the columns as they were measured.
+
+    In a log written by ``swimid track`` the measured positions are those before smoothing, with NaN where a
+    gap was interpolated.
     """
-    if len(paths) == 1 and not output.is_dir() and not str(output).endswith("/"):
-        atomic.check_writable(output, inputs=tuple(paths))
-        return [output]
-    if output.exists() and not output.is_dir():
-        text = f"{len(paths)} logs cannot all go to the file {output}"
-        raise UsageError(text, hint="name a folder with -o")
-    atomic.check_writable(output.parent / "x")
-    output.mkdir(exist_ok=True)
-    names = [path.stem for path in paths]
-    for k, path in enumerate(paths):
-        if [other.stem for other in paths].count(path.stem) > 1:
-            names[k] = f"{path.resolve().parent.name}-{path.stem}"
-    # some file systems do not distinguish capital letters
-    folded = Counter(name.casefold() for name in names)
-    twice = [name for name in names if folded[name.casefold()] > 1]
-    if twice:
-        raise UsageError(f"two logs would be written to {twice[0]}.csv", hint="import them one by one")
-    return [atomic.check_writable(output / f"{name}.csv", inputs=tuple(paths)) for name in names]
+    raw = {name: columns[raw] for name in columns if (raw := _raw(name)) in columns}
+    bridged = columns.get("interpolated")
+    if not raw or bridged is None:
+        return columns
+    pose = {name: raw.get(name, values) for name, values in columns.items() if _of_pose(name)}
+    return columns | {name: np.where(bridged == 1, np.nan, values) for name, values in pose.items()}
+
+
+def _raw(name: str) -> str:
+    """Return the name of the raw column (before smoothing) of a pose column; empty for other columns."""
+    stem, _, unit = name.partition("_")
+    return f"{stem}_raw_{unit}" if stem in _POSE else ""
+
+
+def _of_pose(name: str) -> bool:
+    """Return whether a column is part of a pose or a rate of change of the pose."""
+    stem, _, rest = name.partition("_")
+    if stem in _POSE:
+        return bool(rest)
+    return stem in _POSE_RATES and rest.replace("sd_", "") in ("m_s", "px_s", "m_s2", "px_s2")
 
 
 # ---------------------------------------------------------------- evidence
@@ -227,9 +385,6 @@ def destinations(paths: Sequence[Path], output: Path) -> list[Path]:
 MIN_SAMPLES = LONG_ENOUGH + 1
 #: Minimum number of samples per stroke. With fewer samples the path between them is not known.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: Maximum root-mean-square distance of a track from the line of its projection, as a fraction of its extent
-#: along the line.
-OFF_LINE = 0.1
 #: Maximum fraction of the rows that are dropped. With a larger fraction the time column is probably
 #: incomplete.
 MAX_DROPPED = 0.1
@@ -237,6 +392,12 @@ MAX_DROPPED = 0.1
 MAX_JUMPED = 0.2
 #: Columns whose values are limited for a swimmer (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
+METHODS = [
+    "Repeated pictures and jumps of a track are found by a Hampel identifier on its steps. The mean speed is "
+    "taken along cubic smoothing splines and corrected for the noise by a parametric bootstrap.",
+    "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles beside a "
+    "cubic drift, by generalised least squares.",
+]
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
     "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
@@ -259,7 +420,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         tables=_tables(found),
         figures=shown,
         notices=blocks.notices([*notices, *drawn]),
-        methods=_methods(found),
+        methods=METHODS,
         references=[] if found.cleaning is None else REFERENCES,
         provenance=origin,
     )
@@ -301,7 +462,7 @@ def _amount_checks(found: Examined) -> list[Check]:
     long = n >= MIN_SAMPLES and pause_s > 0.5 * (time[-1] - time[0])
     pause = (
         f"no sample lies between {time[last]:.6g} s and {time[last + 1]:.6g} s, more than half of the log: "
-        "do the times count from two origins? --start and --end take one part"
+        "do the times count from two origins?"
     )
     order, notes = found.order, found.mapped.notes
     odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
@@ -331,15 +492,17 @@ def _amount_checks(found: Examined) -> list[Check]:
 
 def _value_checks(found: Examined) -> list[Check]:
     """Return the checks of the values of the samples."""
+    stuck = find_frozen(found.time_s, _measured(found.columns))
+    scales = {target: factor for target, (_, factor, _) in found.mapped.sources.items()}
     disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
-    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in found.frozen.items())
-    faults = "; ".join(f"{name} {text}" for name, text in found.unmeasured.items())
+    holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in stuck.items())
+    faults = "; ".join(f"{name} {text}" for name, text in find_unmeasured(found.columns, scales).items())
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     frozen, faulty = f"channels hold one value amid their motion: {holds}", f"channels look faulty: {faults}"
     uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
     enough = len(found.time_s) >= MIN_SAMPLES
-    measured = {name: values for name, values in found.channels.items() if not SET.fullmatch(name)}
-    long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in measured.values())
+    channels = {name: values for name, values in found.channels.items() if not SET.fullmatch(name)}
+    long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in channels.values())
     continuous = any(may_freeze(*channel) for channel in found.channels.items())
     limited = enough and any(map(LIMITED.fullmatch, found.channels))
     return [
@@ -352,15 +515,9 @@ def _value_checks(found: Examined) -> list[Check]:
 
 
 def _track_checks(found: Examined) -> list[Check]:
-    checks = []
-    line, cleaning = found.projection, found.cleaning
-    if line is not None:
-        across, extent = (numbers.number(v, 3, found.unit) for v in (line.across, line.extent))
-        why = f"the track leaves the line by {across} over {extent}, and is shortened by projecting it"
-        limit, keeps = f"≤ {100 * OFF_LINE:g} % of the extent", line.across <= OFF_LINE * line.extent
-        checks.append(_check("Distance from the line", keeps, limit, why, across))
+    cleaning = found.cleaning
     if cleaning is None:
-        return checks
+        return []
     lost, repeats = cleaning.counts["samples_jumped"], cleaning.counts["repeats"]
     seen, done = int(cleaning.good.sum()) + repeats + lost, found.done
     held = "the track holds repeated pictures (--clean leaves them out)"
@@ -371,7 +528,6 @@ def _track_checks(found: Examined) -> list[Check]:
     gaps = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
     kept, value = f"the track has gaps ({gaps}), which are kept", f"{repeats} of {seen} {done}"
     return [
-        *checks,
         _check("Repeated pictures", found.cleaned or not repeats, "none kept", held, value),
         _check(
             "Jumps",
@@ -406,7 +562,7 @@ def _stroke_checks(found: Examined) -> list[Check]:
 
 def _facts(found: Examined) -> dict[str, str]:
     """Return the facts of an imported log, in addition to the facts of any log."""
-    cleaning, speed, stroke, line = found.cleaning, found.speed, found.stroke, found.projection
+    cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     facts = {"Stroke": f"unknown: {found.unknown}"}
     if stroke is not None:
         facts["Stroke"] = f"{_frequency(stroke)} in {stroke.channel}"
@@ -418,40 +574,21 @@ def _facts(found: Examined) -> dict[str, str]:
     if speed is not None:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"
-    if line is not None:
-        way = ", ".join(f"{part:.4g}" for part in line.direction)
-        facts["Line"] = f"x_{found.unit} is the way along ({way})"
     return facts
 
 
 def _tables(found: Examined) -> list[Table]:
-    """Return the tables of the speed, of the stroke and its channels, and of the sources of the columns."""
-    tables, speed, stroke, unit = [], found.speed, found.stroke, found.unit
+    """Return the tables of the speed and of the sources of the columns."""
+    tables, speed, unit = [], found.speed, found.unit
     if speed is not None:
         rows: list[list[Any]] = [
             ["along the path", speed.path.value, speed.path.low, speed.path.high],
             ["along the line from start to end", speed.line.value, speed.line.low, speed.line.high],
-            ["naive mean of |dx/dt|", speed.naive_m_s, None, None],
         ]
         noise = numbers.number(speed.noise_m, 3, unit)
         caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
-    if stroke is not None:
-        rows = []
-        for h in stroke.harmonics:
-            frequency_hz = h.order * stroke.beat.frequency_hz
-            rows.append([f"{h.order} ×", frequency_hz, numbers.measured(h.amplitude, h.stderr)])
-        title = f"Stroke and harmonics in {stroke.channel}, over {stroke.beat.cycles:.3g} cycles"
-        columns = ["harmonic", "frequency (Hz)", "amplitude"]
-        tables.append(Table(id="stroke", title=title, columns=columns, rows=rows, folded=True))
-        rows = []
-        for name, beat in stroke.channels.items():
-            frequency = numbers.measured(beat.frequency_hz, beat.stderr_hz)
-            rows.append([name, frequency, beat.amplitude, 100 * beat.share])
-        title = "Beat of every channel"
-        columns = ["channel", "frequency (Hz)", "amplitude", "share of the variance (%)"]
-        tables.append(Table(id="beats", title=title, columns=columns, rows=rows, folded=True))
     rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
@@ -461,30 +598,10 @@ def _frequency(stroke: Rhythm) -> str:
     return numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
 
 
-def _methods(found: Examined) -> list[str]:
-    sentences = []
-    if found.cleaned:
-        sentences.append(
-            "Repeated samples of the camera and jumps, found by a Hampel identifier on the steps of the "
-            "track, were left out; gaps were not bridged."
-        )
-    if found.speed is not None:
-        sentences.append(
-            "The mean speed was taken along cubic smoothing splines, their smoothness chosen by "
-            "cross-validation, and corrected for the noise by a parametric bootstrap."
-        )
-    if found.stroke is not None:
-        sentences.append(
-            "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles "
-            "beside a cubic drift, by generalised least squares."
-        )
-    return sentences
-
-
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
     """Return the findings as plain data (numbers, text, lists and dicts)."""
     time, unit, step = found.time_s, found.unit, usual_step(found.time_s)
-    cleaning, speed, line, stroke = found.cleaning, found.speed, found.projection, found.stroke
+    cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     made: dict[str, Any] = {
         "file": str(found.path),
         "samples": len(time),
@@ -498,7 +615,7 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
         "unlikely": found.mapped.unlikely,
         "contradictions": [asdict(one) for one in found.contradictions],
         "stroke": {"unknown": found.unknown},
-        **dict.fromkeys(("track", "speed", "line")),
+        **dict.fromkeys(("track", "speed")),
         "verdict": proof.verdict.model_dump(),
         "checks": [check.model_dump() for check in proof.checks],
     }
@@ -515,7 +632,6 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             "path_ci95": [speed.path.low, speed.path.high],
             f"line_{unit}_s": speed.line.value,
             "line_ci95": [speed.line.low, speed.line.high],
-            f"naive_{unit}_s": speed.naive_m_s,
             f"noise_{unit}": speed.noise_m,
             "covered_s": speed.covered_s,
         }
@@ -524,16 +640,12 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             "frequency_hz": stroke.beat.frequency_hz,
             "stderr_hz": stroke.beat.stderr_hz,
             "ci95_hz": list(stroke.beat.interval_hz),
-            "period_s": stroke.period_s[0],
+            "period_s": 1.0 / stroke.beat.frequency_hz,
             "cycles": stroke.beat.cycles,
             "channel": stroke.channel,
             "maybe_double": stroke.maybe_double,
-            "harmonics": [asdict(harmonic) for harmonic in stroke.harmonics],
             "channels_hz": {n: b.frequency_hz for n, b in stroke.channels.items()},
             "rivals_hz": {n: b.frequency_hz for n, b in stroke.rivals.items()},
             "contradiction": found.against or None,
         }
-    if line is not None:
-        direction = line.direction.tolist()
-        made["line"] = {"direction": direction, "extent": line.extent, "across_rms": line.across}
     return made

@@ -31,8 +31,8 @@ TIME = "t_s"
 #: Relative tolerance of a stroke frequency. A frequency that differs by more contradicts the stated
 #: frequency.
 FREQUENCY_RTOL = 0.05
-#: Number of samples written at once, and number of bytes read at once.
-ROWS, BLOCK = 100_000, 1 << 20
+#: Number of samples written at once.
+ROWS = 100_000
 #: Type of a log as an argument: the path of the log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -107,12 +107,7 @@ class Log:
         for column in (TIME, *required):
             if column not in given:
                 raise missing_column(column, list(given), path, None)
-        columns = {}
-        for column, values in ({TIME: given[TIME]} | given).items():
-            strict = column == TIME or column in required
-            numbers = _numbers(values, strict, lambda row: {"row": row}, path, column)
-            if numbers is not None:
-                columns[column] = numbers
+        columns = _columns({TIME: given[TIME]} | given, {TIME, *required}, lambda row: {"row": row}, path)
         log = cls(path, dict(metadata or {}), columns, None)
         _check(log, required)
         return log
@@ -309,12 +304,8 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     if all(number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
     wanted = _wanted(names, required, optional, path, header_line)
-    source: Path | bytes = path
-    skip = header_line
-    if any('"' in line for line in comments):
-        # pandas would skip the lines up to the next quotation mark
-        source, skip = path.read_bytes().split(b"\n", header_line)[-1], 0
-    read = partial(tabular.parse, source, names, skip_lines=skip)
+    text = path.read_bytes().split(b"\n", header_line)[-1]
+    read = partial(tabular.parse, text, names)
     try:
         table = read(dict.fromkeys(wanted, float))
     except ValueError:
@@ -324,17 +315,20 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
         except ValueError as error:
             _refuse_ragged(path, header_line, len(names))
             raise InputError(f"cannot be parsed: {first_line(error)}", file=path) from error
-    if table[names[-1]].isna().any() or not _is_regular(path, header_line, len(table), len(names)):
+    is_regular = b'"' not in text and text.count(b",") == len(table) * (len(names) - 1)
+    if table[names[-1]].isna().any() or not is_regular:
         _refuse_ragged(path, header_line, len(names))
-    columns: dict[str, NDArray[np.float64]] = {}
-    for name in wanted:
-        strict = name in {TIME, *required, *(optional or ())}
-        values = _numbers(
-            table[name], strict, lambda row: {"line": _line_of(path, header_line, row)}, path, name
-        )
-        if values is not None:
-            columns[name] = values
+    cells, strict = {name: table[name] for name in wanted}, {TIME, *required, *(optional or ())}
+    columns = _columns(cells, strict, lambda row: {"line": _line_of(path, header_line, row)}, path)
     return Log(path, metadata, columns, header_line + 1)
+
+
+def _columns(
+    cells: Mapping[str, Any], strict: set[str], place: Callable[[int], dict[str, Any]], path: Path
+) -> dict[str, Array]:
+    """Return the columns of numbers; an error is raised for a column in ``strict`` that holds text."""
+    found = {name: _numbers(values, name in strict, place, path, name) for name, values in cells.items()}
+    return {name: values for name, values in found.items() if values is not None}
 
 
 def _numbers(
@@ -393,19 +387,6 @@ def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
         yield from ((at, line) for at, line in lines if at > header_line and line.strip())
 
 
-def _is_regular(path: Path, header_line: int, rows: int, width: int) -> bool:
-    """Return whether the file has no quotation mark and the number of commas of a table of this shape."""
-    commas = 0
-    with path.open("rb") as stream:
-        for _ in range(header_line):
-            stream.readline()
-        for block in iter(partial(stream.read, BLOCK), b""):
-            if b'"' in block:
-                return False
-            commas += block.count(b",")
-    return commas == rows * (width - 1)
-
-
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
     """Raise an error at the first line that has more or fewer cells than the header."""
     for at, line in _samples(path, header_line):
@@ -437,14 +418,11 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
         raise InputError(f"is no readable Parquet file: {first_line(error)}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")
     metadata = metadata_of(stored.decode("utf-8", "replace").splitlines(), path)
-    columns = {}
-    for name in wanted:
-        kind, types = table.schema.field(name).type, pyarrow.types
-        if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind):
-            columns[name] = table.column(name).to_pandas().to_numpy(dtype=float, na_value=np.nan)
-        elif name in {TIME, *required, *(optional or ())}:
-            raise InputError(f"holds {kind}, not numbers", file=path, column=name)
-    return Log(path, metadata, columns)
+    cells, strict = (
+        arrays(table.to_pandas(ignore_metadata=True), str(path)),
+        {TIME, *required, *(optional or ())},
+    )
+    return Log(path, metadata, _columns(cells, strict, lambda row: {"row": row + 1}, path))
 
 
 # ---------------------------------------------------------------- checks
@@ -524,8 +502,6 @@ def write(
     path: str | Path,
     columns: Mapping[str, Any],
     metadata: Mapping[str, Any] | None = None,
-    *,
-    step: Callable[[int], object] = lambda amount: None,
 ) -> None:
     """Write a log in blocks of rows. If writing fails, an existing file is not changed.
 
@@ -536,8 +512,6 @@ def write(
         text are allowed.
     metadata : mapping, optional
         Entries of the ``# key: value`` lines.
-    step : callable
-        Function that is called after each block with its number of samples.
     """
     import pandas as pd
 
@@ -554,7 +528,6 @@ def write(
             with pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer:
                 for piece in pieces:
                     writer.write_table(pyarrow.Table.from_pandas(piece, schema, preserve_index=False))
-                    step(len(piece))
             return
         stream.writelines(f"# {line}\n".encode() for line in lines)
         stream.write(frame.iloc[:0].to_csv(index=False, lineterminator="\n").encode())
@@ -564,7 +537,6 @@ def write(
                 stream.write(_printed(piece.to_numpy()))
             else:
                 stream.write(piece.to_csv(index=False, header=False, lineterminator="\n").encode())
-            step(len(piece))
 
 
 def _printed(samples: NDArray[np.float64]) -> bytes:

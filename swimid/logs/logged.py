@@ -97,19 +97,12 @@ class Logged(Result):
 
     def _own_tables(self) -> list[Table]:
         rows: list[list[Any]] = []
-        after = pauses(self.log.time_s)
-        for name, values in self.log.columns.items():
-            if name == log.TIME:
-                continue
+        for name, values in _signals(self.log).items():
+            lost = numbers.percent(float(np.isnan(values).mean()))
             known = values[np.isfinite(values)]
-            gaps = _missing(self.log.time_s, values, after)
-            ends: list[float | None] = [None, None]
-            if len(known):
-                ends = [float(known.min()), float(known.max())]
-            lost = numbers.percent(1 - len(known) / len(values))
-            longest = max((end - start for start, end in gaps), default=0.0)
-            rows.append([name, *ends, lost, numbers.number(longest, 3, "s")])
-        columns = ["channel", "smallest", "largest", "missing", "longest gap"]
+            ends = [float(end(known)) for end in (np.min, np.max) if len(known)]
+            rows.append([name, *(ends or (None, None)), lost])
+        columns = ["channel", "smallest", "largest", "missing"]
         folded = self.evidence is not None
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
@@ -133,8 +126,6 @@ class Logged(Result):
 MAX_PANELS = 12
 #: Maximum number of shaded gaps in a panel, of spectra in a figure, and of arrows along a path.
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
-#: Names of columns that show the same channel as another column, by name.
-SAME_CHANNEL = {"wz_rad_s": "yaw_rate_rad_s"}
 
 
 def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figure]:
@@ -181,10 +172,7 @@ def channels(logs: Sequence[Log]) -> Figure:
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
     for number, record in enumerate(logs):
         for column, values in _signals(record).items():
-            channel = column
-            if several:
-                channel = SAME_CHANNEL.get(column, column)
-            by_channel.setdefault(channel, []).append((number, record, values))
+            by_channel.setdefault(column, []).append((number, record, values))
     # list channels of several logs before the others
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []
@@ -211,7 +199,6 @@ def channels(logs: Sequence[Log]) -> Figure:
         if len(record) > MAX_POINTS:
             text = f"{len(record)} samples drawn as their envelope of {MAX_POINTS} points"
             warn("SWM051", f"{record.path.name}: {text}")
-            caption += f" The {text.replace('drawn', 'are drawn')}."
     if len(order) > MAX_PANELS:
         caption += f" {len(order) - MAX_PANELS} further channels are not drawn."
     return Figure(id="channels", title=title, caption=caption, panels=panels)
@@ -240,8 +227,6 @@ def track(logs: Sequence[Log]) -> Figure | None:
         line = (_broken(record.time_s, values, after)[1][::step] for values in (x, y))
         traces.append(Trace(**dict(zip("xy", line, strict=True)), label=path))
         there = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-        if len(there) and not several:
-            traces.append(Trace(x=x[there[:1]], y=y[there[:1]], label="start", style="points"))
         heading = {"y_m": "yaw_rad", "z_m": "pitch_rad"}[up]
         if heading in record and len(there) > 1:
             traces.append(_arrows(x, y, record[heading], arrows))

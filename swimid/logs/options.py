@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import math
 from typing import Any, Self
 
 from pydantic import model_validator
@@ -21,7 +19,7 @@ class ImportOptions(Options):
         flag="--as",
         metavar="FORMAT",
         help="Format of the file: ardupilot, deeplabcut, dynamixel, opensim, px4, ros2, sleap, swimid, "
-        "tracker, delimited, hdf5, jsonl, mat, mcap, parquet, ulog  [default: recognised by its content].",
+        "tracker, delimited, hdf5, mat, mcap, parquet, ulog  [default: recognised by its content].",
     )
     select: str | None = option(
         None,
@@ -46,20 +44,6 @@ class ImportOptions(Options):
         help="Leave repeats and jumps out of the track, or keep them  "
         "[default: clean a track of two coordinates].",
     )
-    start_s: float | None = option(None, flag="--start", help="Keep the log from here, s on its own clock.")
-    end_s: float | None = option(None, flag="--end", help="Keep the log up to here, s.")
-    along: str | None = option(
-        None,
-        metavar="LINE",
-        help="Replace the track by its distance along a line, x_m: line (the one closest to the track), "
-        "x, -y, z, or components as in 0.6,-0.8.",
-    )
-    scale: float | None = option(
-        None,
-        metavar="M_PER_PX",
-        recorded="metres_per_pixel",
-        help="Metres per pixel, for a track in pixels.",
-    )
     stroke_hz: tuple[float, float] | None = option(
         None,
         flag="--stroke",
@@ -75,14 +59,8 @@ class ImportOptions(Options):
 
     @model_validator(mode="after")
     def _can_be_meant(self) -> Self:
-        if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
-            raise UsageError(f"--end {self.end_s:g} lies before --start {self.start_s:g}")
-        if self.scale is not None and not (math.isfinite(self.scale) and self.scale > 0):
-            raise UsageError(f"--scale {self.scale:g}: a pixel has a positive size in metres")
         if self.stroke_hz is not None and not 0 < self.stroke_hz[0] < self.stroke_hz[1]:
             raise UsageError("--stroke takes two frequencies in Hz, the lower first")
-        if self.along is not None:
-            direction(self.along)
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
@@ -90,33 +68,12 @@ class ImportOptions(Options):
         return {key: value for key, value in super().settings(**found).items() if value is not None}
 
 
-def direction(text: str) -> tuple[float, ...] | None:
-    """Return the unit vector of a direction written as ``x``, ``-y`` or ``0.6,-0.8``; None for ``line``.
-
-    Raises
-    ------
-    UsageError
-        The text is no direction.
-    """
-    if text == "line":
-        return None
-    parts: list[float] = []
-    if text[-1:] in ("x", "y", "z") and text[:-1] in ("", "-", "+"):
-        parts = [float(f"{text[:-1]}1") * (axis == text[-1]) for axis in "xyz"]
-    with contextlib.suppress(ValueError):
-        parts = parts or [float(part) for part in text.split(",")]
-    if len(parts) not in (2, 3) or not all(map(math.isfinite, parts)) or not any(parts):
-        hint = "give line, x, -y, z or components as in 0.6,-0.8"
-        raise UsageError(f"--along: '{text}' is no direction", hint=hint)
-    return tuple(part / math.hypot(*parts) for part in [*parts, 0.0][:3])
-
-
 class PlotOptions(
     Options,
     command="plot",
     section="Publish",
     argument="LOG...",
-    output="The picture: .html, .svg or .png.",
+    output="The picture: .svg or .png.",
     required=True,
     beside=(),
 ):
@@ -124,7 +81,7 @@ class PlotOptions(
 
     Examples:
       swimid plot run.csv -o run.png
-      swimid plot imu.csv camera.csv -o both.html
+      swimid plot imu.csv camera.csv -o both.svg
     """
 
     title: str | None = option(None, help="Title above the figures.")

@@ -3,47 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
 from swimid.errors import UsageError
-from swimid.files import atomic, provenance
+from swimid.files import atomic
 from swimid.logs import log
 from swimid.logs.log import LogLike
 from swimid.logs.logged import figures_of
 from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, drawing, page
+from swimid.results import blocks, drawing
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.result import Result
 
-PAGES = (".html", ".htm")
 PICTURES = (".svg", ".png")
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn(Result):
-    """Figures of logs: result of ``plot``. They are saved as one page or picture.
-
-    Attributes
-    ----------
-    inputs : sequence of path or Log
-        Paths of the logs that were drawn, or logs in memory.
-    progress : Progress
-        Shows the progress of the drawing.
-    """
+    """Figures of logs: result of ``plot``. They are saved as one picture."""
 
     kind = "Log"
 
-    inputs: Sequence[provenance.Input] = ()
-    progress: Progress = field(default=silent, repr=False)
-
     def save(self, path: str | Path) -> Self:
-        """Write the figures to a file that ends in ``.html``, ``.svg`` or ``.png``.
+        """Write the figures to a file that ends in ``.svg`` or ``.png``.
 
         Raises
         ------
@@ -54,28 +40,8 @@ class Drawn(Result):
         """
         path = _picture(Path(path))
         assert self.evidence is not None
-        figures = self.evidence.figures
-        if path.suffix.lower() in PAGES:
-            digests = {str(provenance.path_of(one)): provenance.digest_of(one) for one in self.inputs}
-            text = page.render(
-                [self],
-                [self.content()],
-                template="report.html",
-                title=self.evidence.title,
-                created=datetime.now(UTC),
-                digests=digests,
-                progress=self.progress,
-            )
-            atomic.write_text(path, text)
-        else:
-            with self.progress("drawing", total=sum(len(figure.panels) for figure in figures)) as step:
-                drawing.write(path, figures, title=self.evidence.title, step=step)
+        drawing.write(path, self.evidence.figures, title=self.evidence.title)
         return replace(self, outputs=(*self.outputs, path))
-
-    @property
-    def path(self) -> Path:
-        """Path of the first log."""
-        return provenance.path_of(self.inputs[0])
 
 
 @takes(PlotOptions)
@@ -84,7 +50,6 @@ def plot(
     *,
     options: PlotOptions,
     output: str | Path | None = None,
-    progress: Progress = silent,
 ) -> Drawn:
     """Draw logs: channels over time, the track from above, and spectra of the channels.
 
@@ -96,9 +61,7 @@ def plot(
         Logs. Several logs are drawn over each other, each with its own time axis origin. A table has the
         columns of the log format, shape (n, k), in SI units.
     output : path, optional
-        File that ends in ``.html``, ``.svg`` or ``.png``. Without this path nothing is written.
-    progress : Progress
-        Shows the progress of the drawing.
+        File that ends in ``.svg`` or ``.png``. Without this path nothing is written.
 
     Returns
     -------
@@ -127,19 +90,14 @@ def plot(
     if output is not None:
         paths = [one for one in logs if isinstance(one, str | Path)]
         output = atomic.check_writable(_picture(Path(output)), inputs=paths)
-    name = "log {}" if len(logs) > 1 else "log"
-    inputs: list[provenance.Input] = []
     records: list[log.Log] = []
     with recorded(repeat=True) as notices:
         for number, given in enumerate(logs, start=1):
             if isinstance(given, str | Path):
-                # a path that is named twice is drawn once
-                if (path := Path(given)) not in inputs:
-                    inputs.append(path)
-                    records.append(log.read(path))
+                records.append(log.read(given))
             else:
-                records.append(log.of(given, name=name.format(number)))
-                inputs.append(records[-1])
+                name = f"log {number}" if len(logs) > 1 else "log"
+                records.append(log.of(given, name=name))
         figures = figures_of(records)
     proof = Evidence(
         command="plot",
@@ -149,13 +107,12 @@ def plot(
         figures=figures,
         notices=blocks.notices(notices),
     )
-    paths = [str(provenance.path_of(one)) for one in inputs]
-    data = {"logs": paths, "figures": [figure.id for figure in figures]}
-    drawn = Drawn("plot", "", data, evidence=proof, document=records, inputs=inputs, progress=progress)
+    data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
+    drawn = Drawn("plot", "", data, evidence=proof, document=records)
     return drawn.saved(output)
 
 
 def _picture(path: Path) -> Path:
-    if path.suffix.lower() not in (*PAGES, *PICTURES):
-        raise UsageError(f"{path}: a picture ends in {', '.join((*PAGES, *PICTURES))}")
+    if path.suffix.lower() not in PICTURES:
+        raise UsageError(f"{path}: a picture ends in {' or '.join(PICTURES)}")
     return path

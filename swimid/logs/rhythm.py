@@ -1,4 +1,4 @@
-"""Stroke of a swimmer, estimated from all channels of a log: frequency and harmonics."""
+"""Stroke of a swimmer, estimated from all channels of a log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.beat import (
-    MAX_HARMONIC,
     MIN_CYCLES,
     MIN_SHARE,
     Beat,
@@ -71,26 +70,6 @@ MAX_RATE_HZ = 60.0
 #: Minimum fraction of a channel's samples in its longest gap-free part, for a search in this part only. With
 #: a smaller fraction all samples are used with their gaps, if there are at most ``MAX_SAMPLES``.
 MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
-#: Minimum ratio of the amplitude of a significant harmonic to its standard error. The amplitude of white
-#: noise has a Rayleigh distribution and exceeds this ratio in one of a hundred records.
-HARMONIC_Z = float(np.sqrt(2.0 * np.log((MAX_HARMONIC - 1) / 0.01)))
-
-
-@dataclass(frozen=True)
-class Harmonic:
-    """Harmonic of the stroke in one channel.
-
-    Attributes
-    ----------
-    order : int
-        Order of the harmonic; 1 for the stroke itself.
-    amplitude, stderr : float
-        Amplitude and its standard error, in the unit of the channel.
-    """
-
-    order: int
-    amplitude: float
-    stderr: float
 
 
 @dataclass(frozen=True)
@@ -103,8 +82,6 @@ class Rhythm:
         Periodic motion of the channel whose frequency has the smallest standard error.
     channel : str
         Name of that channel.
-    harmonics : list of Harmonic
-        Significant harmonics in that channel.
     channels : dict of str to Beat
         Strongest beat of each channel that has a beat.
     maybe_double : bool
@@ -117,7 +94,6 @@ class Rhythm:
 
     beat: Beat
     channel: str
-    harmonics: list[Harmonic]
     channels: dict[str, Beat]
     maybe_double: bool
     rivals: dict[str, Beat] = field(default_factory=dict)
@@ -137,12 +113,6 @@ class Rhythm:
                 f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but very small fish beat"
             )
         return "; ".join(said)
-
-    @property
-    def period_s(self) -> tuple[float, float]:
-        """Period of the stroke and its standard error, s."""
-        period = 1.0 / self.beat.frequency_hz
-        return period, period**2 * self.beat.stderr_hz
 
 
 def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict[str, Array]:
@@ -246,7 +216,7 @@ def find(
     if stated_hz is not None and range_hz is None:
         ranges.append(((1 - FREQUENCY_RTOL) * stated_hz, (1 + FREQUENCY_RTOL) * stated_hz))
     for within in ranges:
-        channels, seen = _motions(time_s, columns, within)
+        seen = _motions(time_s, columns, within)
         pushed = {n: b for n, b in seen.items() if PUSHED.fullmatch(n) or n in ALONG}
         beats = {n: b for n, b in seen.items() if SIDEWAYS.fullmatch(n)} or seen
         if not beats:
@@ -270,7 +240,6 @@ def find(
         return Rhythm(
             best[channel],
             channel,
-            _harmonics(*_as_logged(time_s, channels[channel]), best[channel].frequency_hz),
             {name: found[0] for name, found in beats.items()},
             maybe_double=channel in pushed,
             rivals=rivals,
@@ -280,8 +249,8 @@ def find(
 
 def _motions(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
-) -> tuple[dict[str, Array], dict[str, list[Beat]]]:
-    """Return the channels of a log that may move with the stroke, and the beats found in these channels.
+) -> dict[str, list[Beat]]:
+    """Return the beats found in the channels of a log that may move with the stroke.
 
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
@@ -309,7 +278,7 @@ def _motions(
             ]
         last_place = _last_place(columns, name)
         seen[name] = [beat for beat in seen[name] if not _is_rounding(beat, last_place)]
-    return channels, {name: beats for name, beats in seen.items() if beats}
+    return {name: beats for name, beats in seen.items() if beats}
 
 
 def _last_place(columns: Mapping[str, Array], name: str) -> float:
@@ -495,32 +464,3 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
     if known.sum() < 16 or np.ptp(even[known]) == 0:
         return np.empty(0), np.empty(0)
     return time, even
-
-
-def _as_logged(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return the logged samples of the period that :func:`_prepared` returns.
-
-    The logged samples are used because interpolation would cause harmonics.
-    """
-    time, even = _prepared(time_s, values)
-    first, last = np.searchsorted(time_s, (time[0], time[-1]))
-    there = np.flatnonzero(np.isfinite(values[first : last + 1])) + first
-    if len(there) > 2 * len(time):
-        return time, even
-    return time_s[there], values[there]
-
-
-def _harmonics(time: Array, values: Array, frequency: float) -> list[Harmonic]:
-    """Return the significant harmonics of a channel, by a fit of a sine series and a cubic trend."""
-    known = np.isfinite(values)
-    t, x = time[known] - time[known].mean(), values[known]
-    nyquist = 0.5 / float(np.median(np.diff(time)))
-    orders = [k for k in range(1, MAX_HARMONIC + 1) if k * frequency < 0.9 * nyquist]
-    drift = np.vander(t / max(float(np.ptp(t)), 1e-300), 4)
-    matrix = np.column_stack((drift, waves(t, frequency, orders)))
-    weights = np.linalg.lstsq(matrix, x, rcond=None)[0]
-    left = x - matrix @ weights
-    stderr = float(np.sqrt(2 * left @ left / max(len(x) - len(weights), 1) / len(x)))
-    amplitudes = np.hypot(weights[4::2], weights[5::2])
-    harmonics = [Harmonic(k, float(size), stderr) for k, size in zip(orders, amplitudes, strict=True)]
-    return [one for one in harmonics if one.order == 1 or one.amplitude > HARMONIC_Z * stderr]

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.log import TIME, runs
-from swimid.logs.units import measured
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -714,6 +713,8 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     >>> find_unmeasured({"t_s": t, "depth_m": 0 * t + 1.2}, {})
     {'depth_m': 'holds one value in every sample (1.2)'}
     """
+    from swimid.logs.units import measured
+
     found: dict[str, str] = {}
     earlier: dict[str, Array] = {}
     for name, values in columns.items():

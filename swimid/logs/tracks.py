@@ -220,8 +220,6 @@ class TrackSpeed:
         Mean of the speed along the path, including sway and turns, m/s.
     line : Estimate
         Displacement divided by duration, after the periodic motion is averaged out, m/s.
-    naive_m_s : float
-        Mean of ``|dx/dt|`` over all samples of the file, without cleaning, m/s.
     noise_m : float
         Standard deviation of a coordinate about the smoothed path, m.
     covered_s : float
@@ -230,7 +228,6 @@ class TrackSpeed:
 
     path: Estimate
     line: Estimate
-    naive_m_s: float
     noise_m: float
     covered_s: float
 
@@ -263,16 +260,6 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
         half = float(stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)) * widen)
     half = float(np.hypot(half, shift))
     return Estimate(value + shift, value + shift - half, value + shift + half)
-
-
-def naive(time_s: Array, positions: list[Array]) -> float:
-    """Return the mean of ``|dx/dt|`` over the known samples, m/s; NaN for fewer than two samples."""
-    place = np.column_stack(positions)
-    there = np.isfinite(place).all(axis=1)
-    if there.sum() < 2:
-        return float("nan")
-    steps = np.linalg.norm(np.diff(place[there], axis=0), axis=1)
-    return float(np.mean(steps / np.diff(time_s[there])))
 
 
 def net_speed(
@@ -410,7 +397,7 @@ def speed(
        Mathematik 31, 377-403. doi:10.1007/BF01404567
     .. [2] Efron, B., Tibshirani, R. J. (1993). An Introduction to the Bootstrap. Chapman & Hall.
     """
-    place, stamps, stamp_sd_s = np.column_stack(positions), time_s, 0.0
+    place, stamp_sd_s = np.column_stack(positions), 0.0
     if cleaning.held is not None:
         time_s, stamp_sd_s = cleaning.held.measured_s, cleaning.held.measured_sd_s
     rng = np.random.default_rng(0)
@@ -439,7 +426,6 @@ def speed(
     return TrackSpeed(
         mean_of_blocks(along, weights[used], -excess / covered),
         line,
-        naive(stamps, positions),
         float(np.sqrt(squares / max(count, 1))),
         covered,
     )

@@ -9,7 +9,7 @@ import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Discriminator, Field, PositiveFloat, PrivateAttr, Tag, model_validator
 
@@ -73,12 +73,11 @@ class Trial(yamlio.Document):
     start_s: float | None = None
     end_s: float | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _name_after_log(cls, data: Any) -> Any:
-        if isinstance(data, dict) and isinstance(data.get("log"), str) and "id" not in data:
-            data = {**data, "id": Path(data["log"]).name}
-        return data
+    @model_validator(mode="after")
+    def _name_after_log(self) -> Self:
+        if "id" not in self.model_fields_set:
+            self.id = Path(self.log).name
+        return self
 
 
 class RigTrial(Trial):
@@ -352,7 +351,7 @@ def read(
             what = f"'{experiment}' is not allowed"
         if close:
             hint = f"did you mean '{close}'?"
-        text, line = f"{what}; here: {', '.join(names)}", _key_line(data, "experiment")
+        text, line = f"{what}; here: {', '.join(names)}", yamlio.line_of(data, ["experiment"])
         raise InputError(text, file=path, line=line, column="experiment", hint=hint)
     trials: Any = held or yamlio.validate(data, EXPERIMENTS[experiment], path)
     if uses is not None:
@@ -362,10 +361,10 @@ def read(
     for index, name in enumerate(ids):
         if name in ids[:index]:
             text = f"two trials have the id '{name}'"
-            raise InputError(text, file=path, line=_line(data, index), column="id")
+            raise InputError(text, file=path, line=yamlio.line_of(data, ["trials", index]), column="id")
     for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
         if same_recording(one, path.parent / one.log, other, path.parent / other.log):
-            check_apart(one, other, path, _line(data, index))
+            check_apart(one, other, path, yamlio.line_of(data, ["trials", index]))
     return trials
 
 
@@ -379,16 +378,6 @@ def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
     if not (one.is_file() and other.is_file()) or one.stat().st_size != other.stat().st_size:
         return False
     return filecmp.cmp(one, other, shallow=False)
-
-
-def _line(data: Any, trial: int) -> int | None:
-    trials = data.get("trials")
-    return None if trials is None else int(trials.lc.item(trial)[0]) + 1
-
-
-def _key_line(data: Any, key: str) -> int | None:
-    positions = getattr(data, "lc", None)
-    return None if positions is None or key not in data else int(positions.key(key)[0]) + 1
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -411,10 +400,10 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
     key = unused[0].removeprefix("trials.")
     for index, trial in enumerate(getattr(trials, "trials", [])):
         if key in dict(given(trial)):
-            where, line = f"the trial '{trial.id}' sets", _line(data, index)
+            where, line = f"the trial '{trial.id}' sets", yamlio.line_of(data, ["trials", index])
             break
     else:
-        where, line = "sets", _key_line(data, key)
+        where, line = "sets", yamlio.line_of(data, [key])
     hint = "leave it out if it does not matter, else this is not the fit for these trials"
     raise InputError(
         f"{where} '{key}', which has no effect here", file=path, line=line, column=key, hint=hint

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, yamlio
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
 from swimid.notices import Notice, recorded

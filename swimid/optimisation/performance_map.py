@@ -15,7 +15,7 @@ from pydantic import Field
 
 from swimid.errors import UsageError
 from swimid.files import atomic, yamlio
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
 from swimid.files.yamlio import Number, Rows
 from swimid.fitting.fit_common import read_log

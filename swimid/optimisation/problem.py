@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import yamlio
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting import global_search
 from swimid.fitting.model import Array

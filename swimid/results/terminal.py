@@ -79,7 +79,7 @@ NEXT = {
         "swimid compare {trials} --params {file} -o comparison.yaml",
     ),
     "compare": "swimid diagnose {trials} --params {params} -o gap.yaml",
-    **dict.fromkeys(("track video", "track imu", "import", "simulate"), "swimid plot {file} -o log.html"),
+    **dict.fromkeys(("track video", "track imu", "import", "simulate"), "swimid plot {file} -o log.svg"),
     **dict.fromkeys(("diagnose", "rwls", "map", "sensitivity"), "swimid report {file} -o report.html"),
 }
 

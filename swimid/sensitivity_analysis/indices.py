@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult, UsageError
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
 from swimid.progress import Progress, silent

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.logs.kinematics import CYCLE_QUANTITIES

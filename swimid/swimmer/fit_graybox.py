@@ -13,7 +13,7 @@ import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, metrics, mistakes, output_error
 from swimid.fitting.drives import Beat
 from swimid.fitting.fit_common import Experiment

@@ -19,7 +19,7 @@ import pandas as pd
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.files import atomic
-from swimid.files.checkpoint import Checkpoint
+from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, global_search, output_error
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.global_search import Front

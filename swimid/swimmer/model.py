@@ -22,7 +22,7 @@ from swimid.swimmer.planar.engine import sampled
 from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
-    from swimid.files.checkpoint import Checkpoint
+    from swimid.files.atomic import Checkpoint
     from swimid.swimmer.energetics import Energetics
     from swimid.swimmer.steady import Cruise, SteadySwimming
 

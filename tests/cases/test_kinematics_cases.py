@@ -59,7 +59,7 @@ def test_constant_stretches_are_imported(name: str, case: Case, swimid: Run) -> 
 
 def test_constant_stretches_are_plotted(case: Case, swimid: Run) -> None:
     case("r-import-steps", "make.py")
-    assert swimid("plot", "steps.csv", "-o", "s.html").status == 0
+    assert swimid("plot", "steps.csv", "-o", "s.svg").status == 0
 
 
 @pytest.mark.parametrize("name,channel", [("m1", "yaw_rad"), ("m2", "joint2_rad")])

@@ -1,7 +1,11 @@
 """Readers of file formats: a :class:`Format` reads a file into a :class:`Table`.
 
-All formats in the modules of this package and of ``profiles`` are found automatically. To add a format, add a
-module.
+All formats in the modules of this package are found automatically. To add a format, add a module.
+
+A profile is a format that recognises its files by their content. It knows the units, axes and conventions of
+these files, or reads them from the file. It returns a table in SI units whose columns are named as in the log
+format. Times are in the column ``t_s``. A format without times has a column ``frame``, and the frame rate is
+in ``scalars["rate_hz"]`` if the file states it.
 """
 
 from __future__ import annotations
@@ -10,10 +14,11 @@ import codecs
 import contextlib
 import importlib
 import pkgutil
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import chain
 from pathlib import Path
@@ -34,6 +39,9 @@ from swimid.errors import (
 from swimid.files import yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
+from swimid.logs.units import UNITS, canonical
+
+Array = NDArray[np.float64]
 
 #: Maximum length of a list whose elements become columns.
 MAX_ELEMENTS = 100
@@ -322,17 +330,86 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
     return table
 
 
+# ---------------------------------------------------------------- help for profiles
+
+
+def safe(name: str) -> str:
+    """Return a name that consists of letters, digits and underscores, and begins with a letter.
+
+    >>> safe("tail tip"), safe("/hip/value"), safe("2nd")
+    ('tail_tip', 'hip_value', 'p2nd')
+    """
+    words = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    return words if words[:1].isalpha() else f"p{words}"
+
+
+def length(unit: str | None, path: Path) -> tuple[float, str]:
+    """Return the factor of a unit of length to SI, and the resulting unit, "m" or "px".
+
+    Raises
+    ------
+    InputError
+        The unit is None, empty, or not a unit of length.
+    """
+    factors = {"px": 1.0, **UNITS["length"]}
+    name = canonical(unit or "")
+    hint = f"add --length-unit with one of: {', '.join(factors)}"
+    if not name:
+        raise InputError("states no unit of length", file=path, hint=hint)
+    if name not in factors:
+        raise InputError(f"'{name}' is no unit of length", file=path, hint=hint)
+    return factors[name], name if name == "px" else "m"
+
+
+def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
+    """Return the names of the components of a vector in the file, each with the column name in the log.
+
+    >>> axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz")
+    {'GyrX': 'wx_rad_s', 'GyrY': 'wy_rad_s', 'GyrZ': 'wz_rad_s'}
+    """
+    pairs = zip(letters, names or letters, strict=True)
+    return {source.format(letter): target.format(name) for letter, name in pairs}
+
+
+def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
+    """Return the columns of numbers with these names in the file, under their names in the log."""
+    columns = table.columns
+    found = [name for name in names if name in columns and not is_text(columns[name])]
+    return {names[name]: columns[name].astype(float) for name in found}
+
+
+def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
+    """Return a table with only the rows flagged in ``kept``."""
+    lines = None if table.lines is None else table.lines[kept]
+    return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
+
+
+def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return the numbers after the first ``start`` lines, shape (n, width), and their lines; NaN if empty.
+
+    Raises
+    ------
+    InputError
+        There are no numbers after the header.
+    """
+    import pandas as pd
+
+    layout = {"sep": delimiter, "skiprows": start, "names": range(width), "index_col": False}
+    table = pd.read_csv(path, skip_blank_lines=False, **layout)
+    table = table.apply(pd.to_numeric).dropna(how="all")
+    if table.empty:
+        raise InputError("holds no samples under its header", file=path)
+    return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1
+
+
+# ---------------------------------------------------------------- formats
+
+
 @cache
 def formats() -> dict[str, Format]:
-    """Return all formats in the modules of ``profiles`` and ``foreign``, by name."""
-    packages = [importlib.import_module(f"swimid.logs.{name}") for name in ("profiles", "foreign")]
-    entries = [
-        entry
-        for package in packages
-        for entry in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
-    ]
+    """Return all formats in the modules of this package, by name."""
     objects: list[Any] = []
-    for entry in entries:
+    for entry in pkgutil.iter_modules(__path__, f"{__name__}."):
         objects += vars(importlib.import_module(entry.name)).values()
     return {one.name: one for one in objects if isinstance(one, Format)}
 
@@ -359,7 +436,8 @@ def find_format(path: Path, name: str | None) -> Format:
         return known[name]
     begins = [one for one in known.values() if one.magic and peek.head.startswith(one.magic)]
     ends = [one for one in known.values() if path.suffix.lower() in one.endings]
-    for one in known.values():
+    # a log of another program may have a column with the name of the time in the log format
+    for one in sorted(known.values(), key=lambda one: one.name == "swimid"):
         fits = one in begins or not one.magic
         if name is not None and one.recognises is not None and fits and one.recognises(peek):
             return one

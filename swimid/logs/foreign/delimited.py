@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -39,11 +38,8 @@ _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 #: Characters that are exchanged so that the decimal mark is a point, for each decimal mark of a file.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-#: Pattern of a number with a unit, as in ``0.05 kg``.
-_QUANTITY = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) ?([^\d\s.,+:/-][^\d\s.,:]*[\d]?)"
-#: Pattern of a cell that belongs to a sample but is no plain number: a date, a time of day, or a number with
-#: a unit.
-_SAMPLE = re.compile(rf"\d{{1,4}}[-/.]\d\d?[-/.]\d{{1,4}}([T ].*)?|\d\d?:\d\d(:\d\d)?.*|{_QUANTITY}")
+#: Pattern of a cell that belongs to a sample but is no plain number: a date or a time of day.
+_SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
 
 
@@ -89,11 +85,6 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
     stated = dict(zip(found.names, found.units, strict=False))
-    plain = None if options.missing else _read_plain(text, found)
-    if plain is not None:
-        rows = np.arange(plain.shape[1], dtype=np.int64) + found.first_line
-        columns = dict(zip(found.names, plain, strict=True))
-        return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
     parsed, width = None, len(found.names)
     if b'"' not in text:
         parsed = _parse(text, found, options)
@@ -110,11 +101,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
         notes += _note_ragged(broken, width, len(rows), path)
         if broken or parsed is None:
             parsed = _parse(b"\n".join(line for _, line in filled), found, options)
-    columns = {}
-    for name in found.names:
-        columns[name], unit = _convert(parsed[name], found.decimal)
-        if unit:
-            stated[name] = unit
+    columns = {name: _convert(parsed[name], found.decimal) for name in found.names}
     return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
 
 
@@ -258,21 +245,6 @@ def _fill(cells: list[str]) -> list[str]:
     return filled[1:]
 
 
-def _read_plain(text: bytes, found: Layout) -> NDArray[np.float64] | None:
-    """Return the columns of a short text if all its cells are numbers, shape (k, n); otherwise None.
-
-    The text is read without pandas, because importing pandas takes longer than all other work on a short log.
-    """
-    width, lines = len(found.names), text.count(b"\n") + (not text.endswith(b"\n"))
-    if len(text) > SAMPLE or len(found.numbers) < width or found.decimal != ".":
-        return None
-    try:
-        cells = np.loadtxt(io.BytesIO(text), delimiter=found.delimiter, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    return np.ascontiguousarray(cells.T) if cells.shape == (lines, width) else None
-
-
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
     """Return the cells of the samples, as numbers or as text."""
     read = partial(
@@ -301,27 +273,16 @@ def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
     return whole and not parsed.iloc[:, -1].hasnans
 
 
-def _convert(cells: pd.Series, decimal: str) -> tuple[NDArray[Any], str | None]:
-    """Return a column as numbers if possible, and the unit that its cells state; None if there is none.
-
-    A column stays text unless all cells are numbers, or all are numbers with units of one quantity.
-    """
+def _convert(cells: pd.Series, decimal: str) -> NDArray[Any]:
+    """Return a column as numbers if all its cells are numbers, otherwise as text."""
     import pandas as pd
 
     if cells.dtype.kind == "f":
-        return cells.to_numpy(), None
-    known, plain = cells.notna(), cells.str.strip()
-    numbers = pd.to_numeric(plain.str.translate(_POINTS[decimal]), errors="coerce")
-    if numbers.notna().equals(known):
-        return numbers.to_numpy(dtype=float, na_value=np.nan), None
-    parts = plain.str.extract(f"^{_QUANTITY}$")
-    stated = {spelled: units.canonical(spelled) for spelled in parts[1].dropna().unique()}
-    table = next((table for table in units.UNITS.values() if {*stated.values()} <= table.keys()), None)
-    if table is not None and parts[1].notna().equals(known):
-        first = next(iter(stated.values()))
-        relative = {spelled: table[unit] / table[first] for spelled, unit in stated.items()}
-        return (parts[0].astype(float) * parts[1].map(relative)).to_numpy(dtype=float), first
-    return cells.to_numpy(dtype=object, na_value=None), None
+        return cells.to_numpy()
+    numbers = pd.to_numeric(cells.str.strip().str.translate(_POINTS[decimal]), errors="coerce")
+    if numbers.notna().equals(cells.notna()):
+        return numbers.to_numpy(dtype=float, na_value=np.nan)
+    return cells.to_numpy(dtype=object, na_value=None)
 
 
 def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Path) -> list[str]:

@@ -1,18 +1,15 @@
-"""Readers of HDF5 (with h5py), MATLAB of any version (with pymatreader), Parquet, and JSON lines."""
+"""Readers of HDF5 (with h5py), MATLAB of any version (with pymatreader), and Parquet."""
 
 from __future__ import annotations
 
-import json
 import warnings
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from swimid.errors import InputError
 from swimid.files import tabular
 from swimid.logs import log
-from swimid.logs.foreign import Format, Options, Table, flat, of_records, of_tree
+from swimid.logs.foreign import Format, Options, Table, of_tree
 
 
 def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
@@ -80,23 +77,3 @@ def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
 PARQUET = Format(
     "parquet", "Parquet file", _open_parquet, endings=tabular.PARQUET, magic=(b"PAR1",), extra="parquet"
 )
-
-
-def _open_json_lines(path: Path, options: Options, select: str | None) -> Table:
-    numbered = enumerate(path.read_bytes().split(b"\n"), start=1)
-    lines = {at: line for at, line in numbered if line.strip()}
-    records = []
-    for at, line in lines.items():
-        try:
-            record = json.loads(line)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"is not JSON: {error}", file=path, line=at) from error
-        if not isinstance(record, dict):
-            hint = "a file of one JSON document must become one object a line"
-            raise InputError("is no JSON object", file=path, line=at, hint=hint)
-        records.append(dict(flat(record)))
-    return Table(of_records(records), lines=np.array([*lines], dtype=np.int64))
-
-
-JSON_ENDINGS = (".jsonl", ".ndjson", ".json")
-JSON_LINES = Format("jsonl", "file of JSON lines", _open_json_lines, endings=JSON_ENDINGS, magic=(b'{"',))

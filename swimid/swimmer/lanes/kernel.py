@@ -37,7 +37,7 @@ from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.tracing import LANES, Traced
 
 if TYPE_CHECKING:
-    from swimid.files.checkpoint import Checkpoint
+    from swimid.files.atomic import Checkpoint
     from swimid.swimmer.model import Run
 
 Array = NDArray[np.float64]

@@ -1,8 +1,12 @@
-"""OpenSim files: marker trajectories (TRC), and motions or storages (MOT, STO).
+"""Text files of OpenSim and of Tracker (Open Source Physics).
 
-The header states the conventions: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a motion.
-Coordinates of a motion are angles, except translations, whose names end in ``_tx``, ``_ty`` or ``_tz``.
-Forces are in N, torques in N m, and points of application in m.
+OpenSim writes marker trajectories (TRC), and motions or storages (MOT, STO). The header states the
+conventions: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a motion. Coordinates of a motion are
+angles, except translations, whose names end in ``_tx``, ``_ty`` or ``_tz``. Forces are in N, torques in N m,
+and points of application in m.
+
+Tracker exports track names, column names t, x, y, then samples. Times are in seconds. Lengths are in metres,
+unless the project sets another unit, which the column names state (``x (cm)``).
 """
 
 from __future__ import annotations
@@ -13,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Format, Options, Peek, Table
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, length, numbers, safe
 from swimid.logs.log import TIME
-from swimid.logs.profiles import Array, length, numbers, safe
 from swimid.logs.sampling import usual_step
 from swimid.notices import warn
 
@@ -95,4 +98,68 @@ def _motion(lines: list[str], path: Path) -> Table:
     return Table(columns, lines=at)
 
 
-PROFILE = Format("opensim", "TRC, MOT or STO file of OpenSim", _read, _recognises)
+OPENSIM = Format("opensim", "TRC, MOT or STO file of OpenSim", _read, _recognises)
+
+
+# ---------------------------------------------------------------- Tracker
+
+_TRACKER_NAME = re.compile(
+    r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
+)
+#: Endings of the units of positions, velocities and accelerations.
+_PER = {"": "", "v": "_s", "a": "_s2"}
+
+
+def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
+    """Return the number of header lines, the delimiter, and the cells of the last two header lines."""
+    is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
+    height = 2 + is_multi
+    if len(lines) <= height:
+        return None
+    for mark in ("\t", ",", ";"):
+        tracks = [cell.strip().lstrip("#") for cell in lines[height - 2].split(mark)]
+        names = [cell.strip() for cell in lines[height - 1].split(mark)]
+        hits = [hit for hit in map(_TRACKER_NAME.fullmatch, names) if hit]
+        has_place = any(hit["kind"] == "" and hit["axis"] in ("x", "y") for hit in hits)
+        if len(hits) > 2 and hits[0][1] == "t" and has_place and (is_multi or not any(tracks[1:])):
+            return height, mark, tracks, names
+    return None
+
+
+def _is_tracker(peek: Peek) -> bool:
+    return _layout(peek.lines) is not None
+
+
+def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
+    import pandas as pd
+
+    found = _layout(path.read_text(encoding="utf-8-sig").splitlines()[:4])
+    if found is None:
+        hint = "Tracker exports a line with the track, a line 't x y', and the samples"
+        raise InputError("is no export of Tracker", file=path, hint=hint)
+    height, mark, above, names = found
+    values, lines = numbers(path, height, mark, len(names))
+    # the name of a track is in the cell above the first of its columns
+    filled = pd.Series(above).reindex(range(len(names)))
+    owners = filled.where(filled != "").ffill().fillna("").tolist()
+    tracks = [track for track in dict.fromkeys(owners[1:]) if track]
+    track = None
+    if select:
+        track = choose(select, tracks, "track", path)
+    columns = {TIME: values[:, 0]}
+    taken = [k for k in range(len(names)) if track in (None, owners[k])]
+    hits = {k: hit for k in taken if (hit := _TRACKER_NAME.fullmatch(names[k])) and hit["axis"]}
+    for k, hit in hits.items():
+        factor, unit = length(options.length_unit or hit["unit"] or "m", path)
+        target = f"{hit['kind']}{hit['axis']}_{unit}{_PER[hit['kind']]}"
+        if len(tracks) > 1 and track is None:
+            target = f"{safe(owners[k])}_{target}"
+        columns[target] = values[:, k] * factor
+    notes = []
+    if options.length_unit is None and not any(hit["unit"] for hit in hits.values()):
+        default = "metres are Tracker's default (else add --length-unit cm)"
+        notes.append(f"the file states no unit of length; {default}")
+    return Table(columns, notes=notes, lines=lines)
+
+
+TRACKER = Format("tracker", "export of Tracker", _read_tracker, _is_tracker)

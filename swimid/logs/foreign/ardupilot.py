@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Format, Options, Peek, Table, choose, is_text, open_table
+from swimid.logs.foreign import Format, Options, Peek, Table, axes, choose, is_text, open_table, renamed, rows
 from swimid.logs.log import TIME
-from swimid.logs.profiles import axes, renamed, rows
 from swimid.logs.rotation import from_frd, with_angles
 
 #: Column of the log for each field of a message.

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs import clock, units
+from swimid.logs import mapping, units
 from swimid.logs.foreign import Format, Options, Peek, Table, is_text, open_table
 from swimid.logs.log import TIME
 
@@ -46,8 +46,8 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         hit = _TIME.fullmatch(name.strip())
         unit = hit and (hit["unit"] or table.units.get(name))
         if unit and TIME not in columns:
-            time = clock.Time(source=name, unit=units.canonical(unit))
-            columns = {TIME: clock.seconds(table, time, rows, path, {})}
+            time = mapping.Time(source=name, unit=units.canonical(unit))
+            columns = {TIME: mapping.seconds(table, time, rows, path, {})}
     for name, hit in fields.items():
         if is_text(table.columns[name]):
             raise InputError("holds text, not ticks", file=path, column=name)

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Format, Options, Peek, Table, choose, is_text, open_table
-from swimid.logs.profiles import Array, rows, safe
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, is_text, open_table, rows, safe
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
