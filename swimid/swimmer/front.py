@@ -535,13 +535,12 @@ def _choices_table(found: FrontResult) -> ev.Table:
 
 
 def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
-    """Plot the fronts of all profiles with the fits, and the minimum distances over the generations."""
+    """Plot the fronts of all profiles with the fits."""
     profiles = found.profiles
     ends = {t: profiles.scored(r.series) for t, r in stages.items() if r is not None}
-    fronts, histories = [], []
+    fronts = []
     for name in profiles.names:
         objectives = profiles.objectives_of(name)
-        kinds = [profiles.objectives[j][1] for j in objectives]
         own = np.asarray(found.table["profile"] == name)
         axes = objectives[:2]
         clouds = [("its front", found.values[own]), ("fronts of the other profiles", found.values[~own])]
@@ -552,31 +551,15 @@ def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list
             if len(v)
         ]
         if len(axes) > 1:
-            x, y = (f"{kind} distance" for kind in kinds[:2])
+            x, y = (f"{profiles.objectives[j][1]} distance" for j in axes)
             fronts.append(
                 ev.Panel(x_label=x, y_label=y, title=name, traces=traces, x_scale="log", y_scale="log")
             )
-        if name in found.searches:
-            history = found.searches[name].history
-            generation = np.arange(1, len(history) + 1)
-            traces = [
-                ev.Trace(x=generation, y=history[:, j], label=kind, group=j) for j, kind in enumerate(kinds)
-            ]
-            histories.append(
-                ev.Panel(
-                    x_label="generation", y_label="least distance", title=name, traces=traces, y_scale="log"
-                )
-            )
-    captions = (
+    caption = (
         "Each point is a set of coefficients. One set can explain all profiles if the points of all fronts "
-        "lie close together at the lower left.",
-        "Least distance of each kind in the population.",
+        "lie close together at the lower left."
     )
-    drawn = [
-        ev.Figure(id="front", title="Pareto fronts", caption=captions[0], panels=fronts),
-        ev.Figure(id="generations", title="Search by generations", caption=captions[1], panels=histories),
-    ]
-    return [figure for figure in drawn if figure.panels]
+    return [ev.Figure(id="front", title="Pareto fronts", caption=caption, panels=fronts)] * bool(fronts)
 
 
 def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:

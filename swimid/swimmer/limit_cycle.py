@@ -82,7 +82,7 @@ def limit_cycle(
     """
     if near is not None:
         found = _newton(period, near.state, near.slopes)
-        if found is not None and found.multiplier <= MAX_MULTIPLIER:
+        if found is not None:
             return found
     state = begin
     for attempt in range(MAX_ATTEMPTS):
@@ -91,13 +91,13 @@ def limit_cycle(
         if not np.isfinite(state).all():
             return None
         found = _newton(period, state, None)
-        if found is not None and found.multiplier <= MAX_MULTIPLIER:
+        if found is not None:
             return found
     return None
 
 
 def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None) -> LimitCycle | None:
-    """Return the fixed point near a state by Newton's method; None if the iteration diverges."""
+    """Return the attracting fixed point near a state by Newton's method; None if there is none."""
     before = np.inf
     for _ in range(MAX_ITERATIONS):
         states = period(state)
@@ -111,7 +111,8 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
             if not np.isfinite(slopes).all():
                 return None
         if error <= STATE_RTOL:
-            return LimitCycle(state, slopes)
+            found = LimitCycle(state, slopes)
+            return found if found.multiplier <= MAX_MULTIPLIER else None
         before = error
         try:
             state = state - np.linalg.solve(slopes - np.eye(len(state)), miss)

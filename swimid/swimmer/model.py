@@ -246,17 +246,6 @@ class Swimmer(Model):
         used = {name for entry in entries for name in entry.names}
         return [name for name in self.coefficients if name in used]
 
-    def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return velocities, passive angles and rates at the end of a simulation, by start-parameter name."""
-        found = {}
-        if self.free_base:
-            for name, column in zip(self.rates, self.velocity, strict=True):
-                found[f"initial_{name}"] = float(columns[column][-1])
-        for axis in self.passive:
-            found[f"initial_angle_{axis.name}"] = float(columns[axis.column][-1])
-            found[f"initial_rate_{axis.name}"] = float(columns[axis.rate][-1])
-        return found
-
     def forget(self, trials: Sequence[Trial]) -> None:
         """Remove the cached results of trials that will not be simulated again."""
         names = {trial.id for trial in trials}

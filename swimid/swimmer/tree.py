@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -110,7 +110,7 @@ class Rows:
     index : mapping of link name to int
     inertia : list of rows, one per link
         Apparent inertia about the origin of the link.
-    drag, damping, foil, force, wake : list of (link index, row)
+    elements : mapping of input array to list of (link index, row)
         Hydrodynamic elements. The module of the engine defines their columns.
     """
 
@@ -118,11 +118,7 @@ class Rows:
     gravity_m_s2: float
     index: Mapping[str, int]
     inertia: list[Row]
-    drag: list[tuple[int, Row]] = field(default_factory=list)
-    damping: list[tuple[int, Row]] = field(default_factory=list)
-    foil: list[tuple[int, Row]] = field(default_factory=list)
-    force: list[tuple[int, Row]] = field(default_factory=list)
-    wake: list[tuple[int, Row]] = field(default_factory=list)
+    elements: dict[str, list[tuple[int, Row]]]
 
     def add_inertia(self, link: str, terms: Row) -> None:
         """Add terms to the apparent inertia of a link."""
@@ -131,7 +127,7 @@ class Rows:
 
     def add(self, table: str, link: str, row: Row) -> None:
         """Add a row to the input array ``table``, for an element of a link."""
-        getattr(self, table).append((self.index[link], row))
+        self.elements[table].append((self.index[link], row))
 
 
 class Table:
@@ -392,7 +388,8 @@ class Tree(ABC):
         """Collect the rows of links and elements, and check them at the coefficient values of the file."""
         engine = self.engine
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
-        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
+        elements: dict[str, list[tuple[int, Row]]] = {name: [] for name in self.elements}
+        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty, elements)
         for link in self.links:
             self._add_rigid(link, rows)
         rigid = [list(row) for row in rows.inertia]
@@ -406,9 +403,9 @@ class Tree(ABC):
         self._rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
         self._passive = table([law_of(axis.joint) for axis in self.passive], PASSIVE)
         self._elements = []
-        for name in self.elements:
-            owners = np.array([link for link, _ in getattr(rows, name)], dtype=np.int64)
-            entries = [row for _, row in getattr(rows, name)]
+        for name, own in elements.items():
+            owners = np.array([link for link, _ in own], dtype=np.int64)
+            entries = [row for _, row in own]
             self._elements.append((name, owners, table(entries, getattr(engine, name.upper()))))
         self.check(np.array([c.value for c in self.body.coefficients.values()]))
         return rows

@@ -254,7 +254,7 @@ class Assembly(Tree):
     """
 
     part, hinge = "multibody", "hinge"
-    elements = ("drag", "damping", "foil", "force", "wake")
+    elements = ("drag", "damping", "foil", "force")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: Multibody, fluid: Fluid) -> None:

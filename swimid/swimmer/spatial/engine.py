@@ -66,9 +66,6 @@ FOIL = (
     "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z", "size",
 )  # fmt: skip
 FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
-WAKE = (
-    "x", "y", "z", "half_mass", "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z",
-)  # fmt: skip
 
 #: First columns in the work array: rotation to the parent (9), v, w, v', w', f, m, A (6), B (9), D (6),
 #: rotation to the world (9), place in the world (3), and the number of columns.
@@ -305,17 +302,6 @@ def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
-    """Add momentum shed at trailing edges. An edge that moves backwards sheds none."""
-    for e in range(wake.shape[0]):
-        w, at = work[wake_link[e]], _at(wake[e], 0)
-        chord, normal, v = _at(wake[e], 4), _at(wake[e], 7), _moving(w, at)
-        across = _dot(v, normal)
-        side = -2.0 * wake[e, 3] * max(_dot(v, chord), 0.0) * across
-        _push(w, at, _plus(_times(wake[e, 3] * across * across, chord), _times(side, normal)))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """Compute the wrench for a unit acceleration of passive hinge ``k``, and transfer it to the base."""
     axis = _at(joint[i], 3)
@@ -415,8 +401,6 @@ def derivative(  # type: ignore[no-untyped-def]
     foil,
     force_link,
     force,
-    wake_link,
-    wake,
     surface,
     free_base,
     work,
@@ -434,8 +418,8 @@ def derivative(  # type: ignore[no-untyped-def]
     topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
     inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
         Columns of ``swimid.swimmer.planar.engine.PASSIVE``
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, wake_link, wake : ndarray
-        Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force : ndarray
+        Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`.
     surface : float, m
         Height of the water surface in the world.
     free_base : bool
@@ -452,7 +436,6 @@ def derivative(  # type: ignore[no-untyped-def]
     _dampings(damping_link, damping, work)
     _foils(foil_link, foil, surface, work)
     _forces(force_link, force, surface, work)
-    _wakes(wake_link, wake, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
@@ -512,7 +495,7 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
         NaN from where the motion breaks down. The quaternion is scaled to length 1 after each step.
     """
     topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
-    foil, force_link, force, wake_link, wake, surface, free_base = tables[9:]
+    foil, force_link, force, surface, free_base = tables[9:]
     steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
@@ -523,8 +506,8 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
             begin_stage(stage, step, states[i], slope, total, trial)
             derivative(
                 trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
-                damping_link, damping, foil_link, foil, force_link, force, wake_link, wake, surface,
-                free_base, work, matrix, right, slope,
+                damping_link, damping, foil_link, foil, force_link, force, surface, free_base,
+                work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
@@ -558,7 +541,7 @@ def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
-    wake_link, wake, surface, _ = tables[12:]
+    surface = tables[12]
     count, links = states.shape[0], topology.shape[0]
     torque, flow = np.zeros((count, links)), np.empty((count, 3))
     work, before = np.zeros((links, _WORK)), np.zeros((links, 6))
@@ -568,7 +551,6 @@ def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
         _drags(drag_link, drag, surface, work)
         _dampings(damping_link, damping, work)
         _foils(foil_link, foil, surface, work)
-        _wakes(wake_link, wake, work)
         flow[t, 1] = -_powers(work, before)
         _forces(force_link, force, surface, work)
         flow[t, 2] = -_powers(work, before)
