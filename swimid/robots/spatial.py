@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import Coefficients, Driven, OnLink, Quantity, Yielding
+from swimid.robots.planar import Coefficients, Connection, OnLink, Quantity
 
 #: Vector with components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -45,12 +45,9 @@ class Body(yamlio.Document):
         return self
 
 
-class Hinge(yamlio.Document):
+class Hinge(Connection):
     """A hinge between two links. A positive angle rotates the child right-handed about the axis."""
 
-    name: str
-    parent: str
-    child: str
     #: Position of the hinge on the parent link.
     at_m: Vector = ZERO
     #: Direction of the hinge in the axes of the child link. At zero angle, these are the parent's axes
@@ -59,15 +56,9 @@ class Hinge(yamlio.Document):
     #: Rotation of the child's axes from the parent's axes at zero angle, degrees. It consists of right-handed
     #: rotations about x, then y, then z of the parent.
     mount_deg: Direction = (0.0, 0.0, 0.0)
-    #: Law of a driven or of a passive hinge; at most one of the two. Without either, the links are joined
-    #: rigidly.
-    driven: Driven | None = None
-    passive: Yielding | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Hinge:
-        if self.driven is not None and self.passive is not None:
-            raise ValueError(f"the hinge '{self.name}' is both driven and passive")
+    def _axis(self) -> Hinge:
         _unit(self.axis, "axis")
         return self
 

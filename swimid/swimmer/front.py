@@ -481,7 +481,7 @@ def add_evidence(
     stages = dict(found.stages)
     if options.method == "hybrid":
         stages[AFTER] = result
-    evidence.tables[:0] = [_stages_table(found, stages), _choices_table(found)]
+    evidence.tables[:0] = [_stages_table(found, stages)]
     evidence.figures[:0] = _figures(found, stages)
     evidence.methods[:0] = _methods(found, options)
     chosen = ", ".join(rule for rule, k in found.rules.items() if k == found.chosen) or "by index"
@@ -508,29 +508,6 @@ def _stages_table(found: FrontResult, stages: Mapping[str, FitResult | None]) ->
         columns=["quantity", "of", *stages],
         rows=rows,
         caption="DTW distances are per sample, over the scale of the channel, averaged over trials.",
-    )
-
-
-def _choices_table(found: FrontResult) -> ev.Table:
-    """List the point that every rule chooses, and the range of each coefficient along the front."""
-    picks = dict(found.rules)
-    if found.chosen not in picks.values():
-        picks = {"by index": found.chosen, **picks}
-    rows: list[list[Any]] = []
-    for j, label in enumerate(found.profiles.labels):
-        column = found.points[:, j]
-        searched = numbers.interval(float(found.profiles.lower[j]), float(found.profiles.upper[j]), None)
-        spread = numbers.interval(float(column.min()), float(column.max()), None)
-        rows.append([label, searched, spread, *(float(column[k]) for k in picks.values())])
-    rows.append(["index", "", f"0 to {len(found.points) - 1}", *picks.values()])
-    return ev.Table(
-        id="front-choices",
-        title="Choices on the front",
-        columns=["coefficient", "searched", "over the front", *picks],
-        rows=rows,
-        caption="least-worst: the largest objective, each over the least on the front, is smallest. knee: "
-        "nearest to the best of every objective. Any other point is chosen with --front FILE --pick INDEX.",
-        folded=True,
     )
 
 

@@ -6,6 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -16,7 +17,7 @@ from swimid.fitting.model import Array, Channel, Model, Parameter, Trial, unless
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
-from swimid.swimmer.lanes.kernel import Engine, Kernels, Room
+from swimid.swimmer.lanes.kernel import Kernels, Room
 from swimid.swimmer.lanes.tracing import LANES
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar.engine import sampled
@@ -112,7 +113,8 @@ class Swimmer(Model):
     rates: tuple[str, ...]
     #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.
     camera: tuple[Parameter, ...] = ()
-    engine: Engine
+    #: Module of the compiled equations of motion.
+    engine: ModuleType
     tree: Tree
 
     def __init__(self, robot: Robot, *, max_step: float = STEP_S) -> None:

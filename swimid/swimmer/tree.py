@@ -288,12 +288,8 @@ def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
         joints += children
     left = [name for name in by_name if name not in order]
     if left:
-        loose = [name for name in left if name not in joint_of]
-        if loose:
-            raise InputError(f"no joint holds the link '{loose[0]}'", column=f"{part}.links.{loose[0]}")
         raise InputError(
-            f"the links {', '.join(left)} hang on each other in a circle and not on the base",
-            column=f"{part}.joints.{joint_of[left[0]].name}",
+            f"no joints connect the link '{left[0]}' with the base '{base}'", column=f"{part}.links.{left[0]}"
         )
     return [by_name[name] for name in order], joints
 

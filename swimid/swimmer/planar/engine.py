@@ -79,6 +79,10 @@ PASSIVE = (
 )
 #: Entries of tables that effects may change although the robot file leaves them at zero.
 FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
+#: Arguments of :func:`derivative` between the tables and the work arrays, without forces of effects.
+LAST = (None, 0.0)
+#: Correction of the state after each step.
+settled = None
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")

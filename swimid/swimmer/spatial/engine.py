@@ -29,8 +29,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.swimmer.planar.engine import begin_stage, is_broken, passive_torque, positive, solve
+from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
 
+__all__ = ["FILLED"]
+#: Arguments of :func:`derivative` between the tables and the work arrays.
+LAST = ()
 #: Columns of the tables.
 TOPOLOGY = ("parent", "driven", "passive", "massless")
 #: Columns of the table of hinges: place on the parent, axis in the child, and rotation from child to parent
