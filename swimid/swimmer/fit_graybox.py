@@ -585,7 +585,6 @@ def _starts_check(ends: Sequence[global_search.Start], *, asked: bool) -> ev.Che
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[global_search.Start]) -> list[ev.Table]:
     """Return tables of errors, identifiability, starting points, and interpretations of the source."""
     ranking = [[label, share, result.status[label]] for label, share in covariance.ranked(result)]
-    starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
     readings = experiment.robot.readings.items()
     found: list[tuple[str, str, list[str], list[list[Any]], str]] = [
         (
@@ -608,7 +607,7 @@ def _tables(experiment: Experiment, result: FitResult, ends: Sequence[global_sea
             "starts",
             "Starts",
             ["start", "converged", "cost"],
-            starts,
+            [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)],
             "The cost is the mean squared residual, averaged geometrically over the channels.",
         ),
         (

@@ -49,8 +49,6 @@ SCALES = {
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 BAND = 0.05
-#: Name of the single motion profile when one front is searched over all trials.
-ALL_TRIALS = "all trials"
 #: Rules by which a point of the front is chosen.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 #: Titles of the fits before the search, at the chosen point, and after least squares.
@@ -306,14 +304,11 @@ def fit(
     NoTrustworthyResult
         If the search is interrupted, or if every simulation breaks down.
     """
-    names = experiment.facts["profiles"]
-    if options.fronts == "overall":
-        names = dict.fromkeys(names, ALL_TRIALS)
     profiles = Profiles(
         model,
         parameters,
         experiment.trials,
-        names,
+        experiment.facts["profiles"],
         scales=options.scales,
         jobs=options.jobs or os.cpu_count() or 1,
     )
@@ -424,21 +419,14 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     except (ValueError, UnicodeDecodeError) as error:
         raise InputError(f"is no table: {error}", file=path) from error
     expected = [*profiles.labels, *profiles.columns]
-    names = [str(column) for column in table.columns]
-    if names[:2] != ["index", "profile"] or table.empty:
+    others = {str(column) for column in table.columns} ^ {"index", "profile", *expected}
+    if others or table.empty:
         raise InputError(
-            "holds no front: its columns are index, profile, coefficients, and objectives such as "
-            "position[characteristic]",
+            f"is no front of this fit: only one of the two has {', '.join(sorted(others)) or 'points'}",
             file=path,
-            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
+            hint="give the .front.csv of an earlier --method nsga2 or hybrid with the same trials, "
+            "--channels, --fix, --free and --share",
         )
-    for where, only in (("it", set(names[2:]) - set(expected)), ("this fit", set(expected) - set(names))):
-        if only:
-            raise InputError(
-                f"belongs to another fit: only {where} has {', '.join(sorted(only))}",
-                file=path,
-                hint="give the same trials, --channels, --fix, --free and --share as when it was made",
-            )
     for column in expected:
         bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
         if len(bad):
@@ -544,9 +532,7 @@ def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:
     said = []
     if found.searches:
         evaluations = sum(f.evaluations for f in found.searches.values())
-        scope = "over all fitted trials"
-        if len(found.searches) > 1:
-            scope = f"for each of {len(found.searches)} motion profiles ({', '.join(found.searches)})"
+        scope = f"for each motion profile ({', '.join(found.searches)})"
         kinds = ", ".join(dict.fromkeys(kind for _, kind in found.profiles.objectives))
         said.append(
             f"A Pareto front of {len(found.profiles.labels)} coefficients was searched {scope} by NSGA-II "

@@ -518,20 +518,12 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
     return states, rates
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _powers(work, before):  # type: ignore[no-untyped-def]
-    """Return the power of the forces added since the wrenches ``before``, and update these wrenches."""
-    power = 0.0
-    for i in range(work.shape[0]):
-        for m in range(3):
-            power += (before[i, m] - work[i, 8 + m]) * work[i, 2 + m]
-            before[i, m] = work[i, 8 + m]
-    return power
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
-    """Return the joint torques of a run by inverse dynamics, with its energies and powers.
+def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+    """Return the joint torques of a run by inverse dynamics, shape (m, links), N m.
+
+    The torque of a link is the moment of the link ahead on it: the generalised force of a driven joint, the
+    law of a passive one, and zero up to rounding for a free base.
 
     Parameters
     ----------
@@ -541,43 +533,22 @@ def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
         Driven joints at the same instants.
     tables
         Arguments of :func:`derivative` from ``topology`` to ``free_base``.
-
-    Returns
-    -------
-    torque : ndarray, shape (m, links), N m
-        Moment of the link ahead on each link: the generalised force of a driven joint, the law of a passive
-        one, and zero up to rounding for a free base.
-    flow : ndarray, shape (m, 3)
-        Kinetic energy with added mass (J); power given to the water by drag, foils and trailing edges (W);
-        power given to constant forces, such as weight and buoyancy (W).
-
-    Notes
-    -----
-    ``sum(torque * joint rate) = d(kinetic energy)/dt + both powers`` over all joints.
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
-    count, links = states.shape[0], topology.shape[0]
-    torque, flow = np.empty((count, links)), np.empty((count, 3))
-    work, before = np.zeros((links, 19)), np.zeros((links, 3))
-    for t in range(count):
+    links = topology.shape[0]
+    found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
+    for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        before[:] = work[:, 8:11]
         _drag(drag_link, drag, work)
         _foils(foil_link, foil, work)
-        _wakes(wake_link, wake, work)
-        flow[t, 1] = -_powers(work, before)
         _forces(force_link, force, work)
-        flow[t, 2] = -_powers(work, before)
-        flow[t, 0] = 0.0
-        for i in range(links):
-            (u, v, r), (g0, g1, g2, g3, g4, g5) = work[i, 2:5], inertia[i]
-            flow[t, 0] += 0.5 * (g0 * u * u + g3 * v * v + g5 * r * r) + g1 * u * v + (g2 * u + g4 * v) * r
+        _wakes(wake_link, wake, work)
         for i in range(links - 1, -1, -1):
-            torque[t, i] = work[i, 10]
+            found[t, i] = work[i, 10]
             if i > 0:
                 _to_parent(i, topology[i, 0], joint, work)
-    return torque, flow
+    return found
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:

@@ -525,47 +525,26 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
     return states, rates
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _powers(work, before):  # type: ignore[no-untyped-def]
-    """Return the power of the forces added since the wrenches ``before``, and update these wrenches."""
-    power = 0.0
-    for i in range(work.shape[0]):
-        for m in range(6):
-            power += (before[i, m] - work[i, _F + m]) * work[i, _V + m]
-            before[i, m] = work[i, _F + m]
-    return power
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
-    """Return the hinge torques of a run by inverse dynamics, with its energies and powers.
+def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+    """Return the hinge torques of a run by inverse dynamics, shape (m, links), N m.
 
-    See :func:`swimid.swimmer.planar.engine.energetics`. The torque of a base is zero.
+    See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.
     """
     topology, joint, inertia = tables[:3]
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
-    surface = tables[12]
-    count, links = states.shape[0], topology.shape[0]
-    torque, flow = np.zeros((count, links)), np.empty((count, 3))
-    work, before = np.zeros((links, _WORK)), np.zeros((links, 6))
-    for t in range(count):
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, surface = tables[4:13]
+    links = topology.shape[0]
+    found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
+    for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        before[:] = work[:, _F : _F + 6]
         _drags(drag_link, drag, surface, work)
         _dampings(damping_link, damping, work)
         _foils(foil_link, foil, surface, work)
-        flow[t, 1] = -_powers(work, before)
         _forces(force_link, force, surface, work)
-        flow[t, 2] = -_powers(work, before)
-        flow[t, 0] = 0.0
-        for i in range(links):
-            v, spin = _at(work[i], _V), _at(work[i], _W)
-            p, h = _momenta(work[i], v, spin)
-            flow[t, 0] += 0.5 * (_dot(v, p) + _dot(spin, h))
         for i in range(links - 1, 0, -1):
-            torque[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
+            found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)
-    return torque, flow
+    return found
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
