@@ -343,9 +343,8 @@ class Tree(ABC):
         unknown link, and impossible masses or inertias. The error states the dotted path.
     """
 
-    #: Name of the part of the robot file, and the word for a joint in this part.
+    #: Name of the part of the robot file.
     part: str
-    hinge: str
     #: Names of the input arrays for elements, in the order of the engine's arguments.
     elements: tuple[str, ...]
     #: Module of the compiled equations of motion (the engine), which defines the columns of the input arrays.
@@ -374,7 +373,7 @@ class Tree(ABC):
         self.free_base = body.base == "free"
         if not self.free_base and not self.passive:
             raise InputError(
-                f"a robot on a fixed base without a passive {self.hinge} has nothing to simulate",
+                "a robot on a fixed base without a passive joint has nothing to simulate",
                 column=f"{self.part}.base",
             )
         self.constants = {"free_base": self.free_base}
@@ -421,23 +420,19 @@ class Tree(ABC):
         key = values.tobytes()
         known = self._known.get(key)
         if known is None:
-            known = self._filled(values)
+            known = {
+                "topology": self.topology,
+                "joint": self._joint(values),
+                "inertia": self._inertia(values),
+                "passive": self._passive(values),
+            }
+            for name, owner, table in self._elements:
+                known[f"{name}_link"], known[name] = owner, table(values)
+            known.update(self.constants)
             if len(self._known) >= MAX_TABLES:
                 self._known.clear()
             self._known[key] = known
         return dict(known)
-
-    def _filled(self, values: Array) -> dict[str, Any]:
-        found: dict[str, Any] = {
-            "topology": self.topology,
-            "joint": self._joint(values),
-            "inertia": self._inertia(values),
-            "passive": self._passive(values),
-        }
-        for name, owner, table in self._elements:
-            found[f"{name}_link"], found[name] = owner, table(values)
-        found.update(self.constants)
-        return found
 
     @abstractmethod
     def check(self, values: Array) -> None:

@@ -218,7 +218,7 @@ class Assembly(Tree):
         Whether forces with a fixed direction in the world act, such as weight.
     """
 
-    part, hinge = "multilink", "joint"
+    part = "multilink"
     elements = ("drag", "foil", "force", "wake")
     engine, adders = engine, ADDERS
 

@@ -96,10 +96,6 @@ class Body:
         """Return the centre of mass of a link in the axes of the link, m."""
         return self._centres[link]
 
-    def mass(self, link: int) -> tuple[float, Point]:
-        """Return mass (kg, without added mass) and centre of mass (m, in the link's axes) of a link."""
-        return self.masses_kg[link], self._centres[link]
-
     def tables(self) -> dict[str, Any]:
         """Return the input arrays at the start values of the parameters."""
         tree = self._model.tree
@@ -259,7 +255,7 @@ class Body:
 
     def shift(self, tables: dict[str, Any], link: int, by: Point) -> None:
         """Move the centre of mass of a link, and the weight that acts there, by a vector (m)."""
-        mass, (x, y) = self.mass(link)
+        mass, (x, y) = self.masses_kg[link], self.centre(link)
         self.weigh(tables, link, (x, y), -mass, -mass)
         self.weigh(tables, link, (x + by[0], y + by[1]), mass, mass)
         force = tables["force"].copy()

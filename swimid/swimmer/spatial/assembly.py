@@ -253,7 +253,7 @@ class Assembly(Tree):
         Point of the base whose pose is logged, m.
     """
 
-    part, hinge = "multibody", "hinge"
+    part = "multibody"
     elements = ("drag", "damping", "foil", "force")
     engine, adders = engine, ADDERS
 
