@@ -245,7 +245,8 @@ def _newton_euler(w):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _push(w, at, force):  # type: ignore[no-untyped-def]
     """Subtract a force at a point of a link from the wrench that its motion needs."""
-    _put(w, _F, _plus(_at(w, _F), _times(-1.0, force)))
+    for m in range(3):
+        w[_F + m] -= force[m]
     _put(w, _M, _plus(_at(w, _M), _cross(force, at)))
 
 
@@ -358,6 +359,7 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
         _apply(w, _R, _symmetric(w, _D, r1)),
         _apply(w, _R, _symmetric(w, _D, r2)),
     )
+    a1, a2 = (a0[1], a1[1], a1[2]), (a0[2], a1[2], a2[2])
     # with S = r x, the velocity of the link's origin is v - S w, so that B becomes C = B - A S, and D becomes
     # D - B' S + S C
     c0, c1, c2 = _plus(b0, _cross(place, a0)), _plus(b1, _cross(place, a1)), _plus(b2, _cross(place, a2))
