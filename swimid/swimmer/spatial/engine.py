@@ -245,8 +245,9 @@ def _newton_euler(w):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _push(w, at, force):  # type: ignore[no-untyped-def]
     """Subtract a force at a point of a link from the wrench that its motion needs."""
-    for m in range(3):
-        w[_F + m] -= force[m]
+    w[_F] -= force[0]
+    w[_F + 1] -= force[1]
+    w[_F + 2] -= force[2]
     _put(w, _M, _plus(_at(w, _M), _cross(force, at)))
 
 
