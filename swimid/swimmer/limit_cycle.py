@@ -82,7 +82,7 @@ def limit_cycle(
     """
     if near is not None:
         found = _newton(period, near.state, near.slopes)
-        if found is not None:
+        if found is not None and found.multiplier <= MAX_MULTIPLIER:
             return found
     state = begin
     for attempt in range(MAX_ATTEMPTS):
@@ -91,13 +91,13 @@ def limit_cycle(
         if not np.isfinite(state).all():
             return None
         found = _newton(period, state, None)
-        if found is not None:
+        if found is not None and found.multiplier <= MAX_MULTIPLIER:
             return found
     return None
 
 
 def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None) -> LimitCycle | None:
-    """Return the attracting fixed point near a state by Newton's method; None if there is none."""
+    """Return the fixed point near a state by Newton's method; None if the iteration diverges."""
     before = np.inf
     for _ in range(MAX_ITERATIONS):
         states = period(state)
@@ -111,8 +111,7 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
             if not np.isfinite(slopes).all():
                 return None
         if error <= STATE_RTOL:
-            found = LimitCycle(state, slopes)
-            return found if found.multiplier <= MAX_MULTIPLIER else None
+            return LimitCycle(state, slopes)
         before = error
         try:
             state = state - np.linalg.solve(slopes - np.eye(len(state)), miss)

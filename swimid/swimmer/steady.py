@@ -110,7 +110,7 @@ class SteadySwimming:
         def period(state: Array) -> Array:
             return self._states(run, section, state)[:, self._memory]
 
-        found = limit_cycle(period, np.zeros(len(self._memory)), near=last[0] if last else None)
+        found = limit_cycle(period, np.zeros(len(self._memory)), near=(last or (None,))[0])
         self._cycles.put("", key, (found,))
         if found is not None:
             self._cycles.put("", kind, (found,))
