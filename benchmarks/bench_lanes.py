@@ -34,11 +34,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from swimid.effects.affected import Affected
 
 from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.generic import ResidualForce
 from swimid.effects import catalogue
+from swimid.effects.base import Affected
 from swimid.fitting.drives import Beat, Cycle, SwimInput
 from swimid.fitting.model import NONE, Trial
 from swimid.robots import file as robot

@@ -50,7 +50,6 @@ class Lifted(Assembly):
             "damping": ([i for i, _ in turning], [self._damping(row) for _, row in turning]),
             "foil": (flat["foil_link"], [self._foil(row) for row in flat["foil"]]),
             "force": (flat["force_link"], [self._force(row) for row in flat["force"]]),
-            "wake": (flat["wake_link"], [self._wake(row) for row in flat["wake"]]),
         }
         for name, (owner, table) in rows.items():
             found[f"{name}_link"] = np.array(owner, dtype=np.int64)
@@ -93,10 +92,6 @@ class Lifted(Assembly):
 
     def _force(self, row: Array) -> Array:
         return np.concatenate([self._point(row[0], row[1]), self._point(row[2], row[3]), [row[4], 0.0]])
-
-    def _wake(self, row: Array) -> Array:
-        chord, normal = self._point(1.0, 0.0), self._point(0.0, 1.0)
-        return np.concatenate([self._point(row[0], row[1]), [row[2]], chord, normal])
 
 
 class LiftedModel(MultibodyModel):

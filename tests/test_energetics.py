@@ -1,4 +1,4 @@
-"""Joint torques against Lagrange's equations, the balance of energy, and derived quantities."""
+"""Joint torques against Lagrange's equations, and derived quantities."""
 
 from __future__ import annotations
 
@@ -12,17 +12,15 @@ import pytest
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
 from swimid.logs import kinematics
-from swimid.logs.trials import StrokeDrive
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Multilink
-from swimid.swimmer.energetics import Energetics
-from swimid.swimmer.model import Swimmer
+from swimid.robots.planar import Multilink, Yielding
+from swimid.swimmer.model import Energetics, Swimmer
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
 from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.spatial import engine as space_engine
 from swimid.swimmer.spatial.model import MultibodyModel
-from swimid.swimmer.trials import cycle_of
 from tests.conftest import Ran
 from tests.generators import lagrange
 from tests.lifted import LiftedModel
@@ -69,7 +67,7 @@ def test_torques_of_random_trees(base: str) -> None:
         rate, scratch = np.empty(2 * n), [np.zeros(shape) for shape in engine.shapes(tables)[1]]
         engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
-        torque, _ = engine.energetics(state[None], rate[None], row[None], *tables.values())
+        torque = engine.torques(state[None], rate[None], row[None], *tables.values())
         found = torque[0, [a.link for a in tree.driven]]
         size = np.abs(torque).max()
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
@@ -78,56 +76,31 @@ def test_torques_of_random_trees(base: str) -> None:
     assert compared > 20
 
 
-@pytest.mark.parametrize(
-    ("form", "name", "hz", "deg"),
-    [
-        (MultilinkModel, "tfish", 1.0, 20.0),
-        (MultilinkModel, "dolphin", 2.5, 27.0),
-        pytest.param(LiftedModel, "dolphin", 2.5, 27.0, marks=pytest.mark.slow),
-        pytest.param(LiftedModel, "tfish", 1.0, 20.0, marks=pytest.mark.slow),
-    ],
-)
-def test_balance_of_energy(form: type[Swimmer], name: str, hz: float, deg: float) -> None:
-    """Energy balances over four beats to 1e-6 with steps of 2.5 ms; the error has fourth order."""
-    left = []
-    for step in (0.0025, 0.00125):
-        model = form(robot_format.read(name), max_step=step)
-        found = swum(model, SwimInput(Beat("sine", hz, math.radians(deg))), 12.0, 4.0 / hz)
-        given, gone = found.balance_J()
-        left.append(abs(given - gone) / given)
-    assert left[0] < 1e-6
-    assert left[1] < left[0] / 8
-
-
-@pytest.mark.slow
-def test_balance_of_energy_in_space() -> None:
-    """Energy of the sea lion, with weight and buoyancy, balances over a whole stroke."""
-    model = MultibodyModel(robot_format.read("sealion"), max_step=0.001)
-    stroke = cycle_of(StrokeDrive(stroke="characteristic", cycles=3), model)
-    found = swum(model, SwimInput(stroke=stroke), 3.0 / stroke.frequency_hz, 1.0 / stroke.frequency_hz)
-    given, gone = found.balance_J()
-    assert given > 0
-    assert abs(given - gone) < 1e-6 * np.abs(found.power_W).max() * (found.time_s[-1] - found.time_s[0])
-
-
 def test_both_engines_give_the_same_torques() -> None:
     swim = SwimInput(Beat("sine", 1.4, 0.5))
     flat, space = (swum(f(robot_format.read("tfish")), swim, 5.0, 1.0) for f in (MultilinkModel, LiftedModel))
     assert space.torque_N_m == pytest.approx(flat.torque_N_m, abs=1e-9)
-    assert space.passive_torque_N_m == pytest.approx(flat.passive_torque_N_m, abs=1e-9)
-    assert space.water_W == pytest.approx(flat.water_W, abs=1e-9)
 
 
-def test_passive_torque_follows_the_law_of_the_spring() -> None:
-    """The caudal joint of the dolphin has ``tau = -K_s theta``, and the energy of this spring."""
-    model = MultilinkModel(robot_format.read("dolphin"))
-    swim = SwimInput(Beat("sine", 2.0, 0.4))
-    found = swum(model, swim, 5.0, 1.0)
-    angle = -found.passive_torque_N_m[:, 0] / 0.31
-    assert found.stored_J == pytest.approx(0.5 * 0.31 * angle**2, rel=1e-9)
-    assert np.gradient(angle, found.time_s)[5:-5] == pytest.approx(
-        found.passive_rate_rad_s[5:-5, 0], abs=0.02
-    )
+def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
+    """Inverse dynamics of the sea lion with a sprung hinge gives back the torque of its spring."""
+    robot = robot_format.read("sealion")
+    assert robot.multibody is not None
+    joints = [j.model_copy() for j in robot.multibody.joints]
+    law = Yielding(stiffness_N_m_rad=2.0, damping_N_m_s_rad=0.3)
+    joints[-1] = joints[-1].model_copy(update={"driven": None, "passive": law})
+    body = robot.multibody.model_copy(update={"joints": joints, "strokes": {}})
+    model = MultibodyModel(robot.model_copy(update={"multibody": body}))
+    tables = model.tree.tables(np.array(list(model.stated().values())))
+    rng, size = np.random.default_rng(3), 13 + 2 * len(model.passive)
+    state, row = rng.normal(size=size), rng.normal(size=(len(model.driven), 5))
+    row[:, 3], row[:, 4] = np.cos(row[:, 0]), np.sin(row[:, 0])
+    rate, scratch = np.empty(size), [np.zeros(shape) for shape in space_engine.shapes(tables)[1]]
+    space_engine.derivative(state, row, *tables.values(), *scratch, rate)
+    torque = space_engine.torques(state[None], rate[None], row[None], *tables.values())
+    (axis,) = model.passive
+    expected = -2.0 * state[7] - 0.3 * state[-1]
+    assert torque[0, axis.link] == pytest.approx(expected, abs=1e-9 * np.abs(torque).max())
 
 
 def test_a_run_that_breaks_down_has_no_energetics() -> None:

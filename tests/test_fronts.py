@@ -143,8 +143,8 @@ def test_the_command_writes_a_front_and_a_point_of_it(swimid: Run, tmp_path: Pat
         assert file.parameters[name].stderr is None or file.parameters[name].stderr > 0
     assert file.fit is not None
     shown = evidence.read(evidence.sidecar(out))
-    assert {"stages", "front-choices"} <= {t.id for t in shown.tables}
-    assert {"front", "generations"} <= {f.id for f in shown.figures}
+    assert "stages" in {t.id for t in shown.tables}
+    assert "front" in {f.id for f in shown.figures}
     assert not (tmp_path / "p.yaml.partial").exists()
     # another point by its index, without a search
     again = tmp_path / "again.yaml"
@@ -221,12 +221,12 @@ def test_one_front_of_speed_and_turning_for_a_planar_fish(swimid: Run, tmp_path:
     trials = swimmer.write_trials(tmp_path, "tfish", runs, noise, 5, columns=tuple(noise))
     ran = swimid(
         "fit-graybox", trials, "--channels", "u_m_s,yaw_rate_rad_s", "--method",
-        "nsga2", "--fronts", "overall", *FEW, "--scale", "u_m_s=0.02", "--share", "c_f",
+        "nsga2", *FEW, "--scale", "u_m_s=0.02", "--share", "c_f",
         "--pick", "knee", "-o", out, "--no-progress",
     )  # fmt: skip
     assert ran.status == 0, ran.err
     table = pd.read_csv(tmp_path / "p.front.csv")
-    assert [c for c in table.columns if "[" in c] == ["speed[all trials]", "turning[all trials]"]
+    assert [c.split("[")[0] for c in table.columns if "[" in c] == ["speed", "turning"]
 
 
 def test_options_of_a_front_need_its_method(swimid: Run, tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_options_of_a_front_need_its_method(swimid: Run, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a,b\n1,2\n", "holds no front"),
+        ("a,b\n1,2\n", "is no front of this fit"),
         ("index,profile,c,position[p]\n0,p,x,1\n", "holds no number"),
         ("", "is no table"),
     ],

@@ -60,7 +60,7 @@ def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> 
 
 def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
     """Return states and rates of a run by the scalar engine."""
-    return ENGINES[form].integrate(start, step, drive, *tables.values(), *form.engine.extra)
+    return ENGINES[form].integrate(start, step, drive, *tables.values(), *form.engine.LAST)
 
 
 def planar_tree(seed: int, **changed: Any) -> PlanarAssembly:

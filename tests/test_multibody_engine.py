@@ -39,7 +39,7 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     n = 6 + len(model.passive)
     rate = np.empty(len(state))
     tables = model.tables(np.zeros(0))
-    scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n), np.zeros(6)
+    scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n)
     engine.derivative(state, row, *tables.values(), *scratch, rate)
     kernel = lanes_forms.kernel_of(model, MultibodyModel.engine, np.zeros(0))
     traced = lanes_forms.rate(kernel, state, row, tables)

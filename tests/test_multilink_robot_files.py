@@ -97,8 +97,8 @@ WRONG = {
     "element without its link": (
         "link: tail, area", "link: tall, area", "elements.4.link", "'tall'", "'tail'",
     ),
-    "circle": ("parent: head", "parent: tail", "joints.neck", "in a circle", ""),
-    "link on itself": ("parent: trunk", "parent: tail", "joints.peduncle", "in a circle", ""),
+    "circle": ("parent: head", "parent: tail", "links.trunk", "no joints connect", ""),
+    "link on itself": ("parent: trunk", "parent: tail", "links.tail", "no joints connect", ""),
     "two joints on a link": (
         "  elements:\n", "    - {name: rod, parent: head, child: tail}\n  elements:\n", "joints.rod",
         "two joints", "",
@@ -109,7 +109,7 @@ WRONG = {
         "closes on itself",
     ),
     "loose link": (
-        "    - {name: neck", "    # - {name: neck", "links.trunk", "no joint holds the link 'trunk'", "",
+        "    - {name: neck", "    # - {name: neck", "links.trunk", "no joints connect the link 'trunk'", "",
     ),
     "link name twice": ("name: tail,", "name: trunk,", "links.2", "twice", ""),
     "joint name twice": ("name: peduncle", "name: neck", "joints.1", "twice", ""),

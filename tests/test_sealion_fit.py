@@ -46,7 +46,7 @@ def test_a_hybrid_fit_finds_the_truth_and_predicts_a_manoeuvre(swimid: Run, tmp_
     assert ran.status == 0, ran.err
     print(ran.out)
     for table in evidence.read(evidence.sidecar(out)).tables:
-        if table.id in ("stages", "front-choices"):
+        if table.id == "stages":
             print(table.title, table.columns, *table.rows, sep="\n")
     true = sealion.Coefficients().values()
     file = parameters_format.read(out)

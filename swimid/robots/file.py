@@ -217,44 +217,40 @@ class RobotFile:
                     hint=f"there are: {', '.join(known) or 'none'}",
                 )
             chosen[key] = option
-        changes: dict[str, Any] = {}
-        for key, option in chosen.items():
-            changes.update(written[key].options[option].set)
+        changes = any(written[key].options[option].set for key, option in chosen.items())
         if not changes and all(written[key].chosen == option for key, option in chosen.items()):
             return self._written
         patched = yamlio.plain(self._data)
-        for place, value in changes.items():
-            try:
-                _put(patched, place, value, path)
-            except InputError as error:
-                key = next(k for k, option in chosen.items() if place in written[k].options[option].set)
-                where = f"readings.{key}.options.{chosen[key]}"
-                raise located(InputError(error.reason, column=where), path) from error
         for key, option in chosen.items():
+            for place, value in written[key].options[option].set.items():
+                _put(patched, place, value, f"readings.{key}.options.{option}", path)
             patched["readings"][key]["chosen"] = option
         return yamlio.validate(patched, Robot, path)
 
 
-def _put(data: Any, place: str, value: Any, path: Path) -> None:
-    """Set the value at a dotted path. A member of a list is addressed by its name or its index."""
+def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
+    """Set the value at a dotted path. A member of a list is addressed by its name or its index.
+
+    ``where`` is the dotted path of the reading, for error messages.
+    """
+
+    def key_of(part: str) -> Any:
+        key = _member(data, part)
+        if key is None:
+            raise located(
+                InputError(f"a reading changes '{place}', but there is no '{part}'", column=where), path
+            )
+        return key
+
     *way, last = place.split(".")
     for part in way:
-        data = data[_key(data, part, place, path)]
+        data = data[key_of(part)]
     if isinstance(data, list):
-        data[_key(data, last, place, path)] = value
+        data[key_of(last)] = value
     elif value is None:
         data.pop(last, None)
     else:
         data[last] = value
-
-
-def _key(data: Any, part: str, place: str, path: Path) -> Any:
-    key = _member(data, part)
-    if key is None:
-        raise InputError(
-            f"a reading changes '{place}', but there is no '{part}'", file=path, column="readings"
-        )
-    return key
 
 
 def _member(data: Any, part: str) -> Any:

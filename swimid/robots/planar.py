@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveFloat, model_validator
 
@@ -176,27 +176,31 @@ class Passive(Yielding):
     tendon: Tendon | None = None
 
 
-class Joint(yamlio.Document):
-    """A joint between two links. A positive angle rotates the child link counter-clockwise."""
+class Connection(yamlio.Document):
+    """A connection between two links: rigid, or with the law of a driven or of a passive joint."""
 
     name: str
     parent: str
     child: str
+    driven: Driven | None = None
+    passive: Yielding | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.driven is not None and self.passive is not None:
+            raise ValueError(f"the joint '{self.name}' is both driven and passive")
+        return self
+
+
+class Joint(Connection):
+    """A joint between two links. A positive angle rotates the child link counter-clockwise."""
+
     #: Station of the joint on the parent link; the default is the rear end of the parent.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
     #: Angle between the two links at zero joint angle, degrees.
     mount_deg: float = 0.0
-    #: Law of a driven or of a passive joint; at most one of the two. Without either, the links are joined
-    #: rigidly.
-    driven: Driven | None = None
     passive: Passive | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Joint:
-        if self.driven is not None and self.passive is not None:
-            raise ValueError(f"the joint '{self.name}' is both driven and passive")
-        return self
 
 
 class OnLink(yamlio.Document):

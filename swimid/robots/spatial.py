@@ -12,10 +12,10 @@ import math
 from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import Coefficients, Driven, OnLink, Quantity, Yielding
+from swimid.robots.planar import Coefficients, Connection, OnLink, Quantity
 
 #: Vector with components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -23,9 +23,14 @@ Direction = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
-def _unit(direction: Direction, name: str) -> None:
-    if not math.sqrt(sum(d * d for d in direction)) > 1e-6:
-        raise ValueError(f"{name} has no length")
+def _long(direction: Direction) -> Direction:
+    if not math.hypot(*direction) > 1e-6:
+        raise ValueError("the direction has no length")
+    return direction
+
+
+#: Vector whose length is not zero.
+Axis = Annotated[Direction, AfterValidator(_long)]
 
 
 class Body(yamlio.Document):
@@ -45,31 +50,17 @@ class Body(yamlio.Document):
         return self
 
 
-class Hinge(yamlio.Document):
+class Hinge(Connection):
     """A hinge between two links. A positive angle rotates the child right-handed about the axis."""
 
-    name: str
-    parent: str
-    child: str
     #: Position of the hinge on the parent link.
     at_m: Vector = ZERO
     #: Direction of the hinge in the axes of the child link. At zero angle, these are the parent's axes
     #: rotated by ``mount_deg``.
-    axis: Direction
+    axis: Axis
     #: Rotation of the child's axes from the parent's axes at zero angle, degrees. It consists of right-handed
     #: rotations about x, then y, then z of the parent.
     mount_deg: Direction = (0.0, 0.0, 0.0)
-    #: Law of a driven or of a passive hinge; at most one of the two. Without either, the links are joined
-    #: rigidly.
-    driven: Driven | None = None
-    passive: Yielding | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Hinge:
-        if self.driven is not None and self.passive is not None:
-            raise ValueError(f"the hinge '{self.name}' is both driven and passive")
-        _unit(self.axis, "axis")
-        return self
 
 
 class AddedMass(OnLink):
@@ -112,12 +103,7 @@ class Plate(OnLink):
     #: Coefficient of added mass.
     k: Quantity = 1.0
     at_m: Vector = ZERO
-    normal: Direction = (0.0, 0.0, 1.0)
-
-    @model_validator(mode="after")
-    def _direction(self) -> Plate:
-        _unit(self.normal, "normal")
-        return self
+    normal: Axis = (0.0, 0.0, 1.0)
 
 
 class Drag(OnLink):
@@ -164,8 +150,8 @@ class Foil(OnLink):
     kind: Literal["foil"]
     area_m2: Quantity
     at_m: Vector
-    chord: Direction = (1.0, 0.0, 0.0)
-    normal: Direction = (0.0, 0.0, 1.0)
+    chord: Axis = (1.0, 0.0, 0.0)
+    normal: Axis = (0.0, 0.0, 1.0)
     lift_coefficient: Quantity
     drag_coefficient_0: Quantity = 0.0
     drag_coefficient_1: Quantity = 0.0
@@ -173,8 +159,6 @@ class Foil(OnLink):
 
     @model_validator(mode="after")
     def _directions(self) -> Foil:
-        _unit(self.chord, "chord")
-        _unit(self.normal, "normal")
         if abs(sum(a * b for a, b in zip(self.chord, self.normal, strict=True))) > 1e-6:
             raise ValueError("chord and normal must be perpendicular")
         return self

@@ -18,8 +18,7 @@ from swimid.fitting.model import Array, Trial
 from swimid.logs import kinematics
 from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.simulation.catalogue import Quantity
-from swimid.swimmer.energetics import Energetics
-from swimid.swimmer.model import Swimmer
+from swimid.swimmer.model import Energetics, Swimmer
 from swimid.swimmer.planar.model import Body
 
 

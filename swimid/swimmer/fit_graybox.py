@@ -15,12 +15,10 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, metrics, mistakes, output_error
-from swimid.fitting.drives import Beat
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult, Series
+from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
 from swimid.logs import trials as trials_format
-from swimid.logs.beat import find_beat
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes
@@ -559,23 +557,21 @@ def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
 
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) -> list[ev.Table]:
     """Return tables of errors, starting points, and interpretations of the source."""
-    starts = [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)]
     readings = experiment.robot.readings.items()
     found: list[tuple[str, str, list[str], list[list[Any]], str]] = [
         (
             "metrics",
             "Errors of every trial",
-            ["trial", "data", "channel", "RMSE", "NRMSE", "VAF", "peak", "DTW", "phase"],
+            ["trial", "data", "channel", "RMSE", "NRMSE", "VAF", "peak", "DTW"],
             _error_rows(result),
             "NRMSE: over the measured range (tendon fish, Eq 13). Peak: difference of the largest magnitudes "
-            "over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of the record. "
-            "Phase: at the beat.",
+            "over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of the record.",
         ),
         (
             "starts",
             "Starts",
             ["start", "converged", "cost"],
-            starts,
+            [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)],
             "The cost is the mean squared residual, averaged geometrically over the channels.",
         ),
         (
@@ -597,7 +593,6 @@ def _error_rows(result: FitResult) -> list[list[str]]:
     """List the errors of each trial and channel."""
     rows = []
     units = {c.name: c.unit for c in result.model.channels}
-    drives = {t.id: t.swim.beat for t in result.trials}
     for s in result.series:
         unit = units[s.channel]
         score = fit_common.scores(result, s.role, [s.trial])[s.channel]
@@ -612,25 +607,9 @@ def _error_rows(result: FitResult) -> list[list[str]]:
                 numbers.percent(score.vaf, 4),
                 numbers.percent(metrics.peak_error(s.measured, s.simulated)[1]),
                 numbers.number(warped, 3, unit),
-                _phase(s, drives[s.trial]),
             ]
         )
     return rows
-
-
-def _phase(s: Series, drive: Beat | None) -> str:
-    """Return the phase of the simulated beat relative to the measured beat, degrees; empty if unknown."""
-    known = np.isfinite(s.measured)
-    highest = None
-    if drive is not None and known.sum() > 1:
-        rate = 1.0 / float(np.median(np.diff(s.time_s[known])))
-        # include twice the drive frequency, at which surge oscillates
-        highest = min(3.5 * drive.frequency_hz, 0.45 * rate)
-    beat = find_beat(s.time_s[known], s.measured[known], highest_hz=highest)
-    if beat is None:
-        return ""
-    error = metrics.phase_error(s.measured, s.simulated, s.time_s, frequency_hz=beat.frequency_hz)
-    return numbers.number(float(np.degrees(error)), 2, "deg")
 
 
 def _methods(experiment: Experiment, result: FitResult, search: _Search, method: str) -> list[str]:

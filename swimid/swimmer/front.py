@@ -49,8 +49,6 @@ SCALES = {
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 BAND = 0.05
-#: Name of the single motion profile when one front is searched over all trials.
-ALL_TRIALS = "all trials"
 #: Rules by which a point of the front is chosen.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 #: Titles of the fits before the search, at the chosen point, and after least squares.
@@ -306,14 +304,11 @@ def fit(
     NoTrustworthyResult
         If the search is interrupted, or if every simulation breaks down.
     """
-    names = experiment.facts["profiles"]
-    if options.fronts == "overall":
-        names = dict.fromkeys(names, ALL_TRIALS)
     profiles = Profiles(
         model,
         parameters,
         experiment.trials,
-        names,
+        experiment.facts["profiles"],
         scales=options.scales,
         jobs=options.jobs or os.cpu_count() or 1,
     )
@@ -424,21 +419,14 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
     except (ValueError, UnicodeDecodeError) as error:
         raise InputError(f"is no table: {error}", file=path) from error
     expected = [*profiles.labels, *profiles.columns]
-    names = [str(column) for column in table.columns]
-    if names[:2] != ["index", "profile"] or table.empty:
+    others = {str(column) for column in table.columns} ^ {"index", "profile", *expected}
+    if others or table.empty:
         raise InputError(
-            "holds no front: its columns are index, profile, coefficients, and objectives such as "
-            "position[characteristic]",
+            f"is no front of this fit: only one of the two has {', '.join(sorted(others)) or 'points'}",
             file=path,
-            hint="give the .front.csv that an earlier --method nsga2 or hybrid wrote",
+            hint="give the .front.csv of an earlier --method nsga2 or hybrid with the same trials, "
+            "--channels, --fix, --free and --share",
         )
-    for where, only in (("it", set(names[2:]) - set(expected)), ("this fit", set(expected) - set(names))):
-        if only:
-            raise InputError(
-                f"belongs to another fit: only {where} has {', '.join(sorted(only))}",
-                file=path,
-                hint="give the same trials, --channels, --fix, --free and --share as when it was made",
-            )
     for column in expected:
         bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[column], errors="coerce").to_numpy()))
         if len(bad):
@@ -481,7 +469,7 @@ def add_evidence(
     stages = dict(found.stages)
     if options.method == "hybrid":
         stages[AFTER] = result
-    evidence.tables[:0] = [_stages_table(found, stages), _choices_table(found)]
+    evidence.tables[:0] = [_stages_table(found, stages)]
     evidence.figures[:0] = _figures(found, stages)
     evidence.methods[:0] = _methods(found, options)
     chosen = ", ".join(rule for rule, k in found.rules.items() if k == found.chosen) or "by index"
@@ -511,37 +499,13 @@ def _stages_table(found: FrontResult, stages: Mapping[str, FitResult | None]) ->
     )
 
 
-def _choices_table(found: FrontResult) -> ev.Table:
-    """List the point that every rule chooses, and the range of each coefficient along the front."""
-    picks = dict(found.rules)
-    if found.chosen not in picks.values():
-        picks = {"by index": found.chosen, **picks}
-    rows: list[list[Any]] = []
-    for j, label in enumerate(found.profiles.labels):
-        column = found.points[:, j]
-        searched = numbers.interval(float(found.profiles.lower[j]), float(found.profiles.upper[j]), None)
-        spread = numbers.interval(float(column.min()), float(column.max()), None)
-        rows.append([label, searched, spread, *(float(column[k]) for k in picks.values())])
-    rows.append(["index", "", f"0 to {len(found.points) - 1}", *picks.values()])
-    return ev.Table(
-        id="front-choices",
-        title="Choices on the front",
-        columns=["coefficient", "searched", "over the front", *picks],
-        rows=rows,
-        caption="least-worst: the largest objective, each over the least on the front, is smallest. knee: "
-        "nearest to the best of every objective. Any other point is chosen with --front FILE --pick INDEX.",
-        folded=True,
-    )
-
-
 def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
-    """Plot the fronts of all profiles with the fits, and the minimum distances over the generations."""
+    """Plot the fronts of all profiles with the fits."""
     profiles = found.profiles
     ends = {t: profiles.scored(r.series) for t, r in stages.items() if r is not None}
-    fronts, histories = [], []
+    fronts = []
     for name in profiles.names:
         objectives = profiles.objectives_of(name)
-        kinds = [profiles.objectives[j][1] for j in objectives]
         own = np.asarray(found.table["profile"] == name)
         axes = objectives[:2]
         clouds = [("its front", found.values[own]), ("fronts of the other profiles", found.values[~own])]
@@ -552,31 +516,15 @@ def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list
             if len(v)
         ]
         if len(axes) > 1:
-            x, y = (f"{kind} distance" for kind in kinds[:2])
+            x, y = (f"{profiles.objectives[j][1]} distance" for j in axes)
             fronts.append(
                 ev.Panel(x_label=x, y_label=y, title=name, traces=traces, x_scale="log", y_scale="log")
             )
-        if name in found.searches:
-            history = found.searches[name].history
-            generation = np.arange(1, len(history) + 1)
-            traces = [
-                ev.Trace(x=generation, y=history[:, j], label=kind, group=j) for j, kind in enumerate(kinds)
-            ]
-            histories.append(
-                ev.Panel(
-                    x_label="generation", y_label="least distance", title=name, traces=traces, y_scale="log"
-                )
-            )
-    captions = (
+    caption = (
         "Each point is a set of coefficients. One set can explain all profiles if the points of all fronts "
-        "lie close together at the lower left.",
-        "Least distance of each kind in the population.",
+        "lie close together at the lower left."
     )
-    drawn = [
-        ev.Figure(id="front", title="Pareto fronts", caption=captions[0], panels=fronts),
-        ev.Figure(id="generations", title="Search by generations", caption=captions[1], panels=histories),
-    ]
-    return [figure for figure in drawn if figure.panels]
+    return [ev.Figure(id="front", title="Pareto fronts", caption=caption, panels=fronts)] * bool(fronts)
 
 
 def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:
@@ -584,9 +532,7 @@ def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:
     said = []
     if found.searches:
         evaluations = sum(f.evaluations for f in found.searches.values())
-        scope = "over all fitted trials"
-        if len(found.searches) > 1:
-            scope = f"for each of {len(found.searches)} motion profiles ({', '.join(found.searches)})"
+        scope = f"for each motion profile ({', '.join(found.searches)})"
         kinds = ", ".join(dict.fromkeys(kind for _, kind in found.profiles.objectives))
         said.append(
             f"A Pareto front of {len(found.profiles.labels)} coefficients was searched {scope} by NSGA-II "

@@ -6,6 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -15,7 +16,7 @@ from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, 
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
-from swimid.swimmer.lanes.kernel import Engine, Kernels, Room
+from swimid.swimmer.lanes.kernel import Kernels, Room
 from swimid.swimmer.lanes.tracing import LANES
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar.engine import sampled
@@ -23,7 +24,6 @@ from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.files.atomic import Checkpoint
-    from swimid.swimmer.energetics import Energetics
     from swimid.swimmer.steady import Cruise, SteadySwimming
 
 #: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the
@@ -86,6 +86,43 @@ class Run:
     tables: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Energetics:
+    """Torques and powers of the driven joints in a simulation, at its integration steps.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        Times with an even step.
+    torque_N_m, rate_rad_s : ndarray, shape (m, driven joints)
+        Torque of each driven joint on its child link, and rate of the joint.
+    """
+
+    time_s: Array
+    torque_N_m: Array
+    rate_rad_s: Array
+
+    @property
+    def power_W(self) -> Array:
+        """Mechanical power of each driven joint, shape (m, driven joints)."""
+        return self.torque_N_m * self.rate_rad_s
+
+    def mean(self, power_W: Array) -> float:
+        """Return the mean of a power over the simulated time by the trapezoidal rule, W."""
+        return float(np.trapezoid(power_W, self.time_s) / (self.time_s[-1] - self.time_s[0]))
+
+    def mean_power_W(self) -> float:
+        """Return the mean mechanical power of all driven joints together, W. Negative power is subtracted."""
+        return self.mean(self.power_W.sum(axis=1))
+
+    def mean_positive_power_W(self) -> float:
+        """Return the mean mechanical power of all driven joints without energy recovery, W.
+
+        Negative power of a joint counts as zero.
+        """
+        return self.mean(np.maximum(self.power_W, 0.0).sum(axis=1))
+
+
 class Swimmer(Model):
     """Model of a robot with links.
 
@@ -111,7 +148,8 @@ class Swimmer(Model):
     rates: tuple[str, ...]
     #: Camera parameters of each trial. They affect how the motion of a free base is measured, not the motion.
     camera: tuple[Parameter, ...] = ()
-    engine: Engine
+    #: Module of the compiled equations of motion.
+    engine: ModuleType
     tree: Tree
 
     def __init__(self, robot: Robot, *, max_step: float = STEP_S) -> None:
@@ -244,17 +282,6 @@ class Swimmer(Model):
         entries = [entry for axis in self.passive for entry in law_of(axis.joint)]
         used = {name for entry in entries for name in entry.names}
         return [name for name in self.coefficients if name in used]
-
-    def final_state(self, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return velocities, passive angles and rates at the end of a simulation, by start-parameter name."""
-        found = {}
-        if self.free_base:
-            for name, column in zip(self.rates, self.velocity, strict=True):
-                found[f"initial_{name}"] = float(columns[column][-1])
-        for axis in self.passive:
-            found[f"initial_angle_{axis.name}"] = float(columns[axis.column][-1])
-            found[f"initial_rate_{axis.name}"] = float(columns[axis.rate][-1])
-        return found
 
     def forget(self, trials: Sequence[Trial]) -> None:
         """Remove the cached results of trials that will not be simulated again."""
@@ -536,29 +563,13 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
 
 def _energetics(model: Swimmer, values: Array, run: Trajectory, last_s: float) -> Energetics:
     """Return torques and powers over the last ``last_s`` seconds of a trajectory."""
-    from swimid.swimmer.energetics import Energetics, elastic
-
     count = min(max(round(last_s / run.grid.step_s), 1), len(run.states) - 1) + 1
     rows = slice(len(run.states) - count, None)
     tables = model.tree.tables(values[: len(model.coefficients)])
     states, drive = run.states[rows], run.drive.table[::2][rows]
-    torque, flow = model.engine.energetics(states, run.rates[rows], drive, *tables.values())
-    first, passives = model.coordinates, len(model.passive)
-    angle = states[:, first : first + passives]
-    rate = states[:, first + passives + model.speeds :]
-    lost, stored = elastic(tables["passive"], angle, rate)
-    return Energetics(
-        time_s=run.grid.times(1)[rows],
-        torque_N_m=torque[:, [a.link for a in model.driven]],
-        rate_rad_s=drive[:, :, 1],
-        passive_torque_N_m=torque[:, [a.link for a in model.passive]],
-        passive_rate_rad_s=rate,
-        kinetic_J=flow[:, 0],
-        stored_J=stored,
-        water_W=flow[:, 1],
-        weight_W=flow[:, 2],
-        dissipated_W=lost,
-    )
+    torque = model.engine.torques(states, run.rates[rows], drive, *tables.values())
+    driven = [a.link for a in model.driven]
+    return Energetics(run.grid.times(1)[rows], torque[:, driven], drive[:, :, 1])
 
 
 def trial_parameter(name: str, unit: str, scale: float, meaning: str) -> Parameter:

@@ -99,11 +99,6 @@ class FitGrayboxOptions(
     )
     population: int = option(80, ge=4, part=FRONT, help="nsga2, hybrid: population size.")
     generations: int = option(50, ge=1, part=FRONT, help="nsga2, hybrid: number of generations.")
-    fronts: Literal["profile", "overall"] = option(
-        "profile",
-        part=FRONT,
-        help="nsga2, hybrid: a front for each motion profile, or one over all trials.",
-    )
     pick: str = option(
         "least-worst",
         metavar="RULE|INDEX",

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from swimid.fitting.drives import Beat, Cycle
 from swimid.fitting.model import NONE, Array, Trial
-from swimid.swimmer.drive import Grid
+from swimid.swimmer.drive import Grid, TrialCache
 from swimid.swimmer.limit_cycle import LimitCycle, limit_cycle
 
 if TYPE_CHECKING:
@@ -47,8 +46,7 @@ class SteadySwimming:
 
     def __init__(self, model: Swimmer) -> None:
         self.model = model
-        self._cycles: dict[tuple[Any, ...], LimitCycle | None] = {}
-        self._lock = threading.Lock()
+        self._cycles: TrialCache[tuple[LimitCycle | None]] = TrialCache(MAX_CYCLES)
         # indices of the state entries on which the motion over a period depends
         passives, first = len(model.passive), model.coordinates + len(model.passive)
         angles = list(range(model.coordinates, first))
@@ -104,21 +102,17 @@ class SteadySwimming:
         moved = [i for i in self.model.influences(run.hooks) if not names[i].startswith(phases_and_starts)]
         kind = (replace(_drive_of(run), phase_rad=0.0), run.hooks.key, self.model.max_step)
         key = (*kind, run.values[moved].tobytes())
-        with self._lock:
-            if key in self._cycles:
-                return self._cycles[key]
-            near = self._cycles.get(kind)
+        known, last = self._cycles.get("", key), self._cycles.get("", kind)
+        if known is not None:
+            return known[0]
 
         def period(state: Array) -> Array:
             return self._states(run, section, state)[:, self._memory]
 
-        found = limit_cycle(period, np.zeros(len(self._memory)), near=near)
-        with self._lock:
-            self._cycles[key] = found
-            if found is not None:
-                self._cycles[kind] = found
-            while len(self._cycles) > MAX_CYCLES:
-                self._cycles.pop(next(iter(self._cycles)))
+        found = limit_cycle(period, np.zeros(len(self._memory)), near=(last or (None,))[0])
+        self._cycles.put("", key, (found,))
+        if found is not None:
+            self._cycles.put("", kind, (found,))
         return found
 
     def _states(self, run: Run, begin_s: float, state: Array, periods: float = 1.0) -> Array:

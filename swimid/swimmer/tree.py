@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -110,7 +110,7 @@ class Rows:
     index : mapping of link name to int
     inertia : list of rows, one per link
         Apparent inertia about the origin of the link.
-    drag, damping, foil, force, wake : list of (link index, row)
+    elements : mapping of input array to list of (link index, row)
         Hydrodynamic elements. The module of the engine defines their columns.
     """
 
@@ -118,11 +118,7 @@ class Rows:
     gravity_m_s2: float
     index: Mapping[str, int]
     inertia: list[Row]
-    drag: list[tuple[int, Row]] = field(default_factory=list)
-    damping: list[tuple[int, Row]] = field(default_factory=list)
-    foil: list[tuple[int, Row]] = field(default_factory=list)
-    force: list[tuple[int, Row]] = field(default_factory=list)
-    wake: list[tuple[int, Row]] = field(default_factory=list)
+    elements: dict[str, list[tuple[int, Row]]]
 
     def add_inertia(self, link: str, terms: Row) -> None:
         """Add terms to the apparent inertia of a link."""
@@ -131,7 +127,7 @@ class Rows:
 
     def add(self, table: str, link: str, row: Row) -> None:
         """Add a row to the input array ``table``, for an element of a link."""
-        getattr(self, table).append((self.index[link], row))
+        self.elements[table].append((self.index[link], row))
 
 
 class Table:
@@ -292,12 +288,8 @@ def ordered(body: Any, part: str) -> tuple[list[Any], list[Any]]:
         joints += children
     left = [name for name in by_name if name not in order]
     if left:
-        loose = [name for name in left if name not in joint_of]
-        if loose:
-            raise InputError(f"no joint holds the link '{loose[0]}'", column=f"{part}.links.{loose[0]}")
         raise InputError(
-            f"the links {', '.join(left)} hang on each other in a circle and not on the base",
-            column=f"{part}.joints.{joint_of[left[0]].name}",
+            f"no joints connect the link '{left[0]}' with the base '{base}'", column=f"{part}.links.{left[0]}"
         )
     return [by_name[name] for name in order], joints
 
@@ -351,9 +343,8 @@ class Tree(ABC):
         unknown link, and impossible masses or inertias. The error states the dotted path.
     """
 
-    #: Name of the part of the robot file, and the word for a joint in this part.
+    #: Name of the part of the robot file.
     part: str
-    hinge: str
     #: Names of the input arrays for elements, in the order of the engine's arguments.
     elements: tuple[str, ...]
     #: Module of the compiled equations of motion (the engine), which defines the columns of the input arrays.
@@ -382,7 +373,7 @@ class Tree(ABC):
         self.free_base = body.base == "free"
         if not self.free_base and not self.passive:
             raise InputError(
-                f"a robot on a fixed base without a passive {self.hinge} has nothing to simulate",
+                "a robot on a fixed base without a passive joint has nothing to simulate",
                 column=f"{self.part}.base",
             )
         self.constants = {"free_base": self.free_base}
@@ -392,7 +383,8 @@ class Tree(ABC):
         """Collect the rows of links and elements, and check them at the coefficient values of the file."""
         engine = self.engine
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
-        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty)
+        elements: dict[str, list[tuple[int, Row]]] = {name: [] for name in self.elements}
+        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty, elements)
         for link in self.links:
             self._add_rigid(link, rows)
         rigid = [list(row) for row in rows.inertia]
@@ -406,9 +398,9 @@ class Tree(ABC):
         self._rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
         self._passive = table([law_of(axis.joint) for axis in self.passive], PASSIVE)
         self._elements = []
-        for name in self.elements:
-            owners = np.array([link for link, _ in getattr(rows, name)], dtype=np.int64)
-            entries = [row for _, row in getattr(rows, name)]
+        for name, own in elements.items():
+            owners = np.array([link for link, _ in own], dtype=np.int64)
+            entries = [row for _, row in own]
             self._elements.append((name, owners, table(entries, getattr(engine, name.upper()))))
         self.check(np.array([c.value for c in self.body.coefficients.values()]))
         return rows
@@ -428,23 +420,19 @@ class Tree(ABC):
         key = values.tobytes()
         known = self._known.get(key)
         if known is None:
-            known = self._filled(values)
+            known = {
+                "topology": self.topology,
+                "joint": self._joint(values),
+                "inertia": self._inertia(values),
+                "passive": self._passive(values),
+            }
+            for name, owner, table in self._elements:
+                known[f"{name}_link"], known[name] = owner, table(values)
+            known.update(self.constants)
             if len(self._known) >= MAX_TABLES:
                 self._known.clear()
             self._known[key] = known
         return dict(known)
-
-    def _filled(self, values: Array) -> dict[str, Any]:
-        found: dict[str, Any] = {
-            "topology": self.topology,
-            "joint": self._joint(values),
-            "inertia": self._inertia(values),
-            "passive": self._passive(values),
-        }
-        for name, owner, table in self._elements:
-            found[f"{name}_link"], found[name] = owner, table(values)
-        found.update(self.constants)
-        return found
 
     @abstractmethod
     def check(self, values: Array) -> None:

@@ -110,8 +110,6 @@ class Recording:
     entry : FreeSwimTrial
     log : Log
     trial : Trial
-    moving : bool
-        Whether the log begins in motion.
     state : str
         State at the first sample: ``rest``, ``estimate`` or ``steady``.
     """
@@ -119,7 +117,6 @@ class Recording:
     entry: FreeSwimTrial
     log: Log
     trial: Trial
-    moving: bool
     state: str
 
 
@@ -168,8 +165,6 @@ def load(
     _check_course(path, model, recordings)
     facts = {
         "beats": beats,
-        "moving": [r.trial.id for r in recordings if r.moving],
-        "start_states": {r.trial.id: r.state for r in recordings},
         "profiles": {entry.id: _profile(entry) for entry in entries.trials},
     }
     return Experiment(
@@ -199,7 +194,7 @@ def _recording(
     swim = replace(_drive_input(entry, log, path, model), pose=_first_pose(model, log))
     trial = Trial(entry.id, entry.role, log.time_s, measured, inputs=others, swim=swim)
     moving = _begins_in_motion(trial, log, model)
-    return Recording(entry, log, trial, moving, _start_state(entry, start_state, moving, model, path))
+    return Recording(entry, log, trial, _start_state(entry, start_state, moving, model, path))
 
 
 def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> SwimInput:

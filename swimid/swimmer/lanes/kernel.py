@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -56,55 +56,27 @@ MARK_S = 600.0
 N_BUFFERS = 8
 
 
-@dataclass(frozen=True)
-class Engine:
-    """Functions and properties of an engine that a model and its kernels use.
-
-    An engine is the compiled equations of motion with their time integration. Its tables are the input arrays
-    with the properties of the robot.
-
-    Attributes
-    ----------
-    derivative : compiled function
-        ``derivative(state, row, *tables, *extra, *work, rate)``.
-    shapes : callable
-        Function of the input arrays. It returns the length of the state and the shapes of the work arrays.
-    extra : tuple
-        Arguments of ``derivative`` between the input arrays and the work arrays.
-    settled : compiled function or None
-        Correction of the state after each step.
-    filled : mapping of table to columns
-        Entries that effects may change. They are inputs of a kernel even if they are zero for the robot.
-    energetics : compiled function or None
-        Inverse dynamics of a finished simulation: joint torques and powers.
-    """
-
-    derivative: Any
-    shapes: Callable[[Mapping[str, Any]], tuple[int, Sequence[tuple[int, ...]]]]
-    extra: tuple[Any, ...] = ()
-    settled: Any = None
-    filled: Mapping[str, slice] = field(default_factory=dict)
-    energetics: Any = None
-
-
 class Kernel:
     """Compiled equations of motion of one robot, which integrate up to :data:`LANES` simulations at once.
 
     Parameters
     ----------
-    engine : Engine
+    engine : module
+        Compiled equations of motion: ``planar.engine`` or ``spatial.engine``.
     tables : callable
         Function of the coefficients. It returns the input arrays of the engine by name.
     coefficients : int
         Number of coefficients.
     """
 
-    def __init__(self, engine: Engine, tables: Callable[[Array], dict[str, Any]], coefficients: int) -> None:
+    def __init__(
+        self, engine: ModuleType, tables: Callable[[Array], dict[str, Any]], coefficients: int
+    ) -> None:
         self.engine = engine
         self._example = tables(np.ones(coefficients))
         self.size, self._scratch = engine.shapes(self._example)
         self.fixed = _fixed(tables, coefficients)
-        for name, columns in engine.filled.items():
+        for name, columns in engine.FILLED.items():
             self.fixed[name][:, columns] = np.nan
         entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
@@ -171,7 +143,7 @@ class Kernel:
 
     def _arguments(self, tracer: tracing.Tracer, tables: dict[str, Any]) -> list[Any]:
         """Return the arguments of the derivative: the input arrays and the arguments that follow them."""
-        return [*tables.values(), *self.engine.extra]
+        return [*tables.values(), *self.engine.LAST]
 
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
         """Return whether the kernel saves time, and compile it if it does.
@@ -209,7 +181,8 @@ class Kernel:
         """Return the compiled module. Compile it if this machine does not have it yet."""
         with self._lock:
             if self.module is None:
-                self.module = _compiled(imported(tracing.text(self.traced())))
+                self.module = imported(tracing.text(self.traced()))
+                self.module.integrate.compile(self.module.SIGNATURE)
             return self.module
 
     def run(
@@ -234,41 +207,29 @@ class Kernel:
         -------
         list of (states, rates), each shape (steps + 1, size)
         """
+        module, traced = self.compiled(), self.traced()
+        found: dict[int, tuple[Array, Array]] = {}
         # simulations of similar length share a batch
         order = sorted(range(len(starts)), key=lambda k: len(drives[k]))
-        places: dict[int, tuple[Array, Array]] = {}
         for first in range(0, len(order), LANES):
             batch = order[first : first + LANES]
-            for k, one in zip(batch, self._batch(batch, starts, steps_s, drives, tables), strict=True):
-                places[k] = one
-        return [places[k] for k in range(len(starts))]
-
-    def _batch(
-        self,
-        batch: Sequence[int],
-        starts: Sequence[Array],
-        steps_s: Sequence[float],
-        drives: Sequence[Array],
-        tables: Sequence[Mapping[str, Any]],
-    ) -> list[tuple[Array, Array]]:
-        module, traced = self.compiled(), self.traced()
-        lanes = [*batch, *[batch[0]] * (LANES - len(batch))]
-        steps = [(len(drives[k]) - 1) // 2 for k in batch]
-        start = np.stack([starts[k] for k in lanes], axis=-1)
-        parameters = np.stack([self.numbers(tables[k]) for k in lanes], axis=-1)
-        states, rates = self._buffer((2, len(batch), max(steps) + 1, self.size))
-        module.integrate(
-            start.reshape(-1),
-            np.array([steps_s[k] for k in lanes], dtype=float),
-            *(np.ascontiguousarray(drives[k]).reshape(len(drives[k]), -1) for k in lanes),
-            all(drives[k] is drives[batch[0]] for k in batch),
-            max(steps),
-            parameters.reshape(-1),
-            states,
-            rates,
-            np.empty(tracing.length(traced)),
-        )
-        return [(states[j, : n + 1], rates[j, : n + 1]) for j, n in enumerate(steps)]
+            lanes = [*batch, *[batch[0]] * (LANES - len(batch))]
+            steps = [(len(drives[k]) - 1) // 2 for k in batch]
+            states, rates = self._buffer((2, len(batch), max(steps) + 1, self.size))
+            module.integrate(
+                np.stack([starts[k] for k in lanes], axis=-1).reshape(-1),
+                np.array([steps_s[k] for k in lanes], dtype=float),
+                *(np.ascontiguousarray(drives[k]).reshape(len(drives[k]), -1) for k in lanes),
+                all(drives[k] is drives[batch[0]] for k in batch),
+                max(steps),
+                np.stack([self.numbers(tables[k]) for k in lanes], axis=-1).reshape(-1),
+                states,
+                rates,
+                np.empty(tracing.length(traced)),
+            )
+            for j, k in enumerate(batch):
+                found[k] = states[j, : steps[j] + 1], rates[j, : steps[j] + 1]
+        return [found[k] for k in range(len(starts))]
 
     def _buffer(self, shape: tuple[int, ...]) -> Array:
         """Return an array to write into, from memory that no earlier result uses any more.
@@ -373,12 +334,6 @@ def imported(text: str) -> ModuleType:
     return module
 
 
-def _compiled(module: ModuleType) -> ModuleType:
-    """Return the module after it is compiled, or loaded from disk if it was compiled before."""
-    module.integrate.compile(module.SIGNATURE)
-    return module
-
-
 def compile_later(text: str) -> None:
     """Compile a module for the next command, in a process that outlives this process."""
     imported(text)
@@ -405,7 +360,8 @@ def compile_file(path: str) -> None:
     try:
         if hasattr(os, "nice"):
             os.nice(10)
-        _compiled(imported(Path(path).read_text(encoding="utf-8")))
+        module = imported(Path(path).read_text(encoding="utf-8"))
+        module.integrate.compile(module.SIGNATURE)
     finally:
         mark.unlink(missing_ok=True)
 
@@ -453,7 +409,7 @@ class WideKernel(Kernel):
     """
 
     def __init__(
-        self, engine: Engine, tables: Callable[[Array], dict[str, Any]], coefficients: int, room: Room
+        self, engine: ModuleType, tables: Callable[[Array], dict[str, Any]], coefficients: int, room: Room
     ) -> None:
         self.room = room
         self._slots: dict[tuple[int, int], slice] = {}
@@ -589,7 +545,7 @@ class Kernels:
 
     def __init__(
         self,
-        engine: Engine,
+        engine: ModuleType,
         tables: Callable[[Array], dict[str, Any]],
         coefficients: int,
         room: Callable[[], Room | None],

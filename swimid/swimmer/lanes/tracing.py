@@ -406,6 +406,21 @@ _OF_BITS = {
 }
 
 
+#: Program text of each operation, except division.
+_TEXTS = {
+    "+": "{0} + {1}",
+    "-": "{0} - {1}",
+    "*": "{0} * {1}",
+    "positive": "{1} if {0} > 0.0 else {2}",
+    "max": "{0} if {0} > {1} else {1}",
+    "min": "{0} if {0} < {1} else {1}",
+    "neg": "-{0}",
+    "abs": "abs({0})",
+    "sqrt": "math.sqrt({0})",
+    **_OF_BITS,
+}
+
+
 def length(traced: Traced) -> int:
     """Return the length of the work array."""
     return LANES * (4 * traced.size + 2 + traced.width + traced.parameters)
@@ -510,26 +525,16 @@ def _operations(operations: Sequence[Symbol], given: Any) -> list[str]:
     lines, divided = [], set()
     for x in operations:
         of = [_value(a) if isinstance(a, (Symbol, float)) else str(a) for a in x.of]
-        if x.kind in "+-*":
-            line = f"{of[0]} {x.kind} {of[1]}"
+        if x.kind in _TEXTS:
+            line = _TEXTS[x.kind].format(*of)
         elif x.kind == "/":
-            # several quotients may have one divisor, so compute its reciprocal once
-            if isinstance(x.of[1], Symbol) and of[1] not in divided:
-                lines.append(f"i{of[1]} = 1.0 / {of[1]}")
-                divided.add(of[1])
-            line = f"{of[0]} * i{of[1]}" if isinstance(x.of[1], Symbol) else f"{of[0]} / {of[1]}"
-        elif x.kind == "positive":
-            line = f"{of[1]} if {of[0]} > 0.0 else {of[2]}"
-        elif x.kind == "max":
-            line = f"{of[0]} if {of[0]} > {of[1]} else {of[1]}"
-        elif x.kind == "min":
-            line = f"{of[0]} if {of[0]} < {of[1]} else {of[1]}"
-        elif x.kind == "neg":
-            line = f"-{of[0]}"
-        elif x.kind in _OF_BITS:
-            line = _OF_BITS[x.kind].format(of[0])
-        elif x.kind in ("abs", "sqrt"):
-            line = f"{'math.' if x.kind == 'sqrt' else ''}{x.kind}({of[0]})"
+            line = f"{of[0]} / {of[1]}"
+            if isinstance(x.of[1], Symbol):
+                # several quotients may have one divisor, so compute its reciprocal once
+                line = f"{of[0]} * i{of[1]}"
+                if of[1] not in divided:
+                    lines.append(f"i{of[1]} = 1.0 / {of[1]}")
+                    divided.add(of[1])
         else:
             line = given(x)
         lines.append(f"x{x.number} = {line}")

@@ -218,7 +218,7 @@ class Assembly(Tree):
         Whether forces with a fixed direction in the world act, such as weight.
     """
 
-    part, hinge = "multilink", "joint"
+    part = "multilink"
     elements = ("drag", "foil", "force", "wake")
     engine, adders = engine, ADDERS
 
@@ -226,7 +226,7 @@ class Assembly(Tree):
         super().__init__(body)
         self._sizes = self._sized()
         rows = self.fill(fluid)
-        self.world_forces = any(row[4] == 1.0 for _, row in rows.force)
+        self.world_forces = any(row[4] == 1.0 for _, row in rows.elements["force"])
 
     def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
         """Return paths, powers of a length, sign constraints and values of all quantities.

@@ -79,6 +79,10 @@ PASSIVE = (
 )
 #: Entries of tables that effects may change although the robot file leaves them at zero.
 FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
+#: Arguments of :func:`derivative` between the tables and the work arrays, without forces of effects.
+LAST = (None, 0.0)
+#: Correction of the state after each step.
+settled = None
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
@@ -131,15 +135,20 @@ def passive_torque(passive, k, angle, w):  # type: ignore[no-untyped-def]
     return torque
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
-    """Compute velocities, known parts of accelerations, wrenches and inertias of all links."""
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore[no-untyped-def]
+    """Compute velocities, accelerations, wrenches and inertias of all links.
+
+    Without the rate of the state (None), the unknown accelerations count as zero.
+    """
     n = len(state) // 2
     for i in range(topology.shape[0]):
         if i == 0:
             c, s = 1.0, 0.0
             u, v, r = state[n], state[n + 1], state[n + 2]
             du, dv, dr = 0.0, 0.0, 0.0
+            if rate is not None:
+                du, dv, dr = rate[n], rate[n + 1], rate[n + 2]
             work[0, 17], work[0, 18] = math.cos(state[2]), math.sin(state[2])
         else:
             p, d, k = topology[i, 0], topology[i, 1], topology[i, 2]
@@ -148,6 +157,8 @@ def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-un
                 c, s = row[d, 3], row[d, 4]
             elif k >= 0:
                 w, dw = state[n + 3 + k], 0.0
+                if rate is not None:
+                    dw = rate[n + 3 + k]
                 ca, sa = math.cos(state[3 + k]), math.sin(state[3 + k])
                 c = ca * joint[i, 2] - sa * joint[i, 3]
                 s = sa * joint[i, 2] + ca * joint[i, 3]
@@ -403,7 +414,7 @@ def derivative(  # type: ignore[no-untyped-def]
         Work arrays.
     """
     n = len(state) // 2
-    _outwards(state, row, topology, joint, inertia, work)
+    _outwards(state, row, topology, joint, inertia, None, work)
     _drag(drag_link, drag, work)
     _foils(foil_link, foil, work)
     _forces(force_link, force, work)
@@ -428,27 +439,39 @@ def derivative(  # type: ignore[no-untyped-def]
         rate[n + i] = right[i] if i >= first else 0.0
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def is_broken(state, rate):  # type: ignore[no-untyped-def]
+    """Return whether a state is too large, or its rate is not finite."""
+    largest = 0.0
+    for j in range(len(state)):
+        largest = max(largest, abs(state[j]))
+        if not abs(rate[j]) < math.inf:
+            largest = math.inf
+    return not largest < BROKEN
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def begin_stage(stage, step, here, slope, total, trial):  # type: ignore[no-untyped-def]
+    """Write the state of a stage of the Runge-Kutta method to ``trial``, and add the last slope to ``total``.
+
+    The stages are 0 to 4. The state of stage 4 is the state after the step.
+    """
+    for j in range(len(here)):
+        if stage == 0:
+            trial[j] = here[j]
+            total[j] = 0.0
+        elif stage < 3:
+            total[j] += stage * slope[j]
+            trial[j] = here[j] + 0.5 * step * slope[j]
+        elif stage == 3:
+            total[j] += 2.0 * slope[j]
+            trial[j] = here[j] + step * slope[j]
+        else:
+            trial[j] = here[j] + step / 6.0 * (total[j] + slope[j])
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def integrate(  # type: ignore[no-untyped-def]
-    start,
-    step,
-    table,
-    topology,
-    joint,
-    inertia,
-    passive,
-    drag_link,
-    drag,
-    foil_link,
-    foil,
-    force_link,
-    force,
-    wake_link,
-    wake,
-    free_base,
-    forced,
-    begin,
-):
+def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
     """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
 
     Parameters
@@ -457,112 +480,50 @@ def integrate(  # type: ignore[no-untyped-def]
     step : float, s
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Driven joints on the half-step grid; see :func:`derivative`.
-    begin : float, s
-        Time of the first state, for the forces of effects.
-    others
-        See :func:`derivative`. Give ``forced`` by position: the compiler removes the forces only if the None
-        is a positional argument. Otherwise a run takes half as long again.
+    tables
+        Arguments of :func:`derivative` from ``topology`` to ``forced``, and then the time of the first state,
+        s.
 
     Returns
     -------
     states, rates : ndarray, shape (steps + 1, 2 n)
         NaN from where the motion breaks down.
     """
-    steps = (table.shape[0] - 1) // 2
-    size = len(start)
-    n = size // 2
-    states = np.empty((steps + 1, size))
-    rates = np.empty((steps + 1, size))
-    work = np.zeros((topology.shape[0], 19))
-    matrix = np.zeros((n, n))
-    right = np.zeros(n)
-    k2, k3, k4 = np.empty(size), np.empty(size), np.empty(size)
-    trial = np.empty(size)
+    topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
+    force_link, force, wake_link, wake, free_base, forced, begin = tables[8:]
+    steps, size = (table.shape[0] - 1) // 2, len(start)
+    states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
+    work, right = np.zeros((topology.shape[0], 19)), np.zeros(size // 2)
+    matrix = np.zeros((size // 2, size // 2))
+    slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
     states[0] = start
     for i in range(steps + 1):
-        here, k1 = states[i], rates[i]
-        derivative(
-            here, table[2 * i], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, forced, begin + step * i, work, matrix, right, k1,
-        )  # fmt: skip
-        largest = 0.0
-        for j in range(size):
-            largest = max(largest, abs(here[j]))
-            if not abs(k1[j]) < math.inf:
-                largest = math.inf
-        if not largest < BROKEN:
-            states[i:] = math.nan
-            rates[i:] = math.nan
-            break
-        if i == steps:
-            break
-        for j in range(size):
-            trial[j] = here[j] + 0.5 * step * k1[j]
-        derivative(
-            trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5), work, matrix,
-            right, k2,
-        )  # fmt: skip
-        for j in range(size):
-            trial[j] = here[j] + 0.5 * step * k2[j]
-        derivative(
-            trial, table[2 * i + 1], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5), work, matrix,
-            right, k3,
-        )  # fmt: skip
-        for j in range(size):
-            trial[j] = here[j] + step * k3[j]
-        derivative(
-            trial, table[2 * i + 2], topology, joint, inertia, passive, drag_link, drag, foil_link, foil,
-            force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 1.0), work, matrix,
-            right, k4,
-        )  # fmt: skip
-        for j in range(size):
-            states[i + 1, j] = here[j] + step / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
+        for stage in range(4):
+            begin_stage(stage, step, states[i], slope, total, trial)
+            half = (stage + 1) // 2
+            derivative(
+                trial, table[2 * i + half], topology, joint, inertia, passive, drag_link, drag, foil_link,
+                foil, force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5 * half),
+                work, matrix, right, slope,
+            )  # fmt: skip
+            if stage == 0:
+                rates[i] = slope
+                if is_broken(states[i], slope):
+                    states[i:] = math.nan
+                    rates[i:] = math.nan
+                    return states, rates
+                if i == steps:
+                    return states, rates
+        begin_stage(4, step, states[i], slope, total, states[i + 1])
     return states, rates
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _powers(work, before):  # type: ignore[no-untyped-def]
-    """Return the power of the forces added since the wrenches ``before``, and update these wrenches."""
-    power = 0.0
-    for i in range(work.shape[0]):
-        for m in range(3):
-            power += (before[i, m] - work[i, 8 + m]) * work[i, 2 + m]
-            before[i, m] = work[i, 8 + m]
-    return power
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _accelerate(state, rate, topology, joint, inertia, work, moved):  # type: ignore[no-untyped-def]
-    """Add the wrenches for the accelerations of base and passive joints, and return the kinetic energy, J."""
-    n = len(state) // 2
-    energy = 0.0
-    for i in range(topology.shape[0]):
-        if i == 0:
-            du, dv, dr = rate[n], rate[n + 1], rate[n + 2]
-        else:
-            p, k = topology[i, 0], topology[i, 2]
-            c, s = work[i, 0], work[i, 1]
-            a = moved[p, 0] - moved[p, 2] * joint[i, 1]
-            b = moved[p, 1] + moved[p, 2] * joint[i, 0]
-            du, dv, dr = c * a + s * b, c * b - s * a, moved[p, 2]
-            if k >= 0:
-                dr += rate[n + 3 + k]
-        moved[i, 0], moved[i, 1], moved[i, 2] = du, dv, dr
-        g0, g1, g2 = inertia[i, 0], inertia[i, 1], inertia[i, 2]
-        g3, g4, g5 = inertia[i, 3], inertia[i, 4], inertia[i, 5]
-        work[i, 8] += g0 * du + g1 * dv + g2 * dr
-        work[i, 9] += g1 * du + g3 * dv + g4 * dr
-        work[i, 10] += g2 * du + g4 * dv + g5 * dr
-        u, v, r = work[i, 2], work[i, 3], work[i, 4]
-        energy += 0.5 * (g0 * u * u + g3 * v * v + g5 * r * r) + g1 * u * v + g2 * u * r + g4 * v * r
-    return energy
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
-    """Return the joint torques of a run by inverse dynamics, with its energies and powers.
+def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+    """Return the joint torques of a run by inverse dynamics, shape (m, links), N m.
+
+    The torque of a link is the moment of the link ahead on it: the generalised force of a driven joint, the
+    law of a passive one, and zero up to rounding for a free base.
 
     Parameters
     ----------
@@ -572,41 +533,22 @@ def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
         Driven joints at the same instants.
     tables
         Arguments of :func:`derivative` from ``topology`` to ``free_base``.
-
-    Returns
-    -------
-    torque : ndarray, shape (m, links), N m
-        Moment of the link ahead on each link: the generalised force of a driven joint, the law of a passive
-        one, and zero up to rounding for a free base.
-    flow : ndarray, shape (m, 3)
-        Kinetic energy with added mass (J); power given to the water by drag, foils and trailing edges (W);
-        power given to constant forces, such as weight and buoyancy (W).
-
-    Notes
-    -----
-    ``sum(torque * joint rate) = d(kinetic energy)/dt + both powers`` over all joints.
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
-    count, links = states.shape[0], topology.shape[0]
-    torque, flow = np.empty((count, links)), np.empty((count, 3))
-    work, before, moved = np.zeros((links, 19)), np.zeros((links, 3)), np.zeros((links, 3))
-    for t in range(count):
-        state = states[t]
-        _outwards(state, table[t], topology, joint, inertia, work)
-        before[:] = work[:, 8:11]
+    links = topology.shape[0]
+    found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
+    for t in range(states.shape[0]):
+        _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
         _drag(drag_link, drag, work)
         _foils(foil_link, foil, work)
-        _wakes(wake_link, wake, work)
-        flow[t, 1] = -_powers(work, before)
         _forces(force_link, force, work)
-        flow[t, 2] = -_powers(work, before)
-        flow[t, 0] = _accelerate(state, rates[t], topology, joint, inertia, work, moved)
+        _wakes(wake_link, wake, work)
         for i in range(links - 1, -1, -1):
-            torque[t, i] = work[i, 10]
+            found[t, i] = work[i, 10]
             if i > 0:
                 _to_parent(i, topology[i, 0], joint, work)
-    return torque, flow
+    return found
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:

@@ -15,7 +15,7 @@ from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, Tri
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer import drive
-from swimid.swimmer.lanes.kernel import Engine, Room
+from swimid.swimmer.lanes.kernel import Room
 from swimid.swimmer.model import Run, Swimmer, trial_parameter
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.assembly import Assembly
@@ -52,6 +52,8 @@ class Body:
     density_kg_m3, step_s : float
         Density of the water, and maximum integration step.
     driven, passive : sequence of Axis
+    masses_kg : list of float
+        Mass of each link, without added mass.
     """
 
     def __init__(self, model: MultilinkModel) -> None:
@@ -64,7 +66,15 @@ class Body:
         self.density_kg_m3 = model.robot.fluid.density_kg_m3
         self.step_s = model.max_step
         self.driven, self.passive = model.driven, model.passive
-        self._masses: dict[int, tuple[float, Point]] = {}
+        values = {p.name: p.start for p in model.parameters}
+        self.masses_kg: list[float] = []
+        self._centres: list[Point] = []
+        for link in model.tree.links:
+            mass, com, y = (
+                Polynomial.of(q).at(values) for q in (link.mass_kg, link.com_m, link.com_offset_m)
+            )
+            self.masses_kg.append(mass)
+            self._centres.append((-mass * com / mass, mass * y / mass))
 
     @property
     def vertical(self) -> bool:
@@ -77,27 +87,13 @@ class Body:
         return len(self.lengths_m) - 1
 
     @property
-    def masses_kg(self) -> list[float]:
-        """Mass of each link, without added mass."""
-        return [self.mass(link)[0] for link in range(len(self.lengths_m))]
-
-    @property
     def hull(self) -> int:
         """Index of the heaviest link."""
         return int(np.argmax(self.masses_kg))
 
     def centre(self, link: int) -> Point:
         """Return the centre of mass of a link in the axes of the link, m."""
-        return self.mass(link)[1]
-
-    def mass(self, link: int) -> tuple[float, Point]:
-        """Return mass (kg, without added mass) and centre of mass (m, in the link's axes) of a link."""
-        if link not in self._masses:
-            own = self._model.tree.links[link]
-            values = {p.name: p.start for p in self._model.parameters}
-            mass, com, y = (Polynomial.of(q).at(values) for q in (own.mass_kg, own.com_m, own.com_offset_m))
-            self._masses[link] = float(mass), (float(-mass * com / mass), float(mass * y / mass))
-        return self._masses[link]
+        return self._centres[link]
 
     def tables(self) -> dict[str, Any]:
         """Return the input arrays at the start values of the parameters."""
@@ -258,7 +254,7 @@ class Body:
 
     def shift(self, tables: dict[str, Any], link: int, by: Point) -> None:
         """Move the centre of mass of a link, and the weight that acts there, by a vector (m)."""
-        mass, (x, y) = self.mass(link)
+        mass, (x, y) = self.masses_kg[link], self.centre(link)
         self.weigh(tables, link, (x, y), -mass, -mass)
         self.weigh(tables, link, (x + by[0], y + by[1]), mass, mass)
         force = tables["force"].copy()
@@ -352,13 +348,7 @@ class MultilinkModel(Swimmer):
     name = "multilink"
     offers = frozenset({"command", "tables", "force", "flow", "output", "clock"})
     coordinates, speeds = 3, 3
-    engine = Engine(
-        engine.derivative,
-        engine.shapes,
-        extra=(None, 0.0),
-        filled=engine.FILLED,
-        energetics=engine.energetics,
-    )
+    engine = engine
     camera = (
         trial_parameter(
             "camera_rotation", "rad", 0.02, "axes of the measured position against those of the heading"

@@ -253,8 +253,8 @@ class Assembly(Tree):
         Point of the base whose pose is logged, m.
     """
 
-    part, hinge = "multibody", "hinge"
-    elements = ("drag", "damping", "foil", "force", "wake")
+    part = "multibody"
+    elements = ("drag", "damping", "foil", "force")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: Multibody, fluid: Fluid) -> None:

@@ -29,8 +29,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.swimmer.planar.engine import BROKEN, passive_torque, positive, solve
+from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
 
+__all__ = ["FILLED"]
+#: Arguments of :func:`derivative` between the tables and the work arrays.
+LAST = ()
 #: Columns of the tables.
 TOPOLOGY = ("parent", "driven", "passive", "massless")
 #: Columns of the table of hinges: place on the parent, axis in the child, and rotation from child to parent
@@ -66,27 +69,76 @@ FOIL = (
     "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z", "size",
 )  # fmt: skip
 FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
-WAKE = (
-    "x", "y", "z", "half_mass", "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z",
-)  # fmt: skip
 
 #: First columns in the work array: rotation to the parent (9), v, w, v', w', f, m, A (6), B (9), D (6),
 #: rotation to the world (9), place in the world (3), and the number of columns.
-_R, _V, _W, _DV, _DW, _F, _M, _A, _B, _D, _TURN, _PLACE, _WORK = (
-    0,
-    9,
-    12,
-    15,
-    18,
-    21,
-    24,
-    27,
-    33,
-    42,
-    48,
-    57,
-    60,
-)
+_R, _V, _W, _DV, _DW, _F = 0, 9, 12, 15, 18, 21
+_M, _A, _B, _D, _TURN, _PLACE, _WORK = 24, 27, 33, 42, 48, 57, 60
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _at(w, k):  # type: ignore[no-untyped-def]
+    """Return a vector of a work array, which begins at column ``k``."""
+    return w[k], w[k + 1], w[k + 2]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _put(w, k, v):  # type: ignore[no-untyped-def]
+    """Write a vector into a work array."""
+    w[k], w[k + 1], w[k + 2] = v
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _plus(a, b):  # type: ignore[no-untyped-def]
+    """Return the sum of two vectors."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _times(number, v):  # type: ignore[no-untyped-def]
+    """Return the product of a number and a vector."""
+    return number * v[0], number * v[1], number * v[2]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the scalar product of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _cross(a, b):  # type: ignore[no-untyped-def]
+    """Return the cross product of two vectors."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _apply(w, k, v):  # type: ignore[no-untyped-def]
+    """Return the product of the 3 by 3 matrix at column ``k`` and a vector."""
+    return _dot(_at(w, k), v), _dot(_at(w, k + 3), v), _dot(_at(w, k + 6), v)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _transposed(w, k, v):  # type: ignore[no-untyped-def]
+    """Return the product of the transpose of the matrix at column ``k`` and a vector."""
+    return (
+        w[k] * v[0] + w[k + 3] * v[1] + w[k + 6] * v[2],
+        w[k + 1] * v[0] + w[k + 4] * v[1] + w[k + 7] * v[2],
+        w[k + 2] * v[0] + w[k + 5] * v[1] + w[k + 8] * v[2],
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _symmetric(w, k, v):  # type: ignore[no-untyped-def]
+    """Return the product of the symmetric matrix at column ``k``, stored by its upper part, and a vector."""
+    s0, s1, s2, s3, s4, s5 = w[k], w[k + 1], w[k + 2], w[k + 3], w[k + 4], w[k + 5]
+    return _dot((s0, s1, s2), v), _dot((s1, s3, s4), v), _dot((s2, s4, s5), v)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _moving(w, at):  # type: ignore[no-untyped-def]
+    """Return the velocity of a point of a link."""
+    return _plus(_at(w, _V), _cross(_at(w, _W), at))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
@@ -101,81 +153,69 @@ def wet(height, size):  # type: ignore[no-untyped-def]
     return s * s * (3.0 - 2.0 * s)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _turn_of(c, s, joint, i, out):  # type: ignore[no-untyped-def]
-    """Compute the rotation of hinge ``i`` from child to parent at an angle with cosine ``c``, sine ``s``."""
-    for m in range(9):
-        out[m] = joint[i, 6 + m] + s * joint[i, 15 + m] + (1.0 - c) * joint[i, 24 + m]
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
+def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore[no-untyped-def]
+    """Compute velocities, accelerations, wrenches and inertias of all links.
 
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-untyped-def]
-    """Compute velocities, known parts of accelerations, wrenches and inertias of all links."""
-    passives = (len(state) - 13) // 2
-    twist = 7 + passives
+    Without the rate of the state (None), the unknown accelerations count as zero.
+    """
+    twist = 7 + (len(state) - 13) // 2
     for i in range(topology.shape[0]):
         w = work[i]
         if i == 0:
             qw, qx, qy, qz = state[3], state[4], state[5], state[6]
             norm = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
             qw, qx, qy, qz = qw * norm, qx * norm, qy * norm, qz * norm
-            w[_TURN] = 1.0 - 2.0 * (qy * qy + qz * qz)
-            w[_TURN + 1] = 2.0 * (qx * qy - qw * qz)
-            w[_TURN + 2] = 2.0 * (qx * qz + qw * qy)
-            w[_TURN + 3] = 2.0 * (qx * qy + qw * qz)
-            w[_TURN + 4] = 1.0 - 2.0 * (qx * qx + qz * qz)
-            w[_TURN + 5] = 2.0 * (qy * qz - qw * qx)
-            w[_TURN + 6] = 2.0 * (qx * qz - qw * qy)
-            w[_TURN + 7] = 2.0 * (qy * qz + qw * qx)
-            w[_TURN + 8] = 1.0 - 2.0 * (qx * qx + qy * qy)
-            for m in range(3):
-                w[_PLACE + m] = state[m]
+            _put(
+                w,
+                _TURN,
+                (1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)),
+            )
+            _put(
+                w,
+                _TURN + 3,
+                (2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)),
+            )
+            _put(
+                w,
+                _TURN + 6,
+                (2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)),
+            )
+            _put(w, _PLACE, _at(state, 0))
+            for m in range(6):
                 w[_V + m] = state[twist + m]
-                w[_W + m] = state[twist + 3 + m]
                 w[_DV + m] = 0.0
-                w[_DW + m] = 0.0
+                if rate is not None:
+                    w[_DV + m] = rate[twist + m]
         else:
             u = work[topology[i, 0]]
             d, k = topology[i, 1], topology[i, 2]
-            c, s, rate, bend = 1.0, 0.0, 0.0, 0.0
+            c, s, speed, bend = 1.0, 0.0, 0.0, 0.0
             if d >= 0:
-                rate, bend, c, s = row[d, 1], row[d, 2], row[d, 3], row[d, 4]
+                speed, bend, c, s = row[d, 1], row[d, 2], row[d, 3], row[d, 4]
             elif k >= 0:
-                rate = state[twist + 6 + k]
+                speed = state[twist + 6 + k]
                 c, s = math.cos(state[7 + k]), math.sin(state[7 + k])
-            _turn_of(c, s, joint, i, w)
-            x, y, z = joint[i, 0], joint[i, 1], joint[i, 2]
-            # velocity and acceleration of the hinge, in the parent's axes
-            a0 = u[_V] + u[_W + 1] * z - u[_W + 2] * y
-            a1 = u[_V + 1] + u[_W + 2] * x - u[_W] * z
-            a2 = u[_V + 2] + u[_W] * y - u[_W + 1] * x
-            b0 = u[_DV] + u[_DW + 1] * z - u[_DW + 2] * y
-            b1 = u[_DV + 1] + u[_DW + 2] * x - u[_DW] * z
-            b2 = u[_DV + 2] + u[_DW] * y - u[_DW + 1] * x
-            for m in range(3):
-                r0, r1, r2 = w[m], w[3 + m], w[6 + m]
-                w[_V + m] = r0 * a0 + r1 * a1 + r2 * a2
-                w[_W + m] = r0 * u[_W] + r1 * u[_W + 1] + r2 * u[_W + 2]
-                w[_DV + m] = r0 * b0 + r1 * b1 + r2 * b2
-                w[_DW + m] = r0 * u[_DW] + r1 * u[_DW + 1] + r2 * u[_DW + 2]
+                if rate is not None:
+                    bend = rate[twist + 6 + k]
+            for m in range(9):
+                w[m] = joint[i, 6 + m] + s * joint[i, 15 + m] + (1.0 - c) * joint[i, 24 + m]
+            place, axis = _at(joint[i], 0), _at(joint[i], 3)
+            # velocity and acceleration of the hinge, in the axes of the link
+            _put(w, _V, _transposed(w, _R, _moving(u, place)))
+            _put(w, _W, _transposed(w, _R, _at(u, _W)))
+            _put(w, _DV, _transposed(w, _R, _plus(_at(u, _DV), _cross(_at(u, _DW), place))))
+            _put(w, _DW, _transposed(w, _R, _at(u, _DW)))
             if d >= 0 or k >= 0:
-                # motion of the hinge, s = axis rate: v' -= s x v, w' -= s x w_parent, w += s, w' += axis bend
-                e0, e1, e2 = joint[i, 3] * rate, joint[i, 4] * rate, joint[i, 5] * rate
-                w[_DV] -= e1 * w[_V + 2] - e2 * w[_V + 1]
-                w[_DV + 1] -= e2 * w[_V] - e0 * w[_V + 2]
-                w[_DV + 2] -= e0 * w[_V + 1] - e1 * w[_V]
-                w[_DW] += joint[i, 3] * bend - (e1 * w[_W + 2] - e2 * w[_W + 1])
-                w[_DW + 1] += joint[i, 4] * bend - (e2 * w[_W] - e0 * w[_W + 2])
-                w[_DW + 2] += joint[i, 5] * bend - (e0 * w[_W + 1] - e1 * w[_W])
-                w[_W] += e0
-                w[_W + 1] += e1
-                w[_W + 2] += e2
+                # motion of the hinge, s = axis speed: v' += v x s, w' += w_parent x s + axis bend, w += s
+                turning = _times(speed, axis)
+                _put(w, _DV, _plus(_at(w, _DV), _cross(_at(w, _V), turning)))
+                spun = _plus(_times(bend, axis), _cross(_at(w, _W), turning))
+                _put(w, _DW, _plus(_at(w, _DW), spun))
+                _put(w, _W, _plus(_at(w, _W), turning))
+            _put(w, _PLACE, _plus(_at(u, _PLACE), _apply(u, _TURN, place)))
             for m in range(3):
-                t0, t1, t2 = u[_TURN + 3 * m], u[_TURN + 3 * m + 1], u[_TURN + 3 * m + 2]
-                w[_PLACE + m] = u[_PLACE + m] + t0 * x + t1 * y + t2 * z
-                w[_TURN + 3 * m] = t0 * w[0] + t1 * w[3] + t2 * w[6]
-                w[_TURN + 3 * m + 1] = t0 * w[1] + t1 * w[4] + t2 * w[7]
-                w[_TURN + 3 * m + 2] = t0 * w[2] + t1 * w[5] + t2 * w[8]
+                _put(w, _TURN + 3 * m, _transposed(w, _R, _at(u, _TURN + 3 * m)))
         for m in range(21):
             w[_A + m] = inertia[i, m]
         if topology[i, 3] != 0:
@@ -186,73 +226,47 @@ def _outwards(state, row, topology, joint, inertia, work):  # type: ignore[no-un
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _momenta(w, v, spin):  # type: ignore[no-untyped-def]
+    """Return linear and angular momentum of a link at a velocity and a rate of rotation."""
+    p = _plus(_symmetric(w, _A, v), _apply(w, _B, spin))
+    return p, _plus(_transposed(w, _B, v), _symmetric(w, _D, spin))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _newton_euler(w):  # type: ignore[no-untyped-def]
     """Compute the wrench that the motion of a link needs, at its origin."""
-    v0, v1, v2 = w[_V], w[_V + 1], w[_V + 2]
-    w0, w1, w2 = w[_W], w[_W + 1], w[_W + 2]
-    a0, a1, a2 = w[_DV], w[_DV + 1], w[_DV + 2]
-    b0, b1, b2 = w[_DW], w[_DW + 1], w[_DW + 2]
-    m00, m01, m02, m11, m12, m22 = w[_A], w[_A + 1], w[_A + 2], w[_A + 3], w[_A + 4], w[_A + 5]
-    c00, c01, c02 = w[_B], w[_B + 1], w[_B + 2]
-    c10, c11, c12 = w[_B + 3], w[_B + 4], w[_B + 5]
-    c20, c21, c22 = w[_B + 6], w[_B + 7], w[_B + 8]
-    i00, i01, i02, i11, i12, i22 = w[_D], w[_D + 1], w[_D + 2], w[_D + 3], w[_D + 4], w[_D + 5]
-    p0 = m00 * v0 + m01 * v1 + m02 * v2 + c00 * w0 + c01 * w1 + c02 * w2
-    p1 = m01 * v0 + m11 * v1 + m12 * v2 + c10 * w0 + c11 * w1 + c12 * w2
-    p2 = m02 * v0 + m12 * v1 + m22 * v2 + c20 * w0 + c21 * w1 + c22 * w2
-    h0 = c00 * v0 + c10 * v1 + c20 * v2 + i00 * w0 + i01 * w1 + i02 * w2
-    h1 = c01 * v0 + c11 * v1 + c21 * v2 + i01 * w0 + i11 * w1 + i12 * w2
-    h2 = c02 * v0 + c12 * v1 + c22 * v2 + i02 * w0 + i12 * w1 + i22 * w2
-    w[_F] = m00 * a0 + m01 * a1 + m02 * a2 + c00 * b0 + c01 * b1 + c02 * b2 + w1 * p2 - w2 * p1
-    w[_F + 1] = m01 * a0 + m11 * a1 + m12 * a2 + c10 * b0 + c11 * b1 + c12 * b2 + w2 * p0 - w0 * p2
-    w[_F + 2] = m02 * a0 + m12 * a1 + m22 * a2 + c20 * b0 + c21 * b1 + c22 * b2 + w0 * p1 - w1 * p0
-    w[_M] = (
-        c00 * a0 + c10 * a1 + c20 * a2 + i00 * b0 + i01 * b1 + i02 * b2
-        + w1 * h2 - w2 * h1 + v1 * p2 - v2 * p1
-    )  # fmt: skip
-    w[_M + 1] = (
-        c01 * a0 + c11 * a1 + c21 * a2 + i01 * b0 + i11 * b1 + i12 * b2
-        + w2 * h0 - w0 * h2 + v2 * p0 - v0 * p2
-    )  # fmt: skip
-    w[_M + 2] = (
-        c02 * a0 + c12 * a1 + c22 * a2 + i02 * b0 + i12 * b1 + i22 * b2
-        + w0 * h1 - w1 * h0 + v0 * p1 - v1 * p0
-    )  # fmt: skip
+    v, spin = _at(w, _V), _at(w, _W)
+    p, h = _momenta(w, v, spin)
+    force, moment = _momenta(w, _at(w, _DV), _at(w, _DW))
+    _put(w, _F, _plus(force, _cross(spin, p)))
+    _put(w, _M, _plus(moment, _plus(_cross(spin, h), _cross(v, p))))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _push(w, x, y, z, fx, fy, fz):  # type: ignore[no-untyped-def]
+def _push(w, at, force):  # type: ignore[no-untyped-def]
     """Subtract a force at a point of a link from the wrench that its motion needs."""
-    w[_F] -= fx
-    w[_F + 1] -= fy
-    w[_F + 2] -= fz
-    w[_M] -= y * fz - z * fy
-    w[_M + 1] -= z * fx - x * fz
-    w[_M + 2] -= x * fy - y * fx
+    w[_F] -= force[0]
+    w[_F + 1] -= force[1]
+    w[_F + 2] -= force[2]
+    _put(w, _M, _plus(_at(w, _M), _cross(force, at)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _height(w, x, y, z, surface):  # type: ignore[no-untyped-def]
-    """Return the height of a point of a link above the water surface."""
-    return w[_PLACE + 2] + w[_TURN + 6] * x + w[_TURN + 7] * y + w[_TURN + 8] * z - surface
+def _share(w, at, size, surface):  # type: ignore[no-untyped-def]
+    """Return the share of a point of a link that is in the water (see :func:`wet`)."""
+    return wet(w[_PLACE + 2] + _dot(_at(w, _TURN + 6), at) - surface, size)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _drags(drag_link, drag, surface, work):  # type: ignore[no-untyped-def]
     """Add drag at points, along each axis of the link."""
     for e in range(drag.shape[0]):
-        w = work[drag_link[e]]
-        x, y, z = drag[e, 0], drag[e, 1], drag[e, 2]
-        vx = w[_V] + w[_W + 1] * z - w[_W + 2] * y
-        vy = w[_V + 1] + w[_W + 2] * x - w[_W] * z
-        vz = w[_V + 2] + w[_W] * y - w[_W + 1] * x
-        share = 1.0
-        if drag[e, 9] > 0.0:
-            share = wet(_height(w, x, y, z, surface), drag[e, 9])
-        fx = -share * (drag[e, 3] * abs(vx) + drag[e, 6]) * vx
-        fy = -share * (drag[e, 4] * abs(vy) + drag[e, 7]) * vy
-        fz = -share * (drag[e, 5] * abs(vz) + drag[e, 8]) * vz
-        _push(w, x, y, z, fx, fy, fz)
+        w, at = work[drag_link[e]], _at(drag[e], 0)
+        vx, vy, vz = _moving(w, at)
+        fx = -(drag[e, 3] * abs(vx) + drag[e, 6]) * vx
+        fy = -(drag[e, 4] * abs(vy) + drag[e, 7]) * vy
+        fz = -(drag[e, 5] * abs(vz) + drag[e, 8]) * vz
+        _push(w, at, _times(_share(w, at, drag[e, 9], surface), (fx, fy, fz)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
@@ -268,210 +282,100 @@ def _dampings(damping_link, damping, work):  # type: ignore[no-untyped-def]
 def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
     """Add lift and drag of fins at their points. Flow along the span has no effect."""
     for e in range(foil.shape[0]):
-        w = work[foil_link[e]]
-        x, y, z = foil[e, 0], foil[e, 1], foil[e, 2]
-        vx = w[_V] + w[_W + 1] * z - w[_W + 2] * y
-        vy = w[_V + 1] + w[_W + 2] * x - w[_W] * z
-        vz = w[_V + 2] + w[_W] * y - w[_W + 1] * x
-        along = vx * foil[e, 7] + vy * foil[e, 8] + vz * foil[e, 9]
-        across = vx * foil[e, 10] + vy * foil[e, 11] + vz * foil[e, 12]
+        w, at = work[foil_link[e]], _at(foil[e], 0)
+        chord, normal, v = _at(foil[e], 7), _at(foil[e], 10), _moving(w, at)
+        along, across = _dot(v, chord), _dot(v, normal)
         square = along * along + across * across
         # a point at rest has no direction of flow, and no force
         divisor = positive(square, square, 1.0)
-        share = 1.0
-        if foil[e, 13] > 0.0:
-            share = wet(_height(w, x, y, z, surface), foil[e, 13])
         lift = 2.0 * foil[e, 4] * along * across / divisor
         resistance = foil[e, 5] + 2.0 * foil[e, 6] * across * across / divisor
-        push = share * foil[e, 3] * math.sqrt(square)
+        push = _share(w, at, foil[e, 13], surface) * foil[e, 3] * math.sqrt(square)
         forward = push * (lift * across - resistance * along)
         up = push * (-lift * along - resistance * across)
-        _push(
-            w, x, y, z,
-            forward * foil[e, 7] + up * foil[e, 10],
-            forward * foil[e, 8] + up * foil[e, 11],
-            forward * foil[e, 9] + up * foil[e, 12],
-        )  # fmt: skip
+        _push(w, at, _plus(_times(forward, chord), _times(up, normal)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
     """Add constant forces, in the axes of a link or of the world. Buoyancy ends above the surface."""
     for e in range(force.shape[0]):
-        w = work[force_link[e]]
-        x, y, z = force[e, 0], force[e, 1], force[e, 2]
-        fx, fy, fz = force[e, 3], force[e, 4], force[e, 5]
+        w, at, own = work[force_link[e]], _at(force[e], 0), _at(force[e], 3)
         if force[e, 6] != 0.0:
-            a, b, c = fx, fy, fz
-            fx = w[_TURN] * a + w[_TURN + 3] * b + w[_TURN + 6] * c
-            fy = w[_TURN + 1] * a + w[_TURN + 4] * b + w[_TURN + 7] * c
-            fz = w[_TURN + 2] * a + w[_TURN + 5] * b + w[_TURN + 8] * c
-        if force[e, 7] > 0.0:
-            share = wet(_height(w, x, y, z, surface), force[e, 7])
-            fx, fy, fz = share * fx, share * fy, share * fz
-        _push(w, x, y, z, fx, fy, fz)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
-    """Add momentum shed at trailing edges. An edge that moves backwards sheds none."""
-    for e in range(wake.shape[0]):
-        w = work[wake_link[e]]
-        x, y, z = wake[e, 0], wake[e, 1], wake[e, 2]
-        vx = w[_V] + w[_W + 1] * z - w[_W + 2] * y
-        vy = w[_V + 1] + w[_W + 2] * x - w[_W] * z
-        vz = w[_V + 2] + w[_W] * y - w[_W + 1] * x
-        along = vx * wake[e, 4] + vy * wake[e, 5] + vz * wake[e, 6]
-        across = vx * wake[e, 7] + vy * wake[e, 8] + vz * wake[e, 9]
-        forward = wake[e, 3] * across * across
-        side = -2.0 * wake[e, 3] * max(along, 0.0) * across
-        _push(
-            w, x, y, z,
-            forward * wake[e, 4] + side * wake[e, 7],
-            forward * wake[e, 5] + side * wake[e, 8],
-            forward * wake[e, 6] + side * wake[e, 9],
-        )  # fmt: skip
+            own = _transposed(w, _TURN, own)
+        _push(w, at, _times(_share(w, at, force[e, 7], surface), own))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """Compute the wrench for a unit acceleration of passive hinge ``k``, and transfer it to the base."""
-    w = work[i]
-    a0, a1, a2 = joint[i, 3], joint[i, 4], joint[i, 5]
-    f0 = w[_B] * a0 + w[_B + 1] * a1 + w[_B + 2] * a2
-    f1 = w[_B + 3] * a0 + w[_B + 4] * a1 + w[_B + 5] * a2
-    f2 = w[_B + 6] * a0 + w[_B + 7] * a1 + w[_B + 8] * a2
-    m0 = w[_D] * a0 + w[_D + 1] * a1 + w[_D + 2] * a2
-    m1 = w[_D + 1] * a0 + w[_D + 3] * a1 + w[_D + 4] * a2
-    m2 = w[_D + 2] * a0 + w[_D + 4] * a1 + w[_D + 5] * a2
-    matrix[6 + k, 6 + k] = a0 * m0 + a1 * m1 + a2 * m2
+    axis = _at(joint[i], 3)
+    force, moment = _momenta(work[i], (0.0, 0.0, 0.0), axis)
+    matrix[6 + k, 6 + k] = _dot(axis, moment)
     at = i
     while at > 0:
         w = work[at]
-        g0 = w[0] * f0 + w[1] * f1 + w[2] * f2
-        g1 = w[3] * f0 + w[4] * f1 + w[5] * f2
-        g2 = w[6] * f0 + w[7] * f1 + w[8] * f2
-        n0 = w[0] * m0 + w[1] * m1 + w[2] * m2
-        n1 = w[3] * m0 + w[4] * m1 + w[5] * m2
-        n2 = w[6] * m0 + w[7] * m1 + w[8] * m2
-        x, y, z = joint[at, 0], joint[at, 1], joint[at, 2]
-        f0, f1, f2 = g0, g1, g2
-        m0, m1, m2 = n0 + y * g2 - z * g1, n1 + z * g0 - x * g2, n2 + x * g1 - y * g0
+        force, moment = _apply(w, _R, force), _apply(w, _R, moment)
+        moment = _plus(moment, _cross(_at(joint[at], 0), force))
         at = topology[at, 0]
         other = topology[at, 2]
         if at > 0 and other >= 0:
-            value = joint[at, 3] * m0 + joint[at, 4] * m1 + joint[at, 5] * m2
+            value = _dot(_at(joint[at], 3), moment)
             matrix[6 + k, 6 + other] = value
             matrix[6 + other, 6 + k] = value
-    matrix[6 + k, 0], matrix[6 + k, 1], matrix[6 + k, 2] = f0, f1, f2
-    matrix[6 + k, 3], matrix[6 + k, 4], matrix[6 + k, 5] = m0, m1, m2
+    _put(matrix[6 + k], 0, force)
+    _put(matrix[6 + k], 3, moment)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _turned_symmetric(w, at, out):  # type: ignore[no-untyped-def]
-    """Write ``R S R'`` of the symmetric block at ``at`` into ``out`` (6)."""
-    s0, s1, s2, s3, s4, s5 = w[at], w[at + 1], w[at + 2], w[at + 3], w[at + 4], w[at + 5]
-    a0, a1, a2 = (
-        w[0] * s0 + w[1] * s1 + w[2] * s2,
-        w[0] * s1 + w[1] * s3 + w[2] * s4,
-        w[0] * s2 + w[1] * s4 + w[2] * s5,
-    )
-    b0, b1, b2 = (
-        w[3] * s0 + w[4] * s1 + w[5] * s2,
-        w[3] * s1 + w[4] * s3 + w[5] * s4,
-        w[3] * s2 + w[4] * s4 + w[5] * s5,
-    )
-    c0, c1, c2 = (
-        w[6] * s0 + w[7] * s1 + w[8] * s2,
-        w[6] * s1 + w[7] * s3 + w[8] * s4,
-        w[6] * s2 + w[7] * s4 + w[8] * s5,
-    )
-    out[0] = a0 * w[0] + a1 * w[1] + a2 * w[2]
-    out[1] = a0 * w[3] + a1 * w[4] + a2 * w[5]
-    out[2] = a0 * w[6] + a1 * w[7] + a2 * w[8]
-    out[3] = b0 * w[3] + b1 * w[4] + b2 * w[5]
-    out[4] = b0 * w[6] + b1 * w[7] + b2 * w[8]
-    out[5] = c0 * w[6] + c1 * w[7] + c2 * w[8]
+def _add_upper(w, k, a, b, c):  # type: ignore[no-untyped-def]
+    """Add the rows of a symmetric matrix to the upper part that is stored at column ``k``."""
+    _put(w, k, _plus(_at(w, k), a))
+    _put(w, k + 3, _plus(_at(w, k + 3), (b[1], b[2], c[2])))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _to_parent(i, p, joint, work, block):  # type: ignore[no-untyped-def]
+def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     """Add the wrench and composite inertia of a link to those of its parent, in its axes, at its origin."""
-    w, u = work[i], work[p]
-    x, y, z = joint[i, 0], joint[i, 1], joint[i, 2]
-    g0 = w[0] * w[_F] + w[1] * w[_F + 1] + w[2] * w[_F + 2]
-    g1 = w[3] * w[_F] + w[4] * w[_F + 1] + w[5] * w[_F + 2]
-    g2 = w[6] * w[_F] + w[7] * w[_F + 1] + w[8] * w[_F + 2]
-    u[_F] += g0
-    u[_F + 1] += g1
-    u[_F + 2] += g2
-    u[_M] += w[0] * w[_M] + w[1] * w[_M + 1] + w[2] * w[_M + 2] + y * g2 - z * g1
-    u[_M + 1] += w[3] * w[_M] + w[4] * w[_M + 1] + w[5] * w[_M + 2] + z * g0 - x * g2
-    u[_M + 2] += w[6] * w[_M] + w[7] * w[_M + 1] + w[8] * w[_M + 2] + x * g1 - y * g0
-    _turned_symmetric(w, _A, block)
-    a0, a1, a2, a3, a4, a5 = block[0], block[1], block[2], block[3], block[4], block[5]
-    _turned_symmetric(w, _D, block)
-    # R B R'
-    e0, e1, e2 = (
-        w[0] * w[_B] + w[1] * w[_B + 3] + w[2] * w[_B + 6],
-        w[0] * w[_B + 1] + w[1] * w[_B + 4] + w[2] * w[_B + 7],
-        w[0] * w[_B + 2] + w[1] * w[_B + 5] + w[2] * w[_B + 8],
-    )
-    e3, e4, e5 = (
-        w[3] * w[_B] + w[4] * w[_B + 3] + w[5] * w[_B + 6],
-        w[3] * w[_B + 1] + w[4] * w[_B + 4] + w[5] * w[_B + 7],
-        w[3] * w[_B + 2] + w[4] * w[_B + 5] + w[5] * w[_B + 8],
-    )
-    e6, e7, e8 = (
-        w[6] * w[_B] + w[7] * w[_B + 3] + w[8] * w[_B + 6],
-        w[6] * w[_B + 1] + w[7] * w[_B + 4] + w[8] * w[_B + 7],
-        w[6] * w[_B + 2] + w[7] * w[_B + 5] + w[8] * w[_B + 8],
+    w, u, place = work[i], work[p], _at(joint[i], 0)
+    x, y, z = place
+    force = _apply(w, _R, _at(w, _F))
+    moment = _plus(_apply(w, _R, _at(w, _M)), _cross(place, force))
+    _put(u, _F, _plus(_at(u, _F), force))
+    _put(u, _M, _plus(_at(u, _M), moment))
+    # rows of R A R', R B R' and R D R'
+    r0, r1, r2 = _at(w, _R), _at(w, _R + 3), _at(w, _R + 6)
+    a0, a1, a2 = (
+        _apply(w, _R, _symmetric(w, _A, r0)),
+        _apply(w, _R, _symmetric(w, _A, r1)),
+        _apply(w, _R, _symmetric(w, _A, r2)),
     )
     b0, b1, b2 = (
-        e0 * w[0] + e1 * w[1] + e2 * w[2],
-        e0 * w[3] + e1 * w[4] + e2 * w[5],
-        e0 * w[6] + e1 * w[7] + e2 * w[8],
+        _apply(w, _R, _transposed(w, _B, r0)),
+        _apply(w, _R, _transposed(w, _B, r1)),
+        _apply(w, _R, _transposed(w, _B, r2)),
     )
-    b3, b4, b5 = (
-        e3 * w[0] + e4 * w[1] + e5 * w[2],
-        e3 * w[3] + e4 * w[4] + e5 * w[5],
-        e3 * w[6] + e4 * w[7] + e5 * w[8],
+    d0, d1, d2 = (
+        _apply(w, _R, _symmetric(w, _D, r0)),
+        _apply(w, _R, _symmetric(w, _D, r1)),
+        _apply(w, _R, _symmetric(w, _D, r2)),
     )
-    b6, b7, b8 = (
-        e6 * w[0] + e7 * w[1] + e8 * w[2],
-        e6 * w[3] + e7 * w[4] + e8 * w[5],
-        e6 * w[6] + e7 * w[7] + e8 * w[8],
-    )
+    a1, a2 = (a0[1], a1[1], a1[2]), (a0[2], a1[2], a2[2])
     # with S = r x, the velocity of the link's origin is v - S w, so that B becomes C = B - A S, and D becomes
     # D - B' S + S C
-    c0, c1, c2 = b0 - (a1 * z - a2 * y), b1 - (a2 * x - a0 * z), b2 - (a0 * y - a1 * x)
-    c3, c4, c5 = b3 - (a3 * z - a4 * y), b4 - (a4 * x - a1 * z), b5 - (a1 * y - a3 * x)
-    c6, c7, c8 = b6 - (a4 * z - a5 * y), b7 - (a5 * x - a2 * z), b8 - (a2 * y - a4 * x)
-    u[_A] += a0
-    u[_A + 1] += a1
-    u[_A + 2] += a2
-    u[_A + 3] += a3
-    u[_A + 4] += a4
-    u[_A + 5] += a5
-    u[_B] += c0
-    u[_B + 1] += c1
-    u[_B + 2] += c2
-    u[_B + 3] += c3
-    u[_B + 4] += c4
-    u[_B + 5] += c5
-    u[_B + 6] += c6
-    u[_B + 7] += c7
-    u[_B + 8] += c8
-    u[_D] += block[0] - (b3 * z - b6 * y) + (y * c6 - z * c3)
-    u[_D + 1] += block[1] - (b6 * x - b0 * z) + (y * c7 - z * c4)
-    u[_D + 2] += block[2] - (b0 * y - b3 * x) + (y * c8 - z * c5)
-    u[_D + 3] += block[3] - (b7 * x - b1 * z) + (z * c1 - x * c7)
-    u[_D + 4] += block[4] - (b1 * y - b4 * x) + (z * c2 - x * c8)
-    u[_D + 5] += block[5] - (b2 * y - b5 * x) + (x * c5 - y * c2)
+    c0, c1, c2 = _plus(b0, _cross(place, a0)), _plus(b1, _cross(place, a1)), _plus(b2, _cross(place, a2))
+    d0 = _plus(_plus(d0, _cross(place, (b0[0], b1[0], b2[0]))), _plus(_times(y, c2), _times(-z, c1)))
+    d1 = _plus(_plus(d1, _cross(place, (b0[1], b1[1], b2[1]))), _plus(_times(z, c0), _times(-x, c2)))
+    d2 = _plus(_plus(d2, _cross(place, (b0[2], b1[2], b2[2]))), _plus(_times(x, c1), _times(-y, c0)))
+    _add_upper(u, _A, a0, a1, a2)
+    _put(u, _B, _plus(_at(u, _B), c0))
+    _put(u, _B + 3, _plus(_at(u, _B + 3), c1))
+    _put(u, _B + 6, _plus(_at(u, _B + 6), c2))
+    _add_upper(u, _D, d0, d1, d2)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _inwards(state, topology, joint, passive, work, matrix, right, block):  # type: ignore[no-untyped-def]
+def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
     """Sum wrenches and composite inertias, and write the equations of the passive hinges."""
     passives = passive.shape[0]
     # hinges on different branches do not couple, but the last factorisation has filled their entries
@@ -482,11 +386,9 @@ def _inwards(state, topology, joint, passive, work, matrix, right, block):  # ty
         k = topology[i, 2]
         if k >= 0:
             torque = passive_torque(passive, k, state[7 + k], state[13 + passives + k])
-            w = work[i]
-            needed = joint[i, 3] * w[_M] + joint[i, 4] * w[_M + 1] + joint[i, 5] * w[_M + 2]
-            right[6 + k] = torque - needed
+            right[6 + k] = torque - _dot(_at(joint[i], 3), _at(work[i], _M))
             _coupling(i, k, topology, joint, work, matrix)
-        _to_parent(i, topology[i, 0], joint, work, block)
+        _to_parent(i, topology[i, 0], joint, work)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
@@ -505,14 +407,11 @@ def derivative(  # type: ignore[no-untyped-def]
     foil,
     force_link,
     force,
-    wake_link,
-    wake,
     surface,
     free_base,
     work,
     matrix,
     right,
-    block,
     rate,
 ):
     """Compute the rate of the state, and write it into ``rate``.
@@ -525,26 +424,25 @@ def derivative(  # type: ignore[no-untyped-def]
     topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
     inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
         Columns of ``swimid.swimmer.planar.engine.PASSIVE``
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, wake_link, wake : ndarray
-        Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force : ndarray
+        Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`.
     surface : float, m
         Height of the water surface in the world.
     free_base : bool
         Whether the base moves; otherwise it keeps its pose.
     work : ndarray, shape (links, 60)
     matrix : ndarray, shape (n, n), n = 6 + passive hinges
-    right : ndarray, shape (n,); block : ndarray, shape (6,)
+    right : ndarray, shape (n,)
         Work arrays.
     """
     passives = passive.shape[0]
     n = 6 + passives
-    _outwards(state, row, topology, joint, inertia, work)
+    _outwards(state, row, topology, joint, inertia, None, work)
     _drags(drag_link, drag, surface, work)
     _dampings(damping_link, damping, work)
     _foils(foil_link, foil, surface, work)
     _forces(force_link, force, surface, work)
-    _wakes(wake_link, wake, work)
-    _inwards(state, topology, joint, passive, work, matrix, right, block)
+    _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
     if free_base:
@@ -560,10 +458,8 @@ def derivative(  # type: ignore[no-untyped-def]
             right[m] = -w[_F + m]
     solve(matrix, right, first)
     twist = 7 + passives
-    u, v, s = state[twist], state[twist + 1], state[twist + 2]
-    p, q, r = state[twist + 3], state[twist + 4], state[twist + 5]
-    for m in range(3):
-        rate[m] = w[_TURN + 3 * m] * u + w[_TURN + 3 * m + 1] * v + w[_TURN + 3 * m + 2] * s
+    _put(rate, 0, _apply(w, _TURN, _at(state, twist)))
+    p, q, r = _at(state, twist + 3)
     qw, qx, qy, qz = state[3], state[4], state[5], state[6]
     rate[3] = -0.5 * (qx * p + qy * q + qz * r)
     rate[4] = 0.5 * (qw * p + qy * r - qz * q)
@@ -587,27 +483,7 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def integrate(  # type: ignore[no-untyped-def]
-    start,
-    step,
-    table,
-    topology,
-    joint,
-    inertia,
-    passive,
-    drag_link,
-    drag,
-    damping_link,
-    damping,
-    foil_link,
-    foil,
-    force_link,
-    force,
-    wake_link,
-    wake,
-    surface,
-    free_base,
-):
+def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
     """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
 
     Parameters
@@ -616,148 +492,65 @@ def integrate(  # type: ignore[no-untyped-def]
     step : float, s
     table : ndarray, shape (2 steps + 1, driven hinges, 5)
         Driven hinges on the half-step grid; see :func:`derivative`.
-    others
-        See :func:`derivative`.
+    tables
+        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
 
     Returns
     -------
     states, rates : ndarray, shape (steps + 1, 13 + 2 passive hinges)
         NaN from where the motion breaks down. The quaternion is scaled to length 1 after each step.
     """
-    steps = (table.shape[0] - 1) // 2
-    size = len(start)
-    n = 6 + passive.shape[0]
-    states = np.empty((steps + 1, size))
-    rates = np.empty((steps + 1, size))
-    work = np.zeros((topology.shape[0], _WORK))
-    matrix = np.zeros((n, n))
-    right = np.zeros(n)
-    block = np.zeros(6)
+    topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
+    foil, force_link, force, surface, free_base = tables[9:]
+    steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
+    states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
+    work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
     slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
     states[0] = start
     for i in range(steps + 1):
-        here = states[i]
         for stage in range(4):
-            # row of the table: that of the state, twice that of the middle of the step, that of its end
-            at = 2 * i + (stage + 1) // 2
-            if stage == 0:
-                trial[:] = here
-            else:
-                share = step if stage == 3 else 0.5 * step
-                for j in range(size):
-                    trial[j] = here[j] + share * slope[j]
+            begin_stage(stage, step, states[i], slope, total, trial)
             derivative(
-                trial, table[at], topology, joint, inertia, passive, drag_link, drag, damping_link, damping,
-                foil_link, foil, force_link, force, wake_link, wake, surface, free_base, work, matrix, right,
-                block, slope,
+                trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
+                damping_link, damping, foil_link, foil, force_link, force, surface, free_base,
+                work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
-                largest = 0.0
-                for j in range(size):
-                    rates[i, j] = slope[j]
-                    total[j] = slope[j]
-                    largest = max(largest, abs(here[j]))
-                    if not abs(slope[j]) < math.inf:
-                        largest = math.inf
-                if not largest < BROKEN:
+                rates[i] = slope
+                if is_broken(states[i], slope):
                     states[i:] = math.nan
                     rates[i:] = math.nan
                     return states, rates
                 if i == steps:
                     return states, rates
-            else:
-                weight = 1.0 if stage == 3 else 2.0
-                for j in range(size):
-                    total[j] += weight * slope[j]
-        for j in range(size):
-            states[i + 1, j] = here[j] + step / 6.0 * total[j]
+        begin_stage(4, step, states[i], slope, total, states[i + 1])
         settled(states[i + 1])
     return states, rates
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _powers(work, before):  # type: ignore[no-untyped-def]
-    """Return the power of the forces added since the wrenches ``before``, and update these wrenches."""
-    power = 0.0
-    for i in range(work.shape[0]):
-        for m in range(6):
-            power += (before[i, m] - work[i, _F + m]) * work[i, _V + m]
-            before[i, m] = work[i, _F + m]
-    return power
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _accelerate(twist, rate, topology, joint, inertia, work, moved):  # type: ignore[no-untyped-def]
-    """Add the wrenches for the accelerations of base and passive hinges, and return the kinetic energy, J."""
-    energy = 0.0
-    full = np.zeros((6, 6))
-    for i in range(topology.shape[0]):
-        w = work[i]
-        if i == 0:
-            for m in range(6):
-                moved[0, m] = rate[twist + m]
-        else:
-            u, k = moved[topology[i, 0]], topology[i, 2]
-            x, y, z = joint[i, 0], joint[i, 1], joint[i, 2]
-            a0 = u[0] + u[4] * z - u[5] * y
-            a1 = u[1] + u[5] * x - u[3] * z
-            a2 = u[2] + u[3] * y - u[4] * x
-            for m in range(3):
-                moved[i, m] = w[m] * a0 + w[3 + m] * a1 + w[6 + m] * a2
-                moved[i, 3 + m] = w[m] * u[3] + w[3 + m] * u[4] + w[6 + m] * u[5]
-                if k >= 0:
-                    moved[i, 3 + m] += joint[i, 3 + m] * rate[twist + 6 + k]
-        if topology[i, 3] != 0:
-            continue
-        at = 0
-        for r in range(3):
-            for c in range(3):
-                full[r, 3 + c] = full[3 + c, r] = inertia[i, 6 + 3 * r + c]
-            for c in range(r, 3):
-                full[r, c] = full[c, r] = inertia[i, at]
-                full[3 + r, 3 + c] = full[3 + c, 3 + r] = inertia[i, 15 + at]
-                at += 1
-        for r in range(6):
-            for c in range(6):
-                w[_F + r] += full[r, c] * moved[i, c]
-                energy += 0.5 * w[_V + r] * full[r, c] * w[_V + c]
-    return energy
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def energetics(states, rates, table, *tables):  # type: ignore[no-untyped-def]
-    """Return the hinge torques of a run by inverse dynamics, with its energies and powers.
+def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+    """Return the hinge torques of a run by inverse dynamics, shape (m, links), N m.
 
-    See :func:`swimid.swimmer.planar.engine.energetics`. The torque of a base is zero.
+    See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.
     """
-    topology, joint, inertia, passive = tables[:4]
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
-    wake_link, wake, surface, _ = tables[12:]
-    count, links = states.shape[0], topology.shape[0]
-    torque, flow = np.zeros((count, links)), np.empty((count, 3))
-    work, before, moved = np.zeros((links, _WORK)), np.zeros((links, 6)), np.zeros((links, 6))
-    block = np.zeros(6)
-    twist = 7 + passive.shape[0]
-    for t in range(count):
-        state = states[t]
-        _outwards(state, table[t], topology, joint, inertia, work)
-        before[:] = work[:, _F : _F + 6]
+    topology, joint, inertia = tables[:3]
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, surface = tables[4:13]
+    links = topology.shape[0]
+    found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
+    for t in range(states.shape[0]):
+        _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
         _drags(drag_link, drag, surface, work)
         _dampings(damping_link, damping, work)
         _foils(foil_link, foil, surface, work)
-        _wakes(wake_link, wake, work)
-        flow[t, 1] = -_powers(work, before)
         _forces(force_link, force, surface, work)
-        flow[t, 2] = -_powers(work, before)
-        flow[t, 0] = _accelerate(twist, rates[t], topology, joint, inertia, work, moved)
         for i in range(links - 1, 0, -1):
-            w = work[i]
-            torque[t, i] = joint[i, 3] * w[_M] + joint[i, 4] * w[_M + 1] + joint[i, 5] * w[_M + 2]
-            _to_parent(i, topology[i, 0], joint, work, block)
-    return torque, flow
+            found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
+            _to_parent(i, topology[i, 0], joint, work)
+    return found
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
     """Return the length of the state, and the shapes of the work arrays of :func:`derivative`."""
     n = 6 + len(tables["passive"])
-    return 2 * n + 1, [(len(tables["topology"]), _WORK), (n, n), (n,), (6,)]
+    return 2 * n + 1, [(len(tables["topology"]), _WORK), (n, n), (n,)]

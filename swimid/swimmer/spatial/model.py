@@ -11,9 +11,7 @@ from scipy.spatial.transform import Rotation
 from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.rotation import angles, from_angles
 from swimid.robots.spatial import Hydrostatics
-from swimid.swimmer.lanes.kernel import Engine
 from swimid.swimmer.model import Run, Swimmer
-from swimid.swimmer.planar.engine import FILLED
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly
 
@@ -36,13 +34,7 @@ class MultibodyModel(Swimmer):
     offers = frozenset({"command", "tables", "output", "clock"})
     in_space = True
     coordinates, speeds = 7, 6
-    engine = Engine(
-        engine.derivative,
-        engine.shapes,
-        settled=engine.settled,
-        filled=FILLED,
-        energetics=engine.energetics,
-    )
+    engine = engine
     pose = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
     places = ("x", "y", "z", "roll", "pitch", "yaw")
