@@ -364,9 +364,7 @@ def simulate(
     with atomic.together():
         outputs = write(output, done)
         if options.animate is not None:
-            remark = animation.write(options.animate, _film(done[0]), view=options.view, progress=progress)
-            if remark:
-                notes.append(remark)
+            notes = _write_film(options.animate, done[0], progress)
             outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
@@ -405,23 +403,17 @@ def _refuse_film(asked: Sequence[Case], path: Path) -> None:
         raise UsageError(f"'{path.name}' can be no animation", hint=f"let it end in {endings}")
 
 
-def _film(done: Simulated) -> animation.Film:
+def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
+    """Write the film of a run, and return remarks for the user."""
     case = done.case
-    model, body = case.applied.model.swimmer, case.applied.model.body
-    assert model is not None
+    body, drive, title = case.applied.model.body, case.metadata.get("drive"), case.metadata["robot"]
     assert body is not None
-    length, drive, title = body.length(case.values), case.metadata.get("drive"), model.robot.name
     if isinstance(drive, dict):
         title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
-    return animation.Film(
-        time_s=case.trial.time_s,
-        body=body,
-        frames=body.frames(case.values, done.columns),
-        begins_m=body.straight(case.values)[0],
-        length_m=length,
-        width_m=model.robot.body.width_m or animation.MAX_WIDTH * length,
-        title=title,
-    )
+    frames = body.frames(case.values, done.columns)
+    ends = np.array([frames[:2], body.rear_ends(frames)])
+    remark = animation.write(path, case.trial.time_s, ends, body, title, progress=progress)
+    return [remark] if remark else []
 
 
 # ------------------------------------------------------------ evidence
