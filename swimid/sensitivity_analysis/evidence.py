@@ -130,7 +130,7 @@ def evidence(
             "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
         },
         checks=checks,
-        tables=[_totals(file), _ranges(file), _trials(file)],
+        tables=[_totals(file), _ranges(file)],
         figures=[_map(file)],
         notices=blocks.notices(notices),
         methods=[_method(file)],
@@ -225,22 +225,6 @@ def _ranges(file: SensitivityFile) -> ev.Table:
     ]
     caption = "Uniform and independent of each other; a wider range of a coefficient raises its share."
     return blocks.table("ranges", "Ranges of the coefficients", rows, caption)
-
-
-def _trials(file: SensitivityFile) -> ev.Table:
-    rows = []
-    for o in file.outputs:
-        sizes = {name: index.value for name, index in _ranked(o)}
-        row: dict[str, blocks.Cell] = {
-            "output": o.quantity,
-            "trial": o.trial or "all",
-            "given": numbers.number(o.value, 3, o.unit),
-            "sd": numbers.number(o.sd, 2, o.unit),
-            **{name: numbers.number(sizes.get(name), 2) for name in file.ranges},
-        }
-        rows.append(row)
-    caption = "Value with the given coefficients, standard deviation over the ranges, and total indices."
-    return blocks.table("trials", "Trial by trial", rows, caption)
 
 
 # ------------------------------------------------------------ figures

@@ -98,7 +98,7 @@ class SimulateOptions(
     input: Path | None = option(
         None,
         part=RUN,
-        help="Log that drives the run in place of a beat: joint angles or commands, a force, an arma input.",
+        help="Log that drives the run in place of a beat: joint angles or commands, or an arma input.",
     )
     stroke: str | None = option(
         None, metavar="NAME", part=RUN, help="Stroke of the robot file in place of a beat."

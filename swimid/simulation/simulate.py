@@ -18,7 +18,7 @@ from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
-from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES, UNSTEADY
+from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -42,16 +42,6 @@ STEP_LIMIT = 1e-3
 
 
 @dataclass(frozen=True)
-class StepChange:
-    """Maximum change of a channel when the integration step is halved, absolute and as a fraction of its
-    range.
-    """
-
-    largest: float
-    share: float
-
-
-@dataclass(frozen=True)
 class Simulated:
     """A simulated run.
 
@@ -59,14 +49,15 @@ class Simulated:
     ----------
     columns : dict of str to ndarray
         Columns of the log, ``t_s`` first.
-    step : dict of str to StepChange
-        Effect of halving the integration step on each channel; empty if nothing is integrated.
+    step : dict of str to float
+        Maximum change of each channel when the integration step is halved, as a fraction of the range of the
+        channel; empty if nothing is integrated.
     """
 
     case: Case
     columns: dict[str, Any]
     quantities: dict[str, Quantity]
-    step: dict[str, StepChange]
+    step: dict[str, float]
 
 
 def simulate_case(case: Case) -> Simulated:
@@ -124,7 +115,7 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
             )
 
 
-def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepChange]:
+def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float]:
     """Return the effect of halving the integration step on each channel; warn if it is large."""
     finer = case.applied.model.refined()
     if finer is None:
@@ -135,16 +126,15 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
         both = np.isfinite(values) & np.isfinite(fine[name])
         if not both.any():
             continue
-        largest, share = float(np.max(np.abs(fine[name] - values)[both])), 0.0
-        span = float(np.ptp(values[both]))
+        span, change = float(np.ptp(values[both])), float(np.max(np.abs(fine[name] - values)[both]))
+        changes[name] = 0.0
         if span > 1e-9:
-            share = largest / span
-        changes[name] = StepChange(largest, share)
-    worst = max(changes, key=lambda name: changes[name].share, default=None)
-    if worst is not None and changes[worst].share > STEP_LIMIT:
+            changes[name] = change / span
+    worst = max(changes, key=changes.__getitem__, default=None)
+    if worst is not None and changes[worst] > STEP_LIMIT:
         warn(
             "SWM016",
-            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst].share:.2g} % "
+            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst]:.2g} % "
             "of its range; take a smaller step with --dt",
         )
     return changes
@@ -281,7 +271,7 @@ def simulate(
     """Simulate a robot with given coefficients: its motion over time, and the quantities of the run.
 
     The options of a beat are the keys of ``drive`` in a trials file. An input log has joint angles or
-    commands, a force, or the input column of a discrete-time model. By default, the run is then as long as
+    commands, or the input column of a discrete-time model. By default, the run is then as long as
     the log. Standard errors contain the uncertainty of the coefficients, not the error of the model. Use
     :func:`swimid.compare` to test the model.
 
@@ -453,25 +443,13 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         verdict=ev.judged(answer, checks),
         facts=facts,
         checks=checks,
-        tables=[table for table in (quantities, _meanings(first)) if table.rows],
+        tables=[quantities],
         notes=notes,
     )
 
 
-def _meanings(done: Simulated) -> ev.Table:
-    """Return the definitions of the quantities of a run."""
-    names = {re.sub(r"cycle_\d+_", "", name) for name in done.quantities}
-    rows: list[list[Any]] = [
-        [numbers.split_unit(name)[0].replace("_", " "), kind.meaning]
-        for name, kind in QUANTITIES.items()
-        if name in names
-    ]
-    title, columns = "Meaning of the quantities", ["quantity", "meaning"]
-    return ev.Table(id="meanings", title=title, columns=columns, rows=rows, folded=True)
-
-
 def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
-    shares = {(d.case.id, name): change.share for d in done for name, change in d.step.items()}
+    shares = {(d.case.id, name): share for d in done for name, share in d.step.items()}
     if not shares:
         return []
     (run, name), share = max(shares.items(), key=lambda item: item[1])
@@ -521,14 +499,13 @@ def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]
     runs = []
     for d in done:
         ends = {name: column[-1] for name, column in d.columns.items() if not isinstance(column[-1], str)}
-        steps = {n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()}
         runs.append(
             {
                 "id": d.case.id,
                 "metadata": dict(d.case.metadata),
                 "samples": len(d.case.trial.time_s),
                 "quantities": {name: vars(quantity) for name, quantity in d.quantities.items()},
-                "step_check": steps,
+                "step_check": d.step,
                 "last": {name: float(value) for name, value in ends.items() if np.isfinite(value)},
             }
         )
