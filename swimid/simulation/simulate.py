@@ -30,6 +30,7 @@ from swimid.simulation import animation, cases
 from swimid.simulation.cases import Case
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import RUN, SimulateOptions
+from swimid.simulation.swim_quantities import value_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -484,10 +485,7 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
         label = f"{numbers.split_unit(name)[0].replace('_', ' ')}{tail}"
         if name == "mean_speed_BL_s":
             label = "mean speed in body lengths"
-        factor, unit = numbers.in_degrees(quantity.unit)
-        texts[label] = numbers.number(factor * quantity.value, 4, unit)
-        if quantity.stderr:
-            texts[label] = numbers.measured(factor * quantity.value, factor * quantity.stderr, unit)
+        texts[label] = value_text(quantity.value, quantity.unit, quantity.stderr, digits=4)
     return texts
 
 
