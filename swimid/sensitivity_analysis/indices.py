@@ -135,7 +135,7 @@ def sobol(
             for part, found in zip(parts, results, strict=True):
                 outputs.append(found)
                 tried.append(part)
-                sound.append(np.isfinite(found).all(axis=1))
+                sound.append(np.asarray(np.isfinite(found).all(axis=1)))
                 if np.sum(~np.concatenate(sound)) > MAX_BROKEN_SHARE * samples * (d + 2):
                     _refuse(np.concatenate(tried), np.concatenate(sound), names)
                 step()
