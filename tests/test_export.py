@@ -430,49 +430,6 @@ def test_gazebo_names_are_unique(tmp_path: Path, swimid: Callable[..., Ran]) -> 
     assert {p.get("relative_to") for p in root.iter("pose")} <= known | {None}
 
 
-def test_gazebo_gets_the_drag_of_a_rigid_body(
-    tmp_path: Path, swimid: Callable[..., Ran], samples: Path
-) -> None:
-    drag = tmp_path / "drag.yaml"
-    assert swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", drag, "-q").status == 0
-    file = parameters.read(drag)
-    ran = swimid("export", drag, "--to", "gazebo")
-    tags = _plugins(ran.out)["body"]
-    assert tags == {"xUabsU": pytest.approx(-0.5 * 997 * 0.00698 * file.value("drag_coefficient"), rel=1e-12)}
-    added = ET.fromstring(ran.out).find(".//fluid_added_mass/xx")
-    assert _number(added) == file.value("added_mass")
-    assert "pulley_friction" in ran.err
-    surge = json.loads(swimid("export", drag, "--to", "json").out)["surge"]
-    assert surge["quadratic"] == -tags["xUabsU"]
-    assert swimid("export", drag, "--to", "mjcf").status == 2
-
-
-def _towed(folder: Path, robot_name: str, **values: float) -> Path:
-    held = {n: Estimate(value=v, stderr=0.01, unit="1", status="estimated") for n, v in values.items()}
-    path = folder / "towed.yaml"
-    ParameterFile(model="towed", robot=robot_name, parameters=held).write(path)
-    return path
-
-
-def test_gazebo_gets_linear_drag_and_heavy_added_mass(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
-    path = _towed(tmp_path, "boxfish", quadratic_drag=2.5, linear_drag=0.3, added_mass=1.5)
-    assert _plugins(swimid("export", path, "--to", "gazebo").out)["body"] == {"xU": -0.3, "xUabsU": -2.5}
-    fold = ET.fromstring(swimid("export", path, "--to", "gazebo", "--added-mass", "fold").out)
-    assert _number(fold.find(".//mass")) == pytest.approx(1.196 + 1.5)
-    assert fold.find(".//fluid_added_mass") is None
-
-
-def test_a_robot_without_size_is_refused(tmp_path: Path, swimid: Callable[..., Ran]) -> None:
-    (tmp_path / "bare.yaml").write_text("format: swimid-robot/1\nname: bare\nbody: {inertial_mass_kg: 1.0}\n")
-    path = _towed(tmp_path, "bare.yaml", drag_coefficient=0.7)
-    sized = swimid("export", path, "--to", "gazebo")
-    assert sized.status == 3
-    assert "body.length_m" in sized.err
-    area = swimid("export", path, "--to", "json")
-    assert area.status == 3
-    assert "frontal_area_m2" in area.err
-
-
 # ------------------------------------------------------------ JSON
 
 

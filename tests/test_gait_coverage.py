@@ -15,7 +15,6 @@ import pytest
 
 import swimid as package
 from swimid.errors import NoTrustworthyResult
-from swimid.optimisation.optimise_gait import worst_tenth
 from tests.generators import swimmer
 
 REPEATS = 40
@@ -28,7 +27,7 @@ DRIVES = (
 BEAT = {"amplitude_deg": 30.0, "duration_s": 8.0}
 #: The fastest spring; and the slowest beat that is fast enough.
 SPRING = {**BEAT, "frequency_hz": 1.5, "vary": {"d_p": (0.0, 0.15)}}
-SLOWEST = {**BEAT, "goal": ["power"], "reach_speed_m_s": 0.25, "vary": {"frequency_hz": (0.8, 2.2)}}
+SLOWEST = {**BEAT, "goal": "power", "reach_speed_m_s": 0.25, "vary": {"frequency_hz": (0.8, 2.2)}}
 HELD = {name: swimmer.SAMPLE[name] for name in ("c_Ia", "c_d13", "c_f0", "c_f13", "c_f4")}
 
 
@@ -53,37 +52,23 @@ def repeats(folder: Path) -> Iterator[tuple[int, package.Fitted]]:
         yield seed, fitted
 
 
-def cost(frequency_hz: float) -> float:
-    """Return the power of the true fish, with a penalty if it is too slow."""
-    run = package.simulate(robot="tfish", chosen=dict(swimmer.SAMPLE), frequency_hz=frequency_hz, **BEAT)
-    power, speed = (run.quantities[n].value for n in ("mean_positive_power_W", "mean_speed_m_s"))
-    return float(power + 10 * 0.1 * max(0.0, 1.0 - speed / 0.25))
-
-
 @pytest.mark.slow
 def test_the_interval_covers_the_true_optimum(tmp_path: Path) -> None:
-    """It does in 36 of 40 repeats, and the robust gait loses less in the worst tenth of them."""
+    """It does in 36 of 40 repeats."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", package.SwimidWarning)
         place = package.optimise_gait(robot="tfish", chosen=dict(swimmer.SAMPLE), **SPRING).at["d_p"]
         beat = package.optimise_gait(robot="tfish", chosen=dict(swimmer.SAMPLE), **SLOWEST).at["frequency_hz"]
-        given = {"starts": 2, "generations": 4}
-        inside, width, lost = [], [], []
+        given = {"starts": 2}
+        inside, width = [], []
         for seed, fitted in repeats(tmp_path):
             spring = package.optimise_gait(params=fitted, draws=60, seed=seed, **given, **SPRING).file
             slowest = package.optimise_gait(params=fitted, draws=60, seed=seed, **given, **SLOWEST).file
-            ends = [spring.optimum.at_ci95["d_p"], slowest.optimum.at_ci95["frequency_hz"]]
+            ends = [spring.at_ci95["d_p"], slowest.at_ci95["frequency_hz"]]
             inside.append([low <= x <= high for (low, high), x in zip(ends, (place, beat), strict=True)])
             width.append([high - low for low, high in ends])
-            assert slowest.robust is not None
-            lost.append(
-                [cost(one.at["frequency_hz"]) - cost(beat) for one in (slowest.optimum, slowest.robust)]
-            )
     held = np.sum(inside, axis=0)
-    nominal, robust = (worst_tenth(column) for column in np.array(lost).T)
     middle = np.median(width, axis=0)
     print(f"\n{held[0]} of {REPEATS} intervals hold {1e3 * place:.1f} mm, {1e3 * middle[0]:.1f} mm wide")
     print(f"{held[1]} of {REPEATS} intervals hold {beat:.3f} Hz, {middle[1]:.3f} Hz wide")
-    print(f"worst tenth of repeats: the nominal gait loses {nominal:.4f}, the robust one {robust:.4f} W")
     assert held.min() >= 0.9 * REPEATS
-    assert robust < nominal

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,6 +39,8 @@ parameters:
   added_mass: {value: 0.7, stderr: 0.02, unit: kg, bounds: [0.0, null], status: estimated}
   pulley_friction: {value: 0.03, stderr: 0.001, unit: N, bounds: [0.0, null], status: estimated}
 """
+#: Parameters of a robot with links.
+LINKS = SAMPLES / "gap" / "params.yaml"
 DOLPHIN = {"robot": "dolphin", "over": {"frequency_hz": (2.0, 3.0, 2)}, "duration_s": 4}
 
 
@@ -260,8 +263,8 @@ class TestFilesOfOthers:
             ("report", out / "c.yaml", "-o", out / "c.html"),
             ("report", out / "c.yaml", "-o", out / "c.md"),
             ("report", out / "c.yaml", "-o", out / "c.json"),
-            ("export", params, "--to", "gazebo", "-o", out / "p.sdf"),
-            ("export", params, "--to", "json", "-o", out / "p.json"),
+            ("export", LINKS, "--to", "gazebo", "-o", out / "p.sdf"),
+            ("export", LINKS, "--to", "json", "-o", out / "p.json"),
             ("schema", "map", "-o", out / "s.json"),
             ("doctor", "-o", out / "d.json"),
         ):
@@ -346,6 +349,8 @@ class TestInputs:
     ) -> None:
         drops(tmp_path, "a", "b", header="# made_by: swimid simulate\n")
         monkeypatch.chdir(tmp_path)
+        if words[0] == "export":
+            shutil.copy(LINKS, "params.yaml")
         before = contents(tmp_path)
         ran = swimid(*words, "-o", target)
         if target in before and any(target in str(word) for word in words):
@@ -589,6 +594,8 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.csv").mkdir()
     (tmp_path / "folder.png").mkdir()
+    if words[0] == "export":
+        shutil.copy(LINKS, "params.yaml")
     before = contents(tmp_path)
     ending = "png" if words[0] == "plot" else "csv"
     assert swimid(*words, "-o", f"folder.{ending}").status == 2

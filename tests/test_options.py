@@ -193,7 +193,7 @@ RECORDED = {
     "fit-drag": "method start_state fixed freed bounds",
     "fit-propulsion": "wake keep_departures start_state fixed freed",
     "fit-graybox": "fixed freed bounds share channels start_state starts seed readings max_step_s method",
-    "compare": "channels refit_start start_state set readings dt buoyancy_band",
+    "compare": "channels refit_start start_state set readings dt",
     "sensitivity": "samples range coefficients set readings seed dt",
     "diagnose": "effects own_effects seed budget_s max_causes readings max_step_s",
     "import": "",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import swimid as package
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
 from swimid.optimisation.performance import Performance
-from swimid.optimisation.performance_map import MapFile, MeasuredPoint, fit_efficiency
+from swimid.optimisation.performance_map import MapFile
 from tests.conftest import Ran, interrupting
 
 Swimid = Callable[..., Ran]
@@ -65,18 +64,11 @@ def test_an_interrupted_map_continues_to_the_same_file(tmp_path: Path) -> None:
 
 
 def test_recorded_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path: Path) -> None:
-    """The map shows their speeds, the region they cover, and electrical power with an efficiency."""
-    folder = tmp_path / "tfish"
-    shutil.copytree(samples / "tfish", folder)
-    log = folder / "f14a25.csv"
-    lines = log.read_text().splitlines()
-    head = next(k for k, line in enumerate(lines) if line.startswith("t_s"))
-    lines[head] += ",voltage_V,current_A"
-    lines[head + 1 :] = [f"{line},7.4,0.1" for line in lines[head + 1 :]]
-    log.write_text("\n".join(lines) + "\n")
+    """The map shows their speeds and the region they cover."""
     ran = swimid(
-        "map", "--robot", "tfish", "--trials", folder / "trials.yaml", "--over", "frequency_hz=1:2:3",
-        "--over", "amplitude_deg=15:35:3", "-o", tmp_path / "map.yaml", "--json",
+        "map", "--robot", "tfish", "--trials", samples / "tfish" / "trials.yaml",
+        "--over", "frequency_hz=1:2:3", "--over", "amplitude_deg=15:35:3",
+        "-o", tmp_path / "map.yaml", "--json",
     )  # fmt: skip
     file = MapFile.read(tmp_path / "map.yaml")
     # trials without bias are on the map; the region is that of all fitted trials
@@ -85,35 +77,11 @@ def test_recorded_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path:
     one = next(m for m in file.measured if m.trial == "f14a25")
     assert one.at == {"frequency_hz": 1.4, "amplitude_deg": 25.0}
     assert one.measured_m_s == pytest.approx(one.simulated_m_s, rel=0.2)
-    assert one.electrical_W == pytest.approx(0.74)
-    assert file.efficiency is not None
-    assert file.efficiency.value == pytest.approx(one.mechanical_W / 0.74)
     assert ran.status == 0
     checks = package.load_result(tmp_path / "map.yaml").checks().set_index("name")
     assert "extrapolation" in checks.loc["inside the range of the identification trials", "text"]
     figures = {figure.id: figure for figure in package.load_result(tmp_path / "map.yaml").evidence.figures}
     assert {t.label for t in figures["contours"].panels[0].traces} >= {"identified inside", "trials"}
-
-
-def point(mechanical: float, electrical: float) -> MeasuredPoint:
-    return MeasuredPoint(
-        trial="t", role="fit", at={}, inside=True, mechanical_W=mechanical, electrical_W=electrical
-    )
-
-
-def test_efficiency_and_its_error_from_trials_that_scatter() -> None:
-    rng = np.random.default_rng(4)
-    electrical = rng.uniform(5.0, 40.0, 200)
-    given = zip(0.3 * electrical + rng.normal(0.0, 0.5, 200), electrical, strict=True)
-    found = fit_efficiency([point(mechanical, logged) for mechanical, logged in given])
-    assert found is not None
-    assert found.stderr is not None
-    assert found.value == pytest.approx(0.3, abs=3 * found.stderr)
-    assert found.stderr == pytest.approx(0.5 / math.sqrt(float(electrical @ electrical)), rel=0.15)
-    exact = fit_efficiency([point(1.0, 4.0), point(2.0, 8.0), point(3.0, 12.0)])
-    assert exact is not None
-    assert (exact.value, exact.stderr, exact.trials) == (0.25, 0.0, 3)
-    assert fit_efficiency([point(math.nan, 1.0)]) is None
 
 
 def test_standard_deviations_follow_the_covariance(tmp_path: Path) -> None:

@@ -133,13 +133,12 @@ class TestSobol:
         with pytest.raises(KeyboardInterrupt):
             indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         kept = len(path.read_text().splitlines())
-        # what was evaluated together is kept together
-        assert 49 - indices.BATCH <= kept < 64 * 4
+        # a line is a batch of points
+        assert 49 - indices.BATCH <= kept * indices.BATCH < 64 * 4
         before = count
         again = indices.sobol(each(stopping), -SIDE, SIDE, samples=64, checkpoint=Checkpoint(path, "key"))
         whole = indices.sobol(each(ishigami), -SIDE, SIDE, samples=64)
-        assert count == before + whole.evaluations - kept
-        assert kept % indices.BATCH == 0
+        assert count == before + whole.evaluations - kept * indices.BATCH
         for name, value in vars(whole).items():
             assert np.array_equal(getattr(again, name), value), name
 
@@ -245,10 +244,10 @@ class TestCommand:
                 assert s.total.ci95[0] <= s.total.ci95[1]
                 assert s.first_told == (s.first.ci95[0] > 0)
         beside = evidence.read(evidence.sidecar(out))
-        assert {f.id for f in beside.figures} == {"indices", "intervals"}
+        assert {f.id for f in beside.figures} == {"indices"}
         assert any("Saltelli" in line for line in beside.methods)
         assert not list(tmp_path.glob("*.partial"))
-        assert {t.id for t in beside.tables} == {"ranges", "totals", "trials"}
+        assert {t.id for t in beside.tables} == {"ranges", "totals"}
         assert beside.facts["Method"] == "Sobol, 8 rows (80 points)"
 
     def test_the_same_seed_gives_the_same_file(self, swimid: Swimid, tfish: Path, tmp_path: Path) -> None:
@@ -345,7 +344,7 @@ class TestCommand:
 
     def test_a_robot_of_one_body(self, swimid: Swimid, samples: Path) -> None:
         ran = swimid("sensitivity", samples / "rig" / "trials.yaml")
-        assert ran.status == 3
+        assert ran.status == 2
         assert "free-swim" in ran.err
 
     def test_the_error_names_the_coefficient_at_fault(

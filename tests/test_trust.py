@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +9,9 @@ import pytest
 
 import swimid as package
 from swimid.errors import UsageError
-from swimid.logs.kinematics import Window
 from swimid.optimisation import optimise_gait, study
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.performance import Performance
-from swimid.optimisation.performance_map import electrical_power
 from swimid.optimisation.problem import drawn
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import Applied, Quantity
@@ -63,24 +60,26 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, package.Stiffn
 
 
 class TestRule:
-    def test_its_interval_is_that_of_the_coefficient(self, made: tuple[Path, package.StiffnessRule]) -> None:
-        """One uncertain coefficient: the ends are the rules at its percentiles, by searches of their own."""
+    def test_its_intervals_are_those_of_the_coefficient(
+        self, made: tuple[Path, package.StiffnessRule]
+    ) -> None:
+        """One uncertain coefficient: the ends are the optima at its percentiles, by searches of their own."""
         path, rule = made
         options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
         applied = Performance.of_options(options).applied
         index = applied.model.index("c_d2")
-        values = [vector[index] for vector in drawn(applied, 20, 0).vectors]
+        values = [vector[index] for vector in drawn(applied, 20, 0)[0]]
         ends = np.quantile(values, [0.025, 0.975], method="weibull")
         rules = [
             package.optimise_stiffness(params=path, draws=0, chosen={"c_d2": float(end)}, **RULE)
             for end in ends
         ]
-        for f in (2.5, 3.0, 3.5):
-            low, high = rule.interval_for(f)
-            expected = sorted(one.stiffness_for(f) for one in rules)
+        for one, *others in zip(rule.file.optima, *(r.file.optima for r in rules), strict=True):
+            low, high = one.stiffness_ci95
+            expected = sorted(other.stiffness for other in others)
             # a search ends within 0.15 % of the range searched, 0.7 N m/rad
             assert (low, high) == pytest.approx(tuple(expected), abs=0.0015 * 0.7)
-            assert low < rule.stiffness_for(f) < high
+            assert low < one.stiffness < high
             # far more than what the search leaves open
             assert high - low > 2 * 0.0015 * 0.7
 
@@ -92,11 +91,10 @@ class TestRule:
         assert found["loss of the rule in nine of ten draws of the coefficients"] == "pass"
         assert rule.verdict == "caution"
         assert rule.file.draws == 20
-        assert all(len(curve.drawn) == 20 for curve in rule.file.curves)
 
     def test_without_errors_it_has_no_interval(self) -> None:
         rule = package.optimise_stiffness(robot="dolphin", **RULE)
-        assert rule.interval_for(3.0) is None
+        assert all(one.stiffness_ci95 == (None, None) for one in rule.file.optima)
         assert checks(rule)["uncertainty of the rule"] == "info"
 
     @pytest.mark.parametrize(
@@ -108,18 +106,12 @@ class TestRule:
             package.optimise_stiffness(robot="dolphin", **{**RULE, **changed})
 
 
-def test_a_front_has_intervals(tmp_path: Path) -> None:
-    """At a gait of the front they are the percentiles of single runs with the same draws."""
+def test_the_goal_has_an_interval(tmp_path: Path) -> None:
+    """It has the percentiles of single runs of the best gait with the same draws."""
     path = parameters(tmp_path, {"c_d2": 0.8})
     found = package.optimise_gait(
-        params=path, goal=["speed", "cost-of-transport"], frequency_hz=3.0, vary={"K_s": (0.1, 2.0)},
-        population=8, generations=3, draws=20, **BEAT,
-    )  # fmt: skip
-    file = found.file
-    assert len(file.front_ci95) == len(file.front)
-    for (_, speed, cost), (low, high, least, most) in zip(file.front, file.front_ci95, strict=True):
-        assert low < speed < high
-        assert least < cost < most
+        params=path, frequency_hz=3.0, vary={"K_s": (0.1, 2.0)}, starts=1, draws=20, **BEAT
+    )
     options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
     applied = Performance.of_options(options).applied
     index = applied.model.index("c_d2")
@@ -127,11 +119,11 @@ def test_a_front_has_intervals(tmp_path: Path) -> None:
         package.simulate(
             params=path, frequency_hz=3.0, chosen={**found.at, "c_d2": float(vector[index])}, **BEAT
         ).quantities["mean_speed_m_s"].value
-        for vector in drawn(applied, 20, 0).vectors
+        for vector in drawn(applied, 20, 0)[0]
     ]  # fmt: skip
     ends = np.quantile(speeds, [0.025, 0.975], method="weibull")
     # the windows' samples differ by part of an integration step
-    assert file.optimum.goals_ci95["speed"] == pytest.approx(tuple(ends), rel=2e-3)
+    assert found.file.best_ci95 == pytest.approx(tuple(ends), rel=2e-3)
 
 
 def test_coefficients_of_a_fit_that_did_not_converge(tmp_path: Path) -> None:
@@ -165,28 +157,12 @@ def test_a_gait_that_swims_tail_first_is_bad() -> None:
         frequency_hz=3.0,
         vary={"K_s": (0.1, 2.0)},
         starts=1,
-        population=4,
-        generations=1,
         **BEAT,
     )
-    found.file.optimum.quantities["mean_surge_from_start_m_s"] = -0.1
+    found.file.quantities["mean_surge_from_start_m_s"] = -0.1
     assert optimise_gait.evidence_of(found.file, [], {}).verdict.level == "bad"
     assert study.forwards_check([0.1, None])[0].verdict == "pass"
     assert study.forwards_check([None]) == []
-
-
-def test_electrical_power_of_a_log_with_gaps() -> None:
-    """A current that was hardly logged is none; a few samples that are missing do not matter."""
-    time = np.linspace(0.0, 4.0, 401)
-    window = Window(0.0, 4.0, 4, 1.0)
-    volts, amperes = np.full(401, 12.0), np.full(401, 0.5)
-    few, most = amperes.copy(), amperes.copy()
-    few[::10] = np.nan
-    few[1::2] = np.nan
-    most[::20] = np.nan
-    assert electrical_power(time, volts, most, window) == pytest.approx(6.0)
-    assert math.isnan(electrical_power(time, volts, few, window))
-    assert math.isnan(electrical_power(time, np.full(401, np.nan), amperes, window))
 
 
 def test_a_slope_that_is_not_known_is_not_zero(tmp_path: Path) -> None:

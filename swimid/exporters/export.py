@@ -6,7 +6,7 @@ from pathlib import Path
 from types import ModuleType
 
 import swimid
-from swimid.errors import InputError, UsageError
+from swimid.errors import InputError
 from swimid.exporters import gazebo, mjcf, plain
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Source
@@ -19,8 +19,6 @@ from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.swimmer.planar.model import MultilinkModel
 
-#: Names of the models whose parameters can be exported.
-MODELS = ("multilink", "falling-weight", "towed")
 #: Modules of the formats, by the name that the option ``--to`` takes.
 TARGETS: dict[str, ModuleType] = {"mjcf": mjcf, "gazebo": gazebo, "json": plain}
 
@@ -36,7 +34,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
-        Parameters of a multi-link robot, a falling weight or a towed body.
+        Parameters of a robot with links in one plane.
     output : path, optional
         Path of the file to write. With None or ``-`` the text is only returned.
 
@@ -52,24 +50,16 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     InputError
         A file is invalid, the parameters are those of another model, or the robot file lacks a value that the
         format needs.
-    UsageError
-        The format cannot represent this model.
 
     Examples
     --------
-    >>> import json, swimid
-    >>> drag = swimid.fit_drag("sample_logs/rig/trials.yaml")
-    >>> made = export(drag, to="json")
+    >>> import json
+    >>> made = export("sample_logs/gap/params.yaml", to="json")
     >>> json.loads(made.document)["robot"], made.data["limits"]
-    ('boxfish', [])
+    ('tfish', [])
     """
     chosen = TARGETS[options.to]
     source = load(params, options.robot)
-    if not source.multilink and options.to == "mjcf":
-        raise UsageError(
-            "mjcf needs a multi-link robot; this file holds the surge drag of one rigid body",
-            hint="export it to gazebo or json",
-        )
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
         atomic.check_writable(out, inputs=[parameters.origin(params)])
@@ -107,7 +97,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         A file is invalid, no robot is named, or the parameters are those of another robot.
     """
     path = parameters.place(params)
-    file = parameters.read(params, model=MODELS)
+    file = parameters.read(params, model="multilink")
     name = robot_name or file.robot
     if name is None:
         raise InputError("names no robot", file=path, column="robot", hint="give one with --robot")
@@ -124,8 +114,7 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
         "robot": name,
     }
     source = Source(file, robot.read(name, folder, readings=readings), origin, readings)
-    if source.multilink:
-        _check_robot(source, robot.locate(name, folder), path)
+    _check_robot(source, robot.locate(name, folder), path)
     return source
 
 

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import InputError
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import (
     Element,
@@ -31,7 +30,6 @@ from swimid.exporters.source import (
     joint_limits,
 )
 from swimid.fitting.model import Array
-from swimid.swimmer.planar import engine
 
 TITLE = "Gazebo SDF"
 #: Letters of force and velocity components (SNAME), indices of the planar components among the six
@@ -61,7 +59,7 @@ class Part:
     ----------
     name : str
     mass : float, kg
-    moments : sequence of 3 floats, kg m2
+    moment : float, kg m2
     derivatives : list of (str, float)
         Stability derivatives with the tags of the plugin.
     fluid : nested list, shape (6, 6), or None
@@ -74,7 +72,7 @@ class Part:
 
     name: str
     mass: float
-    moments: Sequence[float]
+    moment: float
     derivatives: list[tuple[str, float]]
     fluid: list[list[float]] | None = None
     pose: Sequence[float] = ()
@@ -83,23 +81,21 @@ class Part:
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the SDF document of a multi-link robot, or of one rigid body with surge drag."""
-    joints: list[dict[str, Any]] = []
-    servos: list[dict[str, Any]] = []
-    heading = None
-    if source.multilink:
-        inertias = source.inertias(fold=options.added_mass == "fold")
-        links, limits = _links(source, options, inertias), _limits(source, options)
-        joints = [_joint(source, link, inertias) for link in source.links[1:]]
-        servos = source.servos(inertias, options.servo_hz)
-        for servo in servos:
-            servo["joint"] = _joint_name(source, servo["joint"])
-        if source.heading_rad is not None:
-            heading = _pose(source, 0.0, 0.0, source.heading_rad)
-    else:
-        links, limits = _rigid_body(source, options)
-    variables = {"pi": math.pi, "heading": heading, "links": links, "joints": joints, "servos": servos}
-    return export_xml("gazebo.sdf", source, limits, **variables)
+    """Return the SDF document of a multi-link robot."""
+    inertias, heading = source.inertias(fold=options.added_mass == "fold"), None
+    servos = source.servos(inertias, options.servo_hz)
+    for servo in servos:
+        servo["joint"] = _joint_name(source, servo["joint"])
+    if source.heading_rad is not None:
+        heading = _pose(source, 0.0, 0.0, source.heading_rad)
+    variables = {
+        "pi": math.pi,
+        "heading": heading,
+        "links": _links(source, options, inertias),
+        "joints": [_joint(source, link, inertias) for link in source.links[1:]],
+        "servos": servos,
+    }
+    return export_xml("gazebo.sdf", source, _limits(source, options), **variables)
 
 
 def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
@@ -130,12 +126,12 @@ def _links(source: Source, options: ExportOptions, inertias: list[Array]) -> lis
         if link.joint:
             frame = _joint_name(source, link.joint.name)
         tags = _derivatives(source, here)
-        parts.append(Part(link.name, mass, [moment] * 3, tags, fluid, _pose(source, x, y), frame))
+        parts.append(Part(link.name, mass, moment, tags, fluid, _pose(source, x, y), frame))
         for k, element in enumerate(element for element in drag if element not in here):
             small = HELPER_MASS * mass
             pose = _pose(source, element.at[0] - x, element.at[1] - y)
-            tags, moments = _derivatives(source, [element]), [small * HELPER_RADIUS_M**2] * 3
-            parts.append(Part(f"{link.name}_drag{k}", small, moments, tags, None, pose, link.name, link.name))
+            tags, inertia = _derivatives(source, [element]), small * HELPER_RADIUS_M**2
+            parts.append(Part(f"{link.name}_drag{k}", small, inertia, tags, None, pose, link.name, link.name))
     return parts
 
 
@@ -202,39 +198,3 @@ def _limits(source: Source, options: ExportOptions) -> list[str]:
         *joint_limits(source, options.servo_hz),
         f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed",
     ]
-
-
-def _rigid_body(source: Source, options: ExportOptions) -> tuple[list[Part], list[str]]:
-    """Return one rigid body with surge drag only, and the limits of this export."""
-    body = source.robot.body
-    sizes = {key: getattr(body, key) for key in ("inertial_mass_kg", "length_m", "width_m", "height_m")}
-    for key, size in sizes.items():
-        if not size:
-            raise InputError("an SDF link needs it", file=source.origin["robot"], column=f"body.{key}")
-    mass, length, width, height = sizes.values()
-    moments = (
-        body.roll_inertia_kg_m2 or mass * (width**2 + height**2) / 12.0,
-        body.pitch_inertia_kg_m2 or mass * (length**2 + height**2) / 12.0,
-        body.yaw_inertia_kg_m2 or mass * (length**2 + width**2) / 12.0,
-    )
-    surge, fluid = source.surge(), None
-    if options.added_mass == "native":
-        fluid = _six_by_six(source, np.diag([surge["added_mass"], 0.0, 0.0]))
-    elif options.added_mass == "fold":
-        mass += surge["added_mass"]
-    row = dict.fromkeys(engine.DRAG, 0.0) | {"quadratic_x": surge["quadratic"], "linear_x": surge["linear"]}
-    part = Part("body", mass, moments, _derivatives(source, [Element("drag", 0, row)]), fluid)
-    limits = [
-        "a rig identifies surge only: no drag and no added mass in sway, heave, roll, pitch and yaw",
-        "moments of inertia the robot file does not give are those of a solid box",
-    ]
-    known = ("drag_coefficient", "quadratic_drag", "linear_drag", "added_mass")
-    left = [name for name in source.parameters.parameters if name not in known]
-    if left:
-        limits.append(f"belong to the rig, not to the body: {', '.join(left)}")
-    added_mass = {
-        "fold": "added mass is part of the body's mass, in every direction",
-        "none": "added mass is left out, as asked",
-        "native": DART_ONLY,
-    }
-    return [part], [*limits, added_mass[options.added_mass]]

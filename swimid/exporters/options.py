@@ -18,12 +18,12 @@ class ExportOptions(
 ):
     """Write estimated coefficients for MuJoCo or Gazebo, or as JSON.
 
-    PARAMS is a parameter file of a multi-link robot, or of a falling weight or towed body (Gazebo
-    and JSON). A warning names each thing that the simulator cannot carry.
+    PARAMS is a parameter file of a robot with links in one plane. A warning names each thing that the
+    simulator cannot carry.
 
     Examples:
       swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
-      swimid export drag.yaml --to gazebo -o boxfish.sdf
+      swimid export tfish.yaml --to gazebo -o tfish.sdf
       swimid export tfish.yaml --to json -o tfish.json
     """
 

@@ -24,8 +24,8 @@ CONVENTIONS = (
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the JSON document of any source. This format represents everything, so it has no limits."""
-    file = source.parameters.model_dump(mode="json")
+    """Return the JSON document of a multi-link robot. This format has no limits."""
+    file, body, links = source.parameters.model_dump(mode="json"), source.body, source.links
     data: dict[str, Any] = {
         "format": FORMAT,
         "generator": f"swimid {source.origin['version']}",
@@ -34,17 +34,6 @@ def export(source: Source, options: ExportOptions) -> Exported:
         "robot": source.robot.name,
         "fluid": source.robot.fluid.model_dump(),
         **{key: file[key] for key in ("parameters", "correlation", "identifiability", "derived")},
-    }
-    if source.multilink:
-        data |= _multilink(source)
-    else:
-        data["surge"] = source.surge()
-    return Exported(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-
-
-def _multilink(source: Source) -> dict[str, Any]:
-    body, links = source.body, source.links
-    return {
         "conventions": CONVENTIONS,
         "plane": body.plane,
         "base": body.base,
@@ -54,11 +43,10 @@ def _multilink(source: Source) -> dict[str, Any]:
         "coefficients": dict(zip(source.assembly.names, source.values.tolist(), strict=True)),
         "links": [_link(link, links) for link in links],
         "joints": [_joint(source, link) for link in links[1:]],
-        **{
-            name: [{"link": links[e.link].name, **e.numbers} for e in source.elements if e.kind == kind]
-            for kind, name in LISTS.items()
-        },
     }
+    for kind, name in LISTS.items():
+        data[name] = [{"link": links[e.link].name, **e.numbers} for e in source.elements if e.kind == kind]
+    return Exported(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def _link(link: Link, links: list[Link]) -> dict[str, Any]:

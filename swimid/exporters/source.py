@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from swimid.errors import InputError
 from swimid.fitting.model import Array
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
@@ -108,11 +107,6 @@ class Source:
     readings: Mapping[str, str]
 
     @property
-    def multilink(self) -> bool:
-        """Whether the model is a multi-link robot; otherwise it is one rigid body with surge drag."""
-        return self.parameters.model == "multilink"
-
-    @property
     def body(self) -> Multilink:
         """Multi-link part of the robot file."""
         assert self.robot.multilink is not None
@@ -121,7 +115,7 @@ class Source:
     @property
     def vertical(self) -> bool:
         """Whether the robot swims in the vertical plane."""
-        return self.multilink and self.body.plane == "vertical"
+        return self.body.plane == "vertical"
 
     @property
     def heading_rad(self) -> float | None:
@@ -226,36 +220,6 @@ class Source:
             gains = {"stiffness": moment * omega**2, "damping": 2.0 * ratio * omega * moment}
             servos.append({"joint": axis.joint.name, **gains})
         return servos
-
-    def surge(self) -> dict[str, float]:
-        """Return surge drag and added mass of one rigid body, estimated from rig trials.
-
-        Returns
-        -------
-        dict
-            ``quadratic`` (N s2/m2), ``linear`` (N s/m) and ``added_mass`` (kg). The drag force is
-            ``-(quadratic |u| + linear) u``, with ``quadratic = rho C_d A / 2`` (boxfish paper, Eq 7).
-
-        Raises
-        ------
-        InputError
-            The files state neither a quadratic drag nor a drag coefficient with a frontal area.
-        """
-        held = {name: estimate.value for name, estimate in self.parameters.parameters.items()}
-        area = self.robot.body.frontal_area_m2
-        if "quadratic_drag" not in held:
-            if "drag_coefficient" not in held:
-                file, column = self.origin["file"], "parameters.drag_coefficient"
-                raise InputError("holds no surge drag", file=file, column=column)
-            if area is None:
-                file, column = self.origin["robot"], "body.frontal_area_m2"
-                raise InputError("the drag coefficient needs a frontal area", file=file, column=column)
-            held["quadratic_drag"] = 0.5 * self.robot.fluid.density_kg_m3 * area * held["drag_coefficient"]
-        return {
-            "quadratic": held["quadratic_drag"],
-            "linear": held.get("linear_drag", 0.0),
-            "added_mass": held.get("added_mass", 0.0),
-        }
 
 
 # ---------------------------------------------------------------- planar inertias

@@ -5,7 +5,6 @@ This module has the search, the rule file (``swimid-rule/2``), and the evidence 
 
 from __future__ import annotations
 
-import bisect
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -57,12 +56,8 @@ class Curve(yamlio.Document):
 
     amplitude_deg: float
     coefficients: tuple[float, float, float]
-    #: Standard errors of the coefficients; None if the fit has no degrees of freedom.
-    stderr: tuple[float, float, float] | None = None
     #: Root-mean-square deviation of the optimal stiffnesses from the curve, in the unit of the stiffness.
     rms: float
-    #: Coefficients of the curve for each random sample of the robot's coefficients.
-    drawn: Rows = []
 
 
 class Optimum(yamlio.Document):
@@ -143,36 +138,6 @@ class RuleFile(StudyFile):
         UsageError
             Outside the range of the rule, unless ``outside`` is "hold".
         """
-        curves = [np.array(curve.coefficients) for curve in self.curves]
-        return float(self._interpolate(frequency_hz, amplitude_deg, outside, curves))
-
-    def interval_for(
-        self, frequency_hz: float, amplitude_deg: float | None = None, *, outside: Outside = "refuse"
-    ) -> tuple[float, float] | None:
-        """Return the 95 % interval of the stiffness over random samples of the robot's coefficients.
-
-        The interval does not account for effects that the model lacks.
-
-        Parameters
-        ----------
-        frequency_hz, amplitude_deg, outside
-            As for :meth:`stiffness_for`.
-
-        Returns
-        -------
-        tuple of float, or None
-            Lower and upper end in :attr:`unit`; None if no samples were drawn.
-        """
-        if not self.draws:
-            return None
-        curves = [np.array(curve.drawn, dtype=float).T for curve in self.curves]
-        low, high = interval95(self._interpolate(frequency_hz, amplitude_deg, outside, curves))
-        return float(low), float(high)
-
-    def _interpolate(
-        self, frequency_hz: float, amplitude_deg: float | None, outside: Outside, curves: Sequence[Array]
-    ) -> Any:
-        """Evaluate curves with the coefficients c0, c1, c2, and interpolate between their amplitudes."""
         amplitudes = [curve.amplitude_deg for curve in self.curves]
         if amplitude_deg is None:
             if len(amplitudes) > 1:
@@ -180,16 +145,8 @@ class RuleFile(StudyFile):
             amplitude_deg = amplitudes[0]
         f = _within(frequency_hz, self.frequency_hz, "frequency_hz", outside)
         a = _within(amplitude_deg, self.amplitude_deg, "amplitude_deg", outside)
-
-        def value(k: int) -> Any:
-            c0, c1, c2 = curves[k]
-            return np.clip(c0 + f * (c1 + f * c2), *self.between)
-
-        if len(amplitudes) == 1:
-            return value(0)
-        after = min(max(bisect.bisect_left(amplitudes, a), 1), len(amplitudes) - 1)
-        share = (a - amplitudes[after - 1]) / (amplitudes[after] - amplitudes[after - 1])
-        return (1.0 - share) * value(after - 1) + share * value(after)
+        values = [np.polyval(curve.coefficients[::-1], f) for curve in self.curves]
+        return float(np.interp(a, amplitudes, np.clip(values, *self.between)))
 
     def header(self) -> str:
         """Return the rule as a C header: a single-precision function that needs no library."""
@@ -226,13 +183,8 @@ def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Cu
     design = np.vander(frequency_hz, DEGREE + 1, increasing=True)
     found, *_ = np.linalg.lstsq(design, stiffness)
     residuals = stiffness - design @ found
-    freedom = len(frequency_hz) - DEGREE - 1
-    stderr = None
-    if freedom > 0:
-        variances = np.diag(np.linalg.inv(design.T @ design)) * float(residuals @ residuals) / freedom
-        stderr = np.sqrt(variances).tolist()
     rms = float(np.sqrt(np.mean(residuals**2)))
-    return Curve(amplitude_deg=amplitude_deg, coefficients=tuple(found.tolist()), stderr=stderr, rms=rms)
+    return Curve(amplitude_deg=amplitude_deg, coefficients=tuple(found.tolist()), rms=rms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,11 +204,6 @@ class StiffnessRule(FileResult[RuleFile]):
     def stiffness_for(self) -> Callable[..., float]:
         """Function that returns the stiffness (see :meth:`RuleFile.stiffness_for`)."""
         return self.file.stiffness_for
-
-    @property
-    def interval_for(self) -> Callable[..., tuple[float, float] | None]:
-        """Function that returns the 95 % interval of the stiffness (see :meth:`RuleFile.interval_for`)."""
-        return self.file.interval_for
 
 
 @takes(OptimiseStiffnessOptions)
@@ -342,7 +289,7 @@ def optimise_stiffness(
             unit=performance.axes[coefficient],
             between=between,
             objective=options.objective,
-            objectives=tuple(quantity for _, quantity, _ in problem.goals),  # type: ignore[arg-type]
+            objectives=tuple(quantity for quantity, _ in problem.goals),  # type: ignore[arg-type]
             reference=reference,
             frequency_hz=(frequencies[0], frequencies[-1]),
             amplitude_deg=(amplitudes[0], amplitudes[-1]),
@@ -350,19 +297,19 @@ def optimise_stiffness(
             optima=optima,
         )
         _assess(performance, file, options.jobs or os.cpu_count() or 1)
-        performance.insist_motion(np.array(_largest_speeds(file)))
         if known:
             performance.applied.warn_without_error("the intervals")
-            draws = drawn(performance.applied, options.draws, options.seed)
-            file.draws, file.inside = len(draws.vectors), draws.inside
+            vectors, file.inside = drawn(performance.applied, options.draws, options.seed)
+            file.draws = len(vectors)
 
             def search(k: int) -> Array:
-                return keep.kept(
-                    f"draws {k}", lambda: _search_in_draws(problems[k], file, k, draws.vectors).ravel()
-                )
+                found = keep.kept(f"draws {k}", lambda: _search_in_draws(problems[k], file, k, vectors))
+                return found.reshape(2, -1)
 
             tables = in_parallel(search, range(len(optima)), options.jobs, "rule in draws", progress)
-            _set_intervals(file, [table.reshape(2, -1) for table in tables])
+            for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
+                one.stiffness_ci95 = tuple(interval95(stiffness).tolist())
+                one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
     evidence = evidence_of(file, notices, study.origin)
     file.verdict = evidence.verdict.level
     with atomic.together():
@@ -397,7 +344,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
     goals = [("cost_of_transport_J_m", 1.0), ("mean_speed_m_s", -1.0)]
     if options.objective == "speed":
         goals = [("mean_surge_from_start_m_s", -1.0), (f"{performance.turn}_rate_range_rad_s", 1.0)]
-    return Problem(performance, {name: (low, high)}, [(goal, goal, sign) for goal, sign in goals], {})
+    return Problem(performance, {name: (low, high)}, goals, {})
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
@@ -433,7 +380,7 @@ def _front_at(problem: Problem, number: int, reference: float, options: Optimise
     """
     ((low, high),) = problem.vary.values()
     first = np.array([(reference - low) / (high - low)])
-    front = problem.front(options.population, options.generations, options.seed + number, first=first)
+    front = problem.front(options.population, options.generations, options.seed + number, first)
     if len(front):
         front = front[np.argsort(front[:, 1], kind="stable")]
         problem.scale = float(abs(front[0, 1]))
@@ -470,8 +417,9 @@ def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
         beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
         ruled = file.stiffness_for(**beat, outside="hold")
         gaits += [{**beat, file.coefficient: k} for k in (one.stiffness, ruled, file.reference)]
-    table = performance.many(gaits, jobs=jobs).reshape(len(file.optima), 3, -1)
-    table = np.array(yamlio.plain(table, finite=True), dtype=object)
+    found = performance.many(gaits, jobs=jobs)
+    performance.insist(found)
+    table = np.array(yamlio.plain(found, finite=True), dtype=object).reshape(len(file.optima), 3, -1)
     columns = {name: table[:, :, k] for k, name in enumerate(performance.units)}
     turn = f"{performance.turn}_rate_range_rad_s"
     for k, one in enumerate(file.optima):
@@ -487,27 +435,15 @@ def _search_in_draws(problem: Problem, file: RuleFile, number: int, vectors: Seq
 
     Returns
     -------
-    ndarray, shape (2, draws)
-        Best stiffness, and the relative loss by using the rule instead of this stiffness.
+    ndarray, shape (2 draws,)
+        Best stiffness in each draw, and then the relative losses by using the rule instead of these.
     """
     one, (name,) = file.optima[number], problem.vary
     ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
     best = problem.minimise_in_draws(vectors, problem.place({name: one.stiffness}))
     _, cost = problem.costs(problem.place({name: ruled}), vectors)
     stiffness = [problem.at(x)[name] for x in best.points]
-    return np.array([stiffness, (cost - best.values) / np.abs(best.values)])
-
-
-def _set_intervals(file: RuleFile, tables: Sequence[Array]) -> None:
-    """Set intervals and losses of the optima, and the curves for each coefficient sample."""
-    for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
-        one.stiffness_ci95 = tuple(interval95(stiffness).tolist())
-        one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
-    for curve in file.curves:
-        at = [k for k, one in enumerate(file.optima) if one.amplitude_deg == curve.amplitude_deg]
-        f = np.array([file.optima[k].frequency_hz for k in at])
-        for column in np.array([tables[k][0] for k in at]).T:
-            curve.drawn.append([*fit_curve(curve.amplitude_deg, f, column).coefficients])
+    return np.concatenate([stiffness, (cost - best.values) / np.abs(best.values)])
 
 
 # ------------------------------------------------------------ evidence
@@ -591,13 +527,10 @@ def _loss_check(name: str, worst: float, text: str) -> ev.Check:
 
 def answer(file: RuleFile) -> str:
     """Return the range of the rule, and the increase of speed with the rule, as a sentence."""
-    stiffness, f = _column(file, "stiffness"), _column(file, "frequency_hz")
+    stiffness = _column(file, "stiffness")
     low, high = float(stiffness.min()), float(stiffness.max())
-    trend = "over"
-    if high > low and np.corrcoef(f, stiffness)[0, 1] > 0.3:
-        trend = "rising with"
-    text = f"{file.coefficient} {numbers.number(low, 3)} to {numbers.number(high, 3, file.unit)}, "
-    text += f"{trend} frequency"
+    ends = f"{numbers.number(low, 3)} to {numbers.number(high, 3, file.unit)}"
+    text = f"{file.coefficient} {ends} over frequency"
     if file.objective == "speed":
         ruled, fixed = _largest_speeds(file)
         gain = f"{100 * (ruled / fixed - 1):+.3g}".replace("-", "−")
@@ -611,9 +544,8 @@ def answer(file: RuleFile) -> str:
 def _curve_table(file: RuleFile) -> ev.Table:
     rows = []
     for c in file.curves:
-        named = zip(("c0", "c1", "c2"), c.coefficients, c.stderr or (None, None, None), strict=True)
         row: dict[str, blocks.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
-        row |= {name: numbers.measured(value, error) for name, value, error in named}
+        row |= {f"c{k}": numbers.number(value, 6) for k, value in enumerate(c.coefficients)}
         rows.append({**row, "RMS of residuals": numbers.number(c.rms, 2, file.unit)})
     caption = (
         f"{file.coefficient} = c0 + c1 f + c2 f², f in Hz, held within {numbers.interval(*file.between)}; "
@@ -650,15 +582,11 @@ def _rule_figure(file: RuleFile) -> ev.Figure:
         optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
         label = f"{numbers.number(c.amplitude_deg, 3)} deg"
         y = [file.stiffness_for(float(f), c.amplitude_deg, outside="hold") for f in x]
-        curve = ev.Trace(x=x, y=y, group=group)
-        if file.draws:
-            ends = [file.interval_for(float(f), c.amplitude_deg, outside="hold") for f in x]
-            curve.lower, curve.upper = np.array(ends, dtype=float).T.tolist()
         traces += [
             blocks.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
-            curve,
+            ev.Trace(x=x, y=y, group=group),
         ]
-    caption = "Points are the optima, curves the rule, bands its 95 % interval over draws."
+    caption = "Points are the optima, curves the rule."
     y_label = f"{file.coefficient} ({numbers.unit_text(file.unit) or '1'})"
     return blocks.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
 

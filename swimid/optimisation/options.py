@@ -130,15 +130,13 @@ class OptimiseGaitOptions(
 
     Frequency, amplitude, bias, asymmetry, phase lag and coefficients may be varied. The goal is speed,
     turning, cost of transport or power. With standard errors in the parameter file the result has the
-    uncertainty of the best gait, and a robust gait.
+    uncertainty of the best gait.
 
     Examples:
       swimid optimise gait --params tfish.yaml --vary frequency_hz=0.6,2 --vary d_p=0,0.2 \
           --amplitude-deg 30 --limit joint_rate_deg_s=120 -o gait.yaml
       swimid optimise gait --robot tfish --waveform a-cpg --goal radius --vary bias_deg=0,40 \
           --vary asymmetry=0,0.6 --frequency-hz 1 --amplitude-deg 35 --limit tank_m=4 -o turn.yaml
-      swimid optimise gait --robot dolphin --amplitude-deg 27 --goal speed --goal cost-of-transport \
-          --vary frequency_hz=1,5 --vary K_s=0.1,3 -o front.yaml
     """
 
     vary: Mapping[str, tuple[float, float]] = option(
@@ -147,32 +145,15 @@ class OptimiseGaitOptions(
         help="Range of a varied parameter: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale "
         "of a stroke, or a coefficient (a stiffness). Repeatable.",
     )
-    goal: tuple[Goal, ...] = option(
-        (),
-        metavar="GOAL",
-        help="speed (default), radius (of the turn), turn-rate, cost-of-transport or power. Two goals give "
-        "their Pareto front.",
-    )
+    goal: Goal = option("speed", help="Quantity to optimise. radius is that of the turn.")
     limits: Mapping[str, float] = option(
         {},
         flag="--limit",
         metavar="NAME=VALUE",
-        help="Upper limit: torque_N_m, joint_rate_deg_s, battery_W, tank_m (side of the basin that holds "
-        "the run). Repeatable.",
+        help="Upper limit: torque_N_m, joint_rate_deg_s, tank_m (side of the basin that holds the run). "
+        "Repeatable.",
     )
     reach_speed_m_s: float | None = option(None, gt=0, help="Lower limit of the mean speed.")
-    efficiency: float = option(
-        1.0, gt=0, le=1, help="Mechanical over electrical power, for battery_W (swimid map estimates it)."
-    )
-    draws: int = option(
-        96, ge=20, help="Draws of the coefficients from their covariance; half of them test the robust gait."
-    )
+    draws: int = option(96, ge=20, help="Draws of the coefficients from their covariance, for intervals.")
     starts: int = option(6, ge=1, help="Number of starts of the gradient search.")
-    population: int = option(24, ge=4, help="NSGA-II: population size.")
-    generations: int = option(16, ge=1, help="NSGA-II: number of generations.")
-    seed: int = option(0, ge=0, help="Seed of starts, search and draws: the same seed gives the same file.")
-
-    @property
-    def goals(self) -> tuple[Goal, ...]:
-        """Goals; speed by default."""
-        return self.goal or ("speed",)
+    seed: int = option(0, ge=0, help="Seed of starts and draws: the same seed gives the same file.")

@@ -18,13 +18,10 @@ from swimid.files import atomic, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
 from swimid.files.yamlio import Number, Rows
-from swimid.fitting.fit_common import read_log
 from swimid.fitting.model import Array, Trial
-from swimid.logs import trials as trials_format
-from swimid.logs.kinematics import UNSTEADY, Window
-from swimid.logs.log import Log
+from swimid.logs.kinematics import UNSTEADY
 from swimid.logs.trials import TrialSet
-from swimid.notices import Notice, recorded, warn
+from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
 from swimid.optimisation.performance import BATCH, BEAT, STROKE, Performance, Point, points_of
@@ -36,17 +33,12 @@ from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.swim_quantities import SwimRun
+from swimid.simulation.swim_quantities import value_text
 from swimid.swimmer import trials as swimmer
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Log columns from which electrical power is computed.
-VOLTAGE, CURRENT = "voltage_V", "current_A"
-#: Minimum fraction of the samples of a time window that must have voltage and current, and minimum number of
-#: such samples.
-MIN_LOGGED, MIN_SAMPLES = 0.9, 3
 #: Maximum relative and maximum absolute difference between the drive of a trial and the drive of the map.
 DRIVE_RTOL, DRIVE_ATOL = 0.02, 1e-3
 #: Maximum number of points of a map.
@@ -92,18 +84,6 @@ class MeasuredPoint(yamlio.Document):
     #: Mean speed over the last whole beats, m/s: in the log, and in a simulation of the trial.
     measured_m_s: Number = None
     simulated_m_s: Number = None
-    #: Mean power over the same beats, W: electrical power (voltage times current), and power of the simulated
-    #: joints.
-    electrical_W: Number = None
-    mechanical_W: Number = None
-
-
-class Efficiency(yamlio.Document):
-    """Efficiency of gear and motor: mechanical power divided by electrical power."""
-
-    value: float
-    stderr: Number = None
-    trials: int
 
 
 class MapFile(StudyFile):
@@ -117,7 +97,6 @@ class MapFile(StudyFile):
     broken: int
     unsettled: int
     measured: list[MeasuredPoint] = []
-    efficiency: Efficiency | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -240,7 +219,6 @@ def performance_map(
             broken=int((~np.isfinite(values)).all(axis=1).sum()),
             unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
             measured=measured,
-            efficiency=fit_efficiency(measured),
         )
     evidence = evidence_of(file, notices, study.origin)
     file.verdict = evidence.verdict.level
@@ -316,9 +294,6 @@ def recorded_trials(
             f"these are trials of the robot '{experiment.robot.name}', the map is of '{model.robot.name}'"
         )
     applied = Applied(experiment.model, given.file, given.path, given.chosen)
-    entries: Any = trials_format.read(source)
-    folder = trials_format.place(source).parent
-    logs = {e.id: read_log(e, folder, required=(), optional=(VOLTAGE, CURRENT)) for e in entries.trials}
     places = {trial.id: _place(applied, trial, axes) for trial in experiment.trials}
     fitted = [places[t.id] for t in experiment.trials if t.role == "fit" and places[t.id]]
     region = {n: (min(p[n] for p in fitted), max(p[n] for p in fitted)) for n in axes if fitted}
@@ -328,14 +303,11 @@ def recorded_trials(
         if not at or not _has_drive_of(trial, performance, axes):
             continue
         compared = compare_series.compare_trial(experiment, applied, trial, refit=True)
-        electrical, mechanical = _powers(performance, trial, logs[trial.id], compared.values)
         point = MeasuredPoint(
             trial=trial.id,
             role=trial.role,  # type: ignore[arg-type]
             at=at,
             inside=all(min(values) <= at[name] <= max(values) for name, values in axes.items()),
-            electrical_W=electrical,
-            mechanical_W=mechanical,
         )
         speed = compared.record.mean_speed
         if speed is not None:
@@ -363,69 +335,6 @@ def _has_drive_of(trial: Trial, performance: Performance, axes: Iterable[str]) -
         abs(known[name] - own.get(name, 0.0)) <= max(DRIVE_RTOL * abs(known[name]), DRIVE_ATOL)
         for name in names
     )
-
-
-def _powers(performance: Performance, trial: Trial, log: Log, values: Array) -> tuple[float, float]:
-    """Return the mean electrical power of a log and the mean power of the joints over the same beats, W.
-
-    A power that is unknown is NaN.
-    """
-    model, drive = performance.model, trial.swim.drive
-    run = None
-    if drive is not None and VOLTAGE in log and CURRENT in log:
-        run = SwimRun.of(model, trial, drive.frequency_hz)
-    if run is None:
-        return math.nan, math.nan
-    electrical = electrical_power(log.time_s, log[VOLTAGE], log[CURRENT], run.window)
-    columns, energetics = model.with_energetics([(values, run.trial)], [run.window.duration_s])[0]
-    mechanical = math.nan
-    if energetics is not None:
-        mechanical = run.quantities(model, values, columns, energetics)["mean_positive_power_W"].value
-    if mechanical > electrical:
-        warn(
-            "SWM002",
-            f"{trial.id}: the joints give {mechanical:.3g} W where {electrical:.3g} W of electrical power "
-            "were logged; are they in V and A, and of all motors?",
-        )
-    return electrical, mechanical
-
-
-def electrical_power(time_s: Array, voltage_V: Array, current_A: Array, window: Window) -> float:
-    """Return the mean electrical power over a time window, W (dolphin, section 4.2.2).
-
-    The power is NaN if less than :data:`MIN_LOGGED` of the window was logged.
-
-    >>> time = np.linspace(0.0, 1.0, 5)
-    >>> electrical_power(time, np.full(5, 24.0), np.full(5, 2.0), Window(0.0, 1.0, 1, 1.0))
-    48.0
-    """
-    power = voltage_V * current_A
-    within = (time_s >= window.begin_s - 1e-9) & (time_s <= window.end_s + 1e-9)
-    there = np.isfinite(power) & within
-    if there.sum() < max(MIN_SAMPLES, MIN_LOGGED * within.sum()):
-        return math.nan
-    return float(np.trapezoid(power[there], time_s[there]) / np.ptp(time_s[there]))
-
-
-def fit_efficiency(points: Sequence[MeasuredPoint]) -> Efficiency | None:
-    """Return the ratio of mechanical to electrical power over several trials, with its standard error.
-
-    Notes
-    -----
-    The ratio is a least-squares slope through the origin, ``eta = sum P_m P_e / sum P_e^2``, because losses
-    are taken as proportional to the power. The standard error is computed from the residuals of the trials.
-    """
-    pairs = [(p.mechanical_W, p.electrical_W) for p in points if p.mechanical_W and p.electrical_W]
-    if not pairs:
-        return None
-    mechanical, electrical = np.array(pairs).T
-    square = float(electrical @ electrical)
-    value = float(mechanical @ electrical) / square
-    residuals = mechanical - value * electrical
-    stderr = None
-    if len(pairs) > 1:
-        stderr = math.sqrt(float(residuals @ residuals) / (len(pairs) - 1) / square)
-    return Efficiency(value=value, stderr=stderr, trials=len(pairs))
 
 
 # ------------------------------------------------------------ evidence
@@ -475,9 +384,6 @@ def _checks(file: MapFile) -> list[ev.Check]:
         rmse = float(np.sqrt(np.mean(np.square(errors))))
         value = f"{numbers.number(rmse, 3, 'm/s')} over {len(errors)} trials"
         checks.append(ev.check("measured mean speeds, RMSE", value, None))
-    if (e := file.efficiency) is not None:
-        value = f"{numbers.measured(e.value, e.stderr)} of {e.trials} trials"
-        checks.append(ev.check("mechanical over electrical power", value, e.value <= 1.0, "≤ 1"))
     return checks
 
 
@@ -520,12 +426,10 @@ def _best_table(file: MapFile) -> ev.Table:
 
 
 def _cell(file: MapFile, name: str, row: int, column: int) -> str:
-    q = file.quantities[name]
-    factor, unit = numbers.in_degrees(q.unit)
-    value = np.array(q.values, dtype=float)[row, column]
-    if q.stderr is None:
-        return numbers.number(float(factor * value), 3, unit)
-    return numbers.measured(factor * value, factor * np.array(q.stderr, dtype=float)[row, column], unit)
+    q, sd = file.quantities[name], None
+    if q.stderr is not None:
+        sd = q.stderr[row][column]
+    return value_text(q.values[row][column], q.unit, sd)
 
 
 def _measured_table(file: MapFile) -> ev.Table:
@@ -536,14 +440,10 @@ def _measured_table(file: MapFile) -> ev.Table:
             **{name: numbers.number(at) for name, at in m.at.items()},
             "measured": numbers.number(m.measured_m_s, 3, "m/s"),
             "simulated": numbers.number(m.simulated_m_s, 3, "m/s"),
-            "electrical": numbers.number(m.electrical_W, 3, "W"),
-            "joints": numbers.number(m.mechanical_W, 3, "W"),
         }
         for m in file.measured
     ]
-    caption = (
-        "Mean speed over the last beats of log and simulation; logged electrical power, and the joints'."
-    )
+    caption = "Mean speed over the last beats of log and simulation."
     return blocks.table("measured", "Measured trials on the map", rows, caption)
 
 

@@ -49,27 +49,18 @@ def interval95(values: Array) -> Array:
     return np.asarray(np.nanquantile(values, [0.025, 0.975], axis=0, method="weibull"))
 
 
-@dataclass(frozen=True)
-class Draws:
-    """Random samples of the coefficients.
-
-    Attributes
-    ----------
-    vectors : list of ndarray
-        Parameter vectors of the model.
-    inside : float
-        Fraction of the samples that lay within the bounds. The others were replaced.
-    """
-
-    vectors: list[Array]
-    inside: float
-
-
-def drawn(applied: Applied, count: int, seed: int) -> Draws:
+def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
     """Draw random parameter vectors from the covariance of the coefficients.
 
     The normal distribution is truncated at the bounds of each coefficient, and at physically impossible
     masses.
+
+    Returns
+    -------
+    vectors : list of ndarray
+        Parameter vectors of the model.
+    inside : float
+        Fraction of the samples that lay within the bounds. The others were replaced.
 
     Raises
     ------
@@ -95,7 +86,7 @@ def drawn(applied: Applied, count: int, seed: int) -> Draws:
             if is_possible(model, vector):
                 found.append(vector)
             if len(found) == count:
-                return Draws(found, count / (made + int(k) + 1))
+                return found, count / (made + int(k) + 1)
     raise NoTrustworthyResult(
         "hardly a draw of the coefficients from their covariance is possible",
         hint="they lie at their bounds or are hardly known; hold them (--set) or fit them better",
@@ -258,13 +249,11 @@ class Problem:
     ----------
     vary : dict of str to (float, float)
         Ranges of the varied parameters.
-    goals : list of (name, quantity, sign)
+    goals : list of (quantity, sign)
         The product of sign and quantity is minimised.
     limits : dict of str to Limit
     fixed : dict of str to float
         Parameters of the gait that are not varied but differ from the drive of ``performance``.
-    efficiency : float
-        Mechanical power divided by electrical power.
     checkpoint : Checkpoint
         Stores the result of every batch of simulations.
     scale : float
@@ -273,10 +262,9 @@ class Problem:
 
     performance: Performance
     vary: Mapping[str, tuple[float, float]]
-    goals: Sequence[tuple[str, str, float]]
+    goals: Sequence[tuple[str, float]]
     limits: Mapping[str, Limit]
     fixed: Point = field(default_factory=dict)
-    efficiency: float = 1.0
     jobs: int = 1
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     scale: float = 1.0
@@ -304,8 +292,6 @@ class Problem:
     def quantity(self, table: Array, name: str) -> Array:
         """Return a quantity of simulations, shape (n,). It may be a quantity that only limits use."""
         units = list(self.performance.units)
-        if name == "battery_power_W":
-            return table[:, units.index("mean_positive_power_W")] / self.efficiency
         if name == "basin_m":
             body = self.performance.model.body
             assert body is not None
@@ -315,21 +301,16 @@ class Problem:
     def goal_values(self, table: Array) -> Array:
         """Return the goals in their own units, shape (n, goals). Turning rates have no sign."""
         columns = []
-        for _, quantity, _ in self.goals:
+        for quantity, _ in self.goals:
             column = self.quantity(table, quantity)
             if quantity.startswith("mean_") and quantity.endswith("_rate_rad_s"):
                 column = np.abs(column)
             columns.append(column)
         return np.column_stack(columns)
 
-    @property
-    def signs(self) -> Array:
-        """Sign of each goal in the minimisation, shape (goals,)."""
-        return np.array([sign for _, _, sign in self.goals])
-
     def wanted(self, table: Array) -> Array:
         """Return the goals multiplied by their signs, as they are minimised, shape (n, goals)."""
-        return np.asarray(self.goal_values(table) * self.signs)
+        return self.goal_values(table) * np.array([sign for _, sign in self.goals])
 
     def violations(self, table: Array) -> Array:
         """Return the relative violation of each limit, shape (n, limits); negative if it is satisfied."""
@@ -372,28 +353,18 @@ class Problem:
         table = self.table(np.tile(x, (len(vectors), 1)), vectors)
         return table, merit(self.parts(table))
 
-    def front(self, population: int, generations: int, seed: int, **how: Any) -> Array:
-        """Search the Pareto front of two goals by NSGA-II.
+    def front(self, population: int, generations: int, seed: int, first: Array) -> Array:
+        """Search the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.
 
         Returns
         -------
         ndarray, shape (n, varied + 2)
-            Points of the unit cube that satisfy the limits, and the goals as they are minimised.
+            Points of the unit cube, and the goals as they are minimised.
         """
-
-        def cost(points: Array) -> Array:
-            table = self.table(points)
-            violation = np.maximum(self.violations(table), 0.0).sum(axis=1)
-            return self.wanted(table) + PENALTY * self.scale * violation[:, None]
-
         width = len(self.vary)
         found = global_search.nsga2(
-            cost, np.zeros(width), np.ones(width), objectives=2, population=population,
-            generations=generations, seed=seed, **how,
+            lambda points: self.wanted(self.table(points)), np.zeros(width), np.ones(width), objectives=2,
+            population=population, generations=generations, seed=seed, first=first,
         )  # fmt: skip
         sound = (found.objectives < global_search.BROKEN_OBJECTIVE).all(axis=1)
-        points = found.points[sound]
-        if not self.limits or not len(points):
-            return np.hstack([points, found.objectives[sound]])
-        table = self.table(points)
-        return np.hstack([points, self.wanted(table)])[self.keeps_limits(table)]
+        return np.hstack([found.points, found.objectives])[sound]

@@ -36,8 +36,6 @@ REFERENCES = [
     "Dolphin with Active Variable Stiffness Control",
     "Deb, Pratap, Agarwal, Meyarivan (2002): A fast and elitist multiobjective genetic algorithm: NSGA-II. "
     "IEEE Transactions on Evolutionary Computation 6, doi:10.1109/4235.996017",
-    "Rockafellar, Uryasev (2000): Optimization of conditional value-at-risk. Journal of Risk 2, "
-    "doi:10.21314/JOR.2000.038",
 ]
 
 

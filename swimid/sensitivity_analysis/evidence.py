@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
 from swimid.files import yamlio
@@ -94,8 +93,6 @@ MAX_WIDTH = 0.3
 MAX_STEP_CHANGE = 0.05
 #: Maximum correlation of two estimates that are varied independently. A stronger one gives a warning.
 MAX_CORRELATION = 0.5
-#: Maximum number of outputs with a panel in the figure of the intervals.
-MAX_PANELS = 8
 REFERENCES = [
     "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
     "model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
@@ -133,8 +130,8 @@ def evidence(
             "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
         },
         checks=checks,
-        tables=[_totals(file), _ranges(file), _trials(file)],
-        figures=[_map(file), _intervals(file)],
+        tables=[_totals(file), _ranges(file)],
+        figures=[_map(file)],
         notices=blocks.notices(notices),
         methods=[_method(file)],
         references=list(REFERENCES),
@@ -230,22 +227,6 @@ def _ranges(file: SensitivityFile) -> ev.Table:
     return blocks.table("ranges", "Ranges of the coefficients", rows, caption)
 
 
-def _trials(file: SensitivityFile) -> ev.Table:
-    rows = []
-    for o in file.outputs:
-        sizes = {name: index.value for name, index in _ranked(o)}
-        row: dict[str, blocks.Cell] = {
-            "output": o.quantity,
-            "trial": o.trial or "all",
-            "given": numbers.number(o.value, 3, o.unit),
-            "sd": numbers.number(o.sd, 2, o.unit),
-            **{name: numbers.number(sizes.get(name), 2) for name in file.ranges},
-        }
-        rows.append(row)
-    caption = "Value with the given coefficients, standard deviation over the ranges, and total indices."
-    return blocks.table("trials", "Trial by trial", rows, caption)
-
-
 # ------------------------------------------------------------ figures
 
 
@@ -257,21 +238,6 @@ def _map(file: SensitivityFile) -> ev.Figure:
     caption = "Total Sobol indices: the share of an output's variance that a coefficient takes part in."
     title = "Sensitivity of each output"
     return blocks.panels("indices", title, caption, [blocks.panel("", "", [], heat=heat)])
-
-
-def _intervals(file: SensitivityFile) -> ev.Figure:
-    places, panels = np.arange(len(file.ranges), dtype=float), []
-    for o in [o for o in _headline(file) if o.shares][:MAX_PANELS]:
-        traces = []
-        for kind, label, shift in (("first", "first order", -0.12), ("total", "total", 0.12)):
-            index = [getattr(o.shares[n], kind) for n in file.ranges]
-            half = [0.5 * (i.ci95[1] - i.ci95[0]) for i in index]
-            values = [i.value for i in index]
-            traces.append(ev.Trace(x=places + shift, y=values, y_error=half, style="points", label=label))
-        panel = blocks.panel("", "index", traces, title=o.quantity, x_categories=list(file.ranges))
-        panels.append(panel)
-    caption = "A total index above the first order acts through interactions; bars are 95 % intervals."
-    return blocks.panels("intervals", "Sobol indices with 95 % intervals", caption, panels)
 
 
 def _method(file: SensitivityFile) -> str:

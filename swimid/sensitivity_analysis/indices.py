@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +62,10 @@ def sobol(
     samples: int = 256,
     seed: int = 0,
     groups: Sequence[Sequence[int]] = (),
-    **how: Any,
+    names: Sequence[str] = (),
+    jobs: int = 1,
+    checkpoint: Checkpoint | None = None,
+    progress: Progress = silent,
 ) -> Sobol:
     """Estimate first-order and total Sobol indices (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
 
@@ -80,8 +82,13 @@ def sobol(
     groups : sequence of sequences of int
         Groups of outputs. The indices of a group refer to the sum of the variances of its outputs (Gamboa et
         al. 2014, doi:10.1214/14-EJS895).
-    **how
-        Arguments ``names``, ``jobs``, ``checkpoint`` and ``progress`` of :class:`Evaluations`.
+    names : sequence of str
+        Names of the parameters, for error messages.
+    jobs : int
+        Number of threads. The result does not depend on it.
+    checkpoint : Checkpoint, optional
+        File in which the outputs are stored, so that an interrupted run can be continued.
+    progress : Progress
 
     Returns
     -------
@@ -108,17 +115,35 @@ def sobol(
     a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
     design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
     design[:, 2 + np.arange(d), np.arange(d)] = b
-    runs = Evaluations(evaluate, samples * (d + 2), **how)
+    keep = checkpoint or Checkpoint()
+    tried: list[Array] = []
+    sound: list[NDArray[np.bool_]] = []
 
     def of_rows(rows: NDArray[np.intp]) -> Array:
-        labels = [f"{row}.{point}" for row in rows for point in range(d + 2)]
-        return runs.of(labels, design[rows].reshape(-1, d)).reshape(len(rows), d + 2, -1)
+        points = design[rows].reshape(-1, d)
+        parts = [points[k : k + BATCH] for k in range(0, len(points), BATCH)]
+
+        def one(k: int) -> Array:
+            found = keep.kept(f"{rows[0]}.{k}", lambda: evaluate(parts[k]).ravel())
+            return found.reshape(len(parts[k]), -1)
+
+        outputs = []
+        with (
+            progress("sensitivity", total=len(parts)) as step,
+            map_in_threads(one, range(len(parts)), jobs) as results,
+        ):
+            for part, found in zip(parts, results, strict=True):
+                outputs.append(found)
+                tried.append(part)
+                sound.append(np.asarray(np.isfinite(found).all(axis=1)))
+                if np.sum(~np.concatenate(sound)) > MAX_BROKEN_SHARE * samples * (d + 2):
+                    _refuse(np.concatenate(tried), np.concatenate(sound), names)
+                step()
+        return np.concatenate(outputs).reshape(len(rows), d + 2, -1)
 
     unused = samples
     values = of_rows(np.arange(samples))
     while (bad := np.flatnonzero(~np.isfinite(values).all(axis=(1, 2)))).size:
-        if unused + len(bad) > len(design):
-            runs.refuse()
         values[bad] = of_rows(np.arange(unused, unused + len(bad)))
         unused += len(bad)
     outputs = np.moveaxis(values, 0, -1)  # (d + 2, s, n)
@@ -129,8 +154,8 @@ def sobol(
     drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(N_DRAWS)]
     first, total = _indices(outputs, groups)
     first_ci, total_ci = np.percentile(drawn, (2.5, 97.5), axis=0).transpose(1, 0, 2, 3)
-    broken = len(runs.broken)
-    return Sobol(mean, sd, runs.done, broken, unused - samples, first, total, first_ci, total_ci)
+    evaluated, broken = sum(map(len, tried)), int(np.sum(~np.concatenate(sound)))
+    return Sobol(mean, sd, evaluated, broken, unused - samples, first, total, first_ci, total_ci)
 
 
 def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
@@ -155,101 +180,24 @@ def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
     return np.concatenate(parts, axis=1)
 
 
-class Evaluations:
-    """Evaluation of points in several threads, with a checkpoint and a count of points that break down.
+def _refuse(points: Array, sound: NDArray[np.bool_], names: Sequence[str]) -> NoReturn:
+    """Raise an error that names the parameter whose values separate the broken points best, and its range.
 
-    Parameters
-    ----------
-    evaluate : callable
-    planned : int
-        Number of evaluations that the design needs.
-    names : sequence of str
-        Names of the parameters, for error messages.
-    jobs : int
-        Number of threads. The result does not depend on it.
-    checkpoint : Checkpoint, optional
-        File in which the outputs are stored, so that an interrupted run can be continued.
-    progress : Progress
+    Raises
+    ------
+    NoTrustworthyResult
+        Always.
     """
+    from scipy.stats import ks_2samp
 
-    def __init__(
-        self,
-        evaluate: Evaluate,
-        planned: int,
-        *,
-        names: Sequence[str] = (),
-        jobs: int = 1,
-        checkpoint: Checkpoint | None = None,
-        progress: Progress = silent,
-    ) -> None:
-        self.evaluate, self.planned, self.names = evaluate, planned, names
-        self.jobs, self.checkpoint, self.progress = jobs, checkpoint or Checkpoint(), progress
-        self.done = 0
-        self.broken: list[Array] = []
-        self._complete: list[Array] = []
-
-    def of(self, labels: Sequence[str], points: Array) -> Array:
-        """Return the outputs, shape (n, s), at points, shape (n, d); NaN at points that break down."""
-        rows = []
-        parts = range(0, len(points), BATCH)
-        work = [(labels[i : i + BATCH], points[i : i + BATCH]) for i in parts]
-        with (
-            self.progress("sensitivity", total=len(points)) as step,
-            map_in_threads(self._some, work, self.jobs) as results,
-        ):
-            for outputs, point in zip(chain.from_iterable(results), points, strict=True):
-                self.done += 1
-                if np.isfinite(outputs).all():
-                    self._complete.append(point)
-                    rows.append(outputs)
-                else:
-                    self.broken.append(point)
-                    rows.append(np.full(len(outputs), np.nan))
-                if len(self.broken) > MAX_BROKEN_SHARE * self.planned:
-                    self.refuse()
-                step()
-        return np.array(rows)
-
-    def _some(self, work: tuple[Sequence[str], Array]) -> list[Array]:
-        """Return the outputs at a few points. Points in the checkpoint are not evaluated again."""
-        labels, points = work
-        known = {label: self.checkpoint.get(label) for label in labels}
-        new = [k for k, label in enumerate(labels) if known[label] is None]
-        if new:
-            for k, outputs in zip(new, self.evaluate(points[new]), strict=True):
-                self.checkpoint.put(labels[k], outputs)
-                known[labels[k]] = outputs
-        return [np.asarray(known[label]) for label in labels]
-
-    def refuse(self) -> NoReturn:
-        """Raise an error that names the parameter range in which the model breaks down.
-
-        Raises
-        ------
-        NoTrustworthyResult
-            Always.
-        """
-        raise NoTrustworthyResult(
-            f"{len(self.broken)} of the first {self.done} simulations break down, more than "
-            f"{100 * MAX_BROKEN_SHARE:g} % of all: {self._where()}",
-            hint="narrow that coefficient's range (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
-        )
-
-    def _where(self) -> str:
-        """Return a text with the parameter whose values separate the broken points best, and its range."""
-        from scipy.stats import ks_2samp
-
-        bad = np.array(self.broken)
-        low, high = bad.min(axis=0), bad.max(axis=0)
-        names = list(self.names) or [f"parameter {k + 1}" for k in range(bad.shape[1])]
-        if not self._complete:
-            spans = ", ".join(f"{n} {a:.3g} to {b:.3g}" for n, a, b in zip(names, low, high, strict=True))
-            return f"all that were tried, over {spans}"
-        fine = np.array(self._complete)
-        distances = [ks_2samp(bad[:, k], fine[:, k]).statistic for k in range(bad.shape[1])]
+    bad, fine = points[~sound], points[sound]
+    where = "all that were tried"
+    if len(fine):
+        distances = [ks_2samp(one, other).statistic for one, other in zip(bad.T, fine.T, strict=True)]
         k = int(np.argmax(distances))
-        also = float(np.mean((fine[:, k] >= low[k]) & (fine[:, k] <= high[k])))
-        return (
-            f"all of them have {names[k]} between {low[k]:.3g} and {high[k]:.3g}, as have {100 * also:.0f} % "
-            "of the others"
-        )
+        where = f"all of them have {names[k]} between {bad[:, k].min():.3g} and {bad[:, k].max():.3g}"
+    raise NoTrustworthyResult(
+        f"{len(bad)} of the first {len(points)} simulations break down, more than "
+        f"{100 * MAX_BROKEN_SHARE:g} % of all: {where}",
+        hint="narrow that coefficient's range (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
+    )

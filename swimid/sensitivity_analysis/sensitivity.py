@@ -39,7 +39,6 @@ from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.catalogue import Applied, Quantity, is_possible
 from swimid.simulation.swim_quantities import SwimRun, units_of
-from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:
@@ -271,14 +270,13 @@ def sensitivity(
 
 
 def _load(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
-    if options.params is None:
-        if options.robot is not None:
-            raise UsageError("--robot belongs to --params: the trials file names the robot")
-        experiment = swimmer.load(source, readings=dict(options.readings), max_step=options.dt)
-        return experiment, Applied(experiment.model, chosen=dict(options.chosen))
+    if options.params is None and options.robot is not None:
+        raise UsageError("--robot belongs to --params: the trials file names the robot")
     experiment, applied = catalogue.load(source, options)
     if applied.model.swimmer is None:
-        raise UsageError(f"a study needs a robot with links, not the model '{applied.model.name}'")
+        raise UsageError(
+            f"a study needs free-swim or multibody trials of a robot with links, not '{experiment.name}'"
+        )
     return experiment, applied
 
 

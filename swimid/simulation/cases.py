@@ -151,7 +151,6 @@ def case_of_options(options: SimulateOptions) -> Case:
         return _arma(options, file, path)
     makers = {
         "falling-weight": _falling_weight,
-        "towed": _towed,
         RecoilModel.name: _cruise,
         SurgeModel.name: _surge,
     }
@@ -409,20 +408,15 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
 _Made = tuple[Model, Trial, dict[str, Any], dict[str, Any]]
 
 
-def _rig_body(file: ParameterFile, robot: Robot) -> tuple[float, bool, float]:
-    """Return the body mass, kg, whether the file has a drag coefficient, and ``rho A / 2``, kg/m."""
+def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
+    (pulling,) = _needed(options, "a falling weight", "pulling_mass_kg")
     mass, area = robot.body.inertial_mass_kg, robot.body.frontal_area_m2
     known = "drag_coefficient" in file.parameters
     if known and area is None:
         raise InputError(f"the robot '{robot.name}' has no body.frontal_area_m2 for its drag coefficient")
     if mass is None:
         raise InputError(f"the robot '{robot.name}' has no body.inertial_mass_kg")
-    return mass, known, 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
-
-
-def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    (pulling,) = _needed(options, "a falling weight", "pulling_mass_kg")
-    mass, known, factor = _rig_body(file, robot)
+    factor = 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
     force = pulling * robot.fluid.gravity_m_s2
     inertia = mass + pulling + robot.rig.pulley_inertia_kg
     model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
@@ -442,19 +436,6 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
 
     metadata = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
     return model, trial, metadata, {"quantities": _each(compute)}
-
-
-def _towed(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    (source,) = _needed(options, "towing", "input")
-    mass, known, factor = _rig_body(file, robot)
-    log = log_format.read(source, required=("force_N",), optional=())
-    force = log["force_N"]
-    if np.isnan(force).any():
-        raise InputError("the applied force is missing in places", file=log.path, column="force_N")
-    model = rig.towed(mass_kg=mass, force_N=max(float(np.abs(force).max()), 1e-9), area_known=known)
-    on_rig = RigInput(mass, area_factor=factor, release_s=float(log.time_s[0]))
-    trial = Trial("run", "fit", log.time_s, {}, inputs={"force_N": force}, rig=on_rig)
-    return model, trial, {"experiment": "towed", "input": source.name}, {"extra": trial.inputs}
 
 
 def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:

@@ -22,11 +22,12 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.simulation import cases, catalogue, compare_series, compare_strokes
+from swimid.simulation import catalogue, compare_series, compare_strokes
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import HALF_WIDTH_BEATS, ChannelScore, Compared, ComparisonFile
-from swimid.simulation.compare_strokes import Profile, value_text
+from swimid.simulation.compare_strokes import Profile
 from swimid.simulation.options import CompareOptions
+from swimid.simulation.swim_quantities import value_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -130,8 +131,7 @@ def compare(
                 step()
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
-        buoyancy = options.buoyancy_band_percent / 100.0
-        profiles = compare_strokes.compare_profiles(experiment, done, buoyancy=buoyancy)
+        profiles = compare_strokes.compare_profiles(experiment, done)
         file = ComparisonFile(
             verdict="caution",
             model=experiment.model.name,
@@ -141,9 +141,7 @@ def compare(
             channels=compare_series.pool(done, experiment.model),
             trials=[d.record for d in done],
             profiles=[p.record for p in profiles],
-            provenance=provenance.collect(
-                experiment.inputs, settings=options.settings(buoyancy_band=buoyancy)
-            ),
+            provenance=provenance.collect(experiment.inputs, settings=options.settings()),
         )
         if file.mean_speeds:
             errors = [measured - simulated for _, measured, simulated in file.mean_speeds]
@@ -201,12 +199,10 @@ def _explained(
 
 #: Columns with the errors of a channel in the tables.
 ERROR_COLUMNS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
-#: Drive settings that can be the x axis in the figure of mean speeds.
+#: Drive settings in the table of mean speeds.
 DRIVE_SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
-#: Maximum number of samples of a curve, and maximum number of curves in the figure of mean speeds.
-MAX_SAMPLES, MAX_CURVES = 400, 3
-#: Maximum number of different values of a drive setting that is the x axis of a figure.
-MAX_SETTINGS = 12
+#: Maximum number of samples of a curve.
+MAX_SAMPLES = 400
 #: Minimum bias, as a fraction of the RMSE. A smaller bias is a rounding error of a fitted start state and is
 #: shown as zero.
 MIN_BIAS_SHARE = 1e-3
@@ -331,7 +327,7 @@ def _methods(file: ComparisonFile) -> list[str]:
 
 
 def _tables(file: ComparisonFile) -> list[ev.Table]:
-    """Return tables of errors by channel, motion profiles, mean speeds, and errors by trial and stroke."""
+    """Return tables of errors by channel, motion profiles, mean speeds, and errors by trial."""
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
@@ -339,7 +335,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    tables = [pooled, *compare_strokes.tables(file.profiles), _speeds(file), _scores(file), _cycles(file)]
+    tables = [pooled, *compare_strokes.tables(file.profiles), _speeds(file), _scores(file)]
     return [table for table in tables if table.rows]
 
 
@@ -359,18 +355,16 @@ def _scores(file: ComparisonFile) -> ev.Table:
     for t in file.trials:
         for name, s in t.channels.items():
             fit, peak = numbers.number(s.fit_percent, 3, "percent"), numbers.percent(s.peak_error_normalised)
-            sizes = ((s.peak_error, s.unit), (s.phase_error_rad, "rad"), (s.dtw_distance, s.unit))
-            texts = [value_text(*size) for size in sizes]
+            texts = [value_text(s.peak_error, s.unit), value_text(s.phase_error_rad, "rad")]
             rows.append([t.id, roles[t.role], *_errors(name, s), fit, peak, *texts])
     return ev.Table(
         id="scores",
         title="Errors of every trial",
-        columns=["trial", "role", *ERROR_COLUMNS, "fit", "of peak", "peak error", "phase", "DTW"],
+        columns=["trial", "role", *ERROR_COLUMNS, "fit", "of peak", "peak error", "phase"],
         rows=rows,
         caption="NRMSE is over the measured range (tendon fish, Eq 13), fit as MATLAB's compare prints it, "
         "the peak error the difference of the maximum magnitudes (Eq 14), the phase that by which the "
-        "simulation leads the measurement at the beat, DTW the error after dynamic time warping within a "
-        "quarter of a beat.",
+        "simulation leads the measurement at the beat.",
         folded=True,
     )
 
@@ -403,25 +397,6 @@ def _speeds(file: ComparisonFile) -> ev.Table:
     )
 
 
-def _cycles(file: ComparisonFile) -> ev.Table:
-    rows: list[list[Any]] = []
-    for t in file.trials:
-        for name in _rates(t.cycles) or list(t.cycles)[:2]:
-            c, unit = t.cycles[name], t.channels[name].unit
-            values = (c.mean_measured, c.mean_simulated, c.peak_measured, c.peak_simulated)
-            for time, *each in zip(c.time_s, *values, strict=True):
-                rows.append([t.id, name, time, *(value_text(value, unit) for value in each)])
-    kinds = ["mean, measured", "mean, simulated", "peak, measured", "peak, simulated"]
-    return ev.Table(
-        id="cycles",
-        title="Every stroke",
-        columns=["trial", "channel", "time (s)", *kinds],
-        rows=rows,
-        caption="Mean and maximum magnitude within each whole stroke.",
-        folded=True,
-    )
-
-
 # ------------------------------------------------------------ figures
 
 
@@ -430,10 +405,16 @@ def _figures(
 ) -> list[ev.Figure]:
     """Return figures of the motion profiles (or else of time series and mean speeds) and of the paths."""
     if experiment.model.timed_runs:
-        return [_runs(done)]
+        runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
+        return [_agreement("overlay", "Measured and simulated", runs)]
     drawn = [compare_strokes.figure(p) for p in profiles]
     if not drawn:
-        drawn = [_overlay(experiment, done), *_speed_figure(file)]
+        drawn.append(_overlay(experiment, done))
+        if file.mean_speeds:
+            _, measured, simulated = zip(*file.mean_speeds, strict=True)
+            drawn.append(
+                _agreement("speeds", "Mean speed of the last beats", {"trials": (measured, simulated)})
+            )
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
@@ -482,19 +463,15 @@ def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
     return ev.Figure(id="overlay", title=title, caption=caption, panels=panels)
 
 
-def _runs(done: Sequence[Compared]) -> ev.Figure:
-    """Return a figure of simulated against measured values, with a point for each run of a table."""
-    traces, largest, label = [], 0.0, ""
-    for group, d in enumerate(d for d in done if d.pairs):
-        (p,) = d.pairs.values()
-        traces.append(ev.Trace(x=p.measured, y=p.simulated, style="points", label=d.trial.id, group=group))
-        largest, label = max(largest, float(np.nanmax(p.measured))), f"{p.channel.meaning} (m/s)"
-    traces.append(
-        ev.Trace(x=[0.0, largest], y=[0.0, largest], style="dashed", label="equal", group=len(done))
-    )
-    panel = ev.Panel(x_label=f"measured {label}", y_label=f"simulated {label}", traces=traces)
-    caption = "Every run of the table; the line is where measured and simulated are equal."
-    return ev.Figure(id="overlay", title="Measured and simulated", caption=caption, panels=[panel])
+def _agreement(id: str, title: str, groups: Mapping[str, tuple[Any, Any]]) -> ev.Figure:
+    """Return a figure of simulated against measured mean speeds, with a point for each value."""
+    points = enumerate(groups.items())
+    traces = [ev.Trace(x=x, y=y, style="points", label=name, group=k) for k, (name, (x, y)) in points]
+    ends = [0.0, max(float(np.nanmax(x)) for x, _ in groups.values())]
+    traces.append(ev.Trace(x=ends, y=ends, style="dashed", label="equal", group=len(groups)))
+    panel = ev.Panel(x_label="measured mean speed (m/s)", y_label="simulated mean speed (m/s)", traces=traces)
+    caption = "The line is where measured and simulated are equal."
+    return ev.Figure(id=id, title=title, caption=caption, panels=[panel])
 
 
 def _path(done: Compared, *names: str) -> ev.Panel:
@@ -503,42 +480,3 @@ def _path(done: Compared, *names: str) -> ev.Panel:
     labels = [numbers.column_title(name) for name in names]
     title = done.trial.id
     return ev.Panel(x_label=labels[0], y_label=labels[1], traces=_pair(x, y), title=title, equal_aspect=True)
-
-
-def _speed_figure(file: ComparisonFile) -> list[ev.Figure]:
-    """Return the figure of the mean speed against the drive setting that has the most values.
-
-    There is one curve for each combination of the other settings.
-    """
-    known = [row for row in file.mean_speeds if row[0].drive]
-    counts = {key: len({t.drive.get(key) for t, _, _ in known}) for key in DRIVE_SETTINGS}
-    # a setting that differs in almost all trials was measured, not set, and cannot be the axis
-    most = max(MAX_SETTINGS, len(known) // 2)
-    varied = [key for key in DRIVE_SETTINGS if 1 < counts[key] <= most]
-    if not varied:
-        return []
-    axis = max(varied, key=lambda key: counts[key])
-    groups: dict[str, list[tuple[float, float, float]]] = {}
-    for t, measured, simulated in known:
-        others = [cases.setting_text(key, t.drive.get(key, 0.0)) for key in varied if key != axis]
-        tail = "".join(f", {text}" for text in others)
-        groups.setdefault(tail, []).append((float(t.drive[axis]), measured, simulated))
-    # a curve needs at least two values of the setting
-    curves = [tail for tail, rows in groups.items() if len({row[0] for row in rows}) > 1]
-    traces = []
-    for group, tail in enumerate(sorted(curves, key=lambda tail: -len(groups[tail]))[:MAX_CURVES]):
-        x, y, z = np.array(sorted(groups[tail])).T
-        levels = np.unique(x)
-        # trials with the same setting are averaged to one point of the simulated line
-        means = np.array([float(np.mean(z[x == level])) for level in levels])
-        if len(levels) > 2:
-            traces += _pair((x, levels), (y, means), tail, group)
-            continue
-        for k, (word, speeds) in enumerate({"measured": y, "simulated": z}.items()):
-            traces.append(ev.Trace(x=x, y=speeds, style="points", label=f"{word}{tail}", group=2 * group + k))
-    if not traces:
-        return []
-    title = numbers.column_title(axis)
-    panels = [ev.Panel(x_label=title, y_label="mean speed (m/s)", traces=traces)]
-    caption = "Mean speed over the last whole beats of each trial."
-    return [ev.Figure(id="speeds", title=f"Mean speed over {title}", caption=caption, panels=panels)]

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import yamlio
-from swimid.files.yamlio import Number, Numbers
+from swimid.files.yamlio import Number
 from swimid.fitting import metrics, mistakes, output_error
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
@@ -41,18 +41,6 @@ class ChannelScore(yamlio.Document):
     peak_error_normalised: Number = None
     #: Phase by which the simulation leads the measurement at the beat frequency.
     phase_error_rad: Number = None
-    #: Error per sample that remains after dynamic time warping within a quarter of a beat.
-    dtw_distance: Number = None
-
-
-class CycleTable(yamlio.Document):
-    """Mean and maximum magnitude of a channel in each whole stroke."""
-
-    time_s: Numbers
-    mean_measured: Numbers
-    mean_simulated: Numbers
-    peak_measured: Numbers
-    peak_simulated: Numbers
 
 
 class Speed(yamlio.Document):
@@ -91,7 +79,6 @@ class TrialComparison(yamlio.Document):
     #: Drive of the trial, as in a trials file.
     drive: dict[str, Any] = {}
     channels: dict[str, ChannelScore]
-    cycles: dict[str, CycleTable] = {}
     mean_speed: Speed | None = None
     cruise: Cruise | None = None
 
@@ -152,12 +139,8 @@ Start = Literal["file", "estimated", "neutral"]
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
 #: Half-width of the window in which a derivative is computed: in cycles of the beat, and in s without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
-#: Minimum number of valid samples of a stroke, and minimum fraction of its samples that must be valid.
-MIN_SAMPLES, MIN_SHARE = 4, 0.95
 #: Minimum number of valid derivatives of the pose for a channel that is derived from the pose.
 MIN_DERIVATIVES = 9
-#: Maximum number of samples for dynamic time warping.
-MAX_WARPED = 2000
 #: Standard deviation of the noise of a channel, as a fraction of the range of the channel. This value is used
 #: in the estimate of a start state if the noise is unknown.
 NOISE_SHARE = 0.01
@@ -236,12 +219,8 @@ def compare_trial(
             hint = suggestion(name, list(pairs))
             raise UsageError(f"the trial '{trial.id}' has no channel '{name}' to compare", hint=hint)
     pairs = {name: p for name, p in pairs.items() if name in channels or not channels}
-    by_stroke: dict[str, CycleTable] = {}
     speed = None
     if body is not None and frequency is not None:
-        # leave out positions, whose mean over a stroke is of no use
-        positions = body.pose if body.free else ()
-        by_stroke = {n: stroke_table(p, frequency) for n, p in pairs.items() if n not in positions}
         speed = mean_speed(trial, pairs, body, frequency)
     measured, simulated = metrics.own_axes(
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
@@ -258,7 +237,6 @@ def compare_trial(
         frequency_hz=frequency,
         drive=drive,
         channels={name: _score([p], frequency, own_motion=name in placed) for name, p in own.items()},
-        cycles=by_stroke,
         mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
     )
@@ -421,16 +399,17 @@ def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: 
         np.concatenate([pair[side] - m for pair, m in zip(series, middle, strict=True)]) for side in (0, 1)
     )
     peak, relative = metrics.peak_error(measured, simulated)
-    timing = {}
-    if frequency_hz is not None and len(parts) == 1:
-        timing = _timing(parts[0], frequency_hz)
+    phase = None
+    if frequency_hz is not None:
+        (p,) = parts
+        phase = metrics.phase_error(p.measured, p.simulated, p.time_s, frequency_hz=frequency_hz)
     return ChannelScore(
         unit=parts[0].channel.unit,
         source=parts[0].source,
         **vars(metrics.score_trials(series, own_motion=own_motion)),
         peak_error=peak,
         peak_error_normalised=relative,
-        **timing,
+        phase_error_rad=phase,
     )
 
 
@@ -439,40 +418,6 @@ def pool(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
     pose = metrics.pose_channels(model)
     parts = {c.name: [one.own[c.name] for one in done if c.name in one.own] for c in model.channels}
     return {name: _score(pairs, own_motion=name in pose) for name, pairs in parts.items() if pairs}
-
-
-def _timing(pair: Pair, frequency_hz: float) -> dict[str, float]:
-    """Return the phase error at the beat frequency, and the error that remains after time warping."""
-    phase = metrics.phase_error(pair.measured, pair.simulated, pair.time_s, frequency_hz=frequency_hz)
-    keep = slice(None, None, max(1, -(-len(pair.time_s) // MAX_WARPED)))
-    step = float(np.median(np.diff(pair.time_s[keep])))
-    band = max(1, round(0.25 / (frequency_hz * step)))
-    distance = metrics.dtw_distance(pair.measured[keep], pair.simulated[keep], band=band)
-    return {"phase_error_rad": phase, "dtw_distance": distance}
-
-
-def stroke_table(pair: Pair, frequency_hz: float) -> CycleTable:
-    """Return mean and maximum magnitude in each whole stroke, over samples that are valid in both series.
-
-    Strokes are counted from time zero, where the drive starts. Times are the middles of the strokes. An
-    incomplete stroke at an end of the record is left out. A stroke with a gap has no values.
-    """
-    time, both = pair.time_s, np.isfinite(pair.measured) & np.isfinite(pair.simulated)
-    number = np.floor(time * frequency_hz + 1e-9).astype(int)
-    step = float(np.median(np.diff(time)))
-    needed = max(MIN_SAMPLES, MIN_SHARE / (frequency_hz * step))
-    strokes = np.arange(number[0], number[-1] + 1)
-    rows = np.full((4, len(strokes)), np.nan)
-    for j, k in enumerate(strokes):
-        mine = both & (number == k)
-        if mine.sum() >= needed:
-            y, z = pair.measured[mine], pair.simulated[mine]
-            rows[:, j] = y.mean(), z.mean(), np.abs(y).max(), np.abs(z).max()
-    whole = np.flatnonzero(np.isfinite(rows).all(axis=0))
-    kept = slice(whole[0], whole[-1] + 1) if len(whole) else slice(0, 0)
-    names = ("mean_measured", "mean_simulated", "peak_measured", "peak_simulated")
-    columns = dict(zip(names, rows[:, kept], strict=True))
-    return CycleTable.model_validate({"time_s": (strokes[kept] + 0.5) / frequency_hz, **columns})
 
 
 def mean_speed(

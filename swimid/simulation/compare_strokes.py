@@ -20,6 +20,7 @@ from swimid.logs.sampling import slope
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.simulation.compare_series import Compared, CycleComparison, ProfileComparison
+from swimid.simulation.swim_quantities import value_text
 
 #: Half-width of the window in which a derivative is computed: in cycles of the stroke, and in s without a
 #: stroke.
@@ -31,8 +32,7 @@ FIGURE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad"
 #: Maximum number of samples of a curve.
 MAX_SAMPLES = 200
 
-#: Columns of a trial by side: ``measured``, ``simulated``, and simulated with ``less`` and with ``more``
-#: buoyancy.
+#: Columns of a trial by side: ``measured`` and ``simulated``.
 Columns = dict[str, dict[str, Array]]
 
 
@@ -57,28 +57,14 @@ class Profile(NamedTuple):
         return np.asarray(self.repeats[side][channel].mean(axis=0))
 
 
-def compare_profiles(experiment: Experiment, done: Sequence[Compared], *, buoyancy: float) -> list[Profile]:
-    """Return the motion profiles of a robot that moves in 3-D; an empty list for other robots.
-
-    Parameters
-    ----------
-    buoyancy : float
-        Half-width of the band of buoyancy that is simulated, relative to the buoyancy; 0 for no band.
-    """
+def compare_profiles(experiment: Experiment, done: Sequence[Compared]) -> list[Profile]:
+    """Return the motion profiles of a robot that moves in 3-D; an empty list for other robots."""
     model = experiment.model.swimmer
     if model is None or not model.in_space:
         return []
-    others = {}
-    if buoyancy:
-        others = {"less": model.with_buoyancy(1.0 - buoyancy), "more": model.with_buoyancy(1.0 + buoyancy)}
     groups: dict[str, list[tuple[Compared, Columns]]] = {}
     for one in done:
         columns: Columns = {side: {n: getattr(p, side) for n, p in one.pairs.items()} for side in SIDES}
-        for side, other in others.items():
-            if other is not None:
-                columns[side] = {
-                    n: v for n, v in other.attempt(one.values, one.trial).items() if n in one.pairs
-                }
         if one.pairs:
             columns = {side: _with_speeds(series, one) for side, series in columns.items()}
             groups.setdefault(experiment.facts["profiles"][one.trial.id], []).append((one, columns))
@@ -222,16 +208,6 @@ def tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
     ]
 
 
-def value_text(value: float | None, unit: str, sd: float | None = None) -> str:
-    """Return a value as text, with its unit and any standard deviation. Angles are in degrees."""
-    factor, shown = numbers.in_degrees(unit)
-    if value is None:
-        return numbers.number(None)
-    if sd:
-        return numbers.measured(factor * value, factor * sd, shown)
-    return numbers.number(factor * value, 3, shown)
-
-
 def figure(profile: Profile) -> ev.Figure:
     """Return the figure of the mean channels of repeated trials, measured and simulated, against time."""
     record, measured = profile.record, profile.repeats["measured"]
@@ -241,8 +217,6 @@ def figure(profile: Profile) -> ev.Figure:
             f"Mean of {len(record.trials)} trials on one clock with their standard deviation, and mean of "
             "their simulations."
         )
-    if len(profile.repeats) > len(SIDES):
-        caption += " Shaded: simulated with less and with more displaced volume (sea lion, section III)."
     # leave out channels without motion: a symmetric stroke has neither roll nor yaw
     shown = [n for n in FIGURE_CHANNELS if n in measured and _moves(profile.mean("measured", n))]
     panels = [_panel(profile, name) for name in shown]
@@ -258,15 +232,12 @@ def _panel(profile: Profile, name: str) -> ev.Panel:
     factor, _ = numbers.in_degrees(numbers.split_unit(name)[1])
     keep = slice(None, None, max(len(profile.time_s) // MAX_SAMPLES, 1))
     time, repeats = profile.time_s[keep], profile.repeats["measured"][name]
-    means = {side: factor * profile.mean(side, name)[keep] for side in profile.repeats}
-    points, line = {}, {}
+    measured, simulated = (factor * profile.mean(side, name)[keep] for side in SIDES)
+    error = None
     if len(repeats) > 1:
-        points["y_error"] = factor * np.nan_to_num(np.std(repeats, axis=0, ddof=1)[keep])
-    if len(means) > len(SIDES):
-        simulated = [values for side, values in means.items() if side != "measured"]
-        line = {"lower": np.min(simulated, axis=0), "upper": np.max(simulated, axis=0)}
+        error = factor * np.nan_to_num(np.std(repeats, axis=0, ddof=1)[keep])
     traces = [
-        ev.Trace(x=time, y=means["measured"], style="points", label="measured", group=0, **points),
-        ev.Trace(x=time, y=means["simulated"], label="simulated", group=0, **line),
+        ev.Trace(x=time, y=measured, style="points", label="measured", group=0, y_error=error),
+        ev.Trace(x=time, y=simulated, label="simulated", group=0),
     ]
     return ev.Panel(x_label="time (s)", y_label=numbers.column_title(name), traces=traces)

@@ -50,15 +50,6 @@ class CompareOptions(
     chosen: Mapping[str, float] = chosen()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()
-    buoyancy_band_percent: float = option(
-        2.0,
-        ge=0,
-        le=50,
-        flag="--buoyancy-band",
-        metavar="PERCENT",
-        help="Shade the effect of this change of buoyancy (robots in space). 0 for none.",
-        recorded="buoyancy_band",
-    )
 
 
 #: Part of the options that describes a run. Recorded trials have drives of their own.
@@ -107,7 +98,7 @@ class SimulateOptions(
     input: Path | None = option(
         None,
         part=RUN,
-        help="Log that drives the run in place of a beat: joint angles or commands, a force, an arma input.",
+        help="Log that drives the run in place of a beat: joint angles or commands, or an arma input.",
     )
     stroke: str | None = option(
         None, metavar="NAME", part=RUN, help="Stroke of the robot file in place of a beat."
@@ -124,6 +115,3 @@ class SimulateOptions(
     )
     trial: str | None = option(None, metavar="ID", help="Only this one of --trials; -o is then a log.")
     animate: Path | None = option(None, written=True, help="Film of the links: .mp4 or .gif.")
-    view: Literal["auto", "fixed", "follow"] = option(
-        "auto", help="View of the film: fixed on the whole path, or following the robot."
-    )

@@ -18,7 +18,7 @@ from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
-from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES, UNSTEADY
+from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -30,6 +30,7 @@ from swimid.simulation import animation, cases
 from swimid.simulation.cases import Case
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import RUN, SimulateOptions
+from swimid.simulation.swim_quantities import value_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,16 +43,6 @@ STEP_LIMIT = 1e-3
 
 
 @dataclass(frozen=True)
-class StepChange:
-    """Maximum change of a channel when the integration step is halved, absolute and as a fraction of its
-    range.
-    """
-
-    largest: float
-    share: float
-
-
-@dataclass(frozen=True)
 class Simulated:
     """A simulated run.
 
@@ -59,14 +50,15 @@ class Simulated:
     ----------
     columns : dict of str to ndarray
         Columns of the log, ``t_s`` first.
-    step : dict of str to StepChange
-        Effect of halving the integration step on each channel; empty if nothing is integrated.
+    step : dict of str to float
+        Maximum change of each channel when the integration step is halved, as a fraction of the range of the
+        channel; empty if nothing is integrated.
     """
 
     case: Case
     columns: dict[str, Any]
     quantities: dict[str, Quantity]
-    step: dict[str, StepChange]
+    step: dict[str, float]
 
 
 def simulate_case(case: Case) -> Simulated:
@@ -124,7 +116,7 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
             )
 
 
-def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepChange]:
+def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float]:
     """Return the effect of halving the integration step on each channel; warn if it is large."""
     finer = case.applied.model.refined()
     if finer is None:
@@ -135,16 +127,15 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, StepC
         both = np.isfinite(values) & np.isfinite(fine[name])
         if not both.any():
             continue
-        largest, share = float(np.max(np.abs(fine[name] - values)[both])), 0.0
-        span = float(np.ptp(values[both]))
+        span, change = float(np.ptp(values[both])), float(np.max(np.abs(fine[name] - values)[both]))
+        changes[name] = 0.0
         if span > 1e-9:
-            share = largest / span
-        changes[name] = StepChange(largest, share)
-    worst = max(changes, key=lambda name: changes[name].share, default=None)
-    if worst is not None and changes[worst].share > STEP_LIMIT:
+            changes[name] = change / span
+    worst = max(changes, key=changes.__getitem__, default=None)
+    if worst is not None and changes[worst] > STEP_LIMIT:
         warn(
             "SWM016",
-            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst].share:.2g} % "
+            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst]:.2g} % "
             "of its range; take a smaller step with --dt",
         )
     return changes
@@ -281,7 +272,7 @@ def simulate(
     """Simulate a robot with given coefficients: its motion over time, and the quantities of the run.
 
     The options of a beat are the keys of ``drive`` in a trials file. An input log has joint angles or
-    commands, a force, or the input column of a discrete-time model. By default, the run is then as long as
+    commands, or the input column of a discrete-time model. By default, the run is then as long as
     the log. Standard errors contain the uncertainty of the coefficients, not the error of the model. Use
     :func:`swimid.compare` to test the model.
 
@@ -364,9 +355,7 @@ def simulate(
     with atomic.together():
         outputs = write(output, done)
         if options.animate is not None:
-            remark = animation.write(options.animate, _film(done[0]), view=options.view, progress=progress)
-            if remark:
-                notes.append(remark)
+            notes = _write_film(options.animate, done[0], progress)
             outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
@@ -405,23 +394,17 @@ def _refuse_film(asked: Sequence[Case], path: Path) -> None:
         raise UsageError(f"'{path.name}' can be no animation", hint=f"let it end in {endings}")
 
 
-def _film(done: Simulated) -> animation.Film:
+def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
+    """Write the film of a run, and return remarks for the user."""
     case = done.case
-    model, body = case.applied.model.swimmer, case.applied.model.body
-    assert model is not None
+    body, drive, title = case.applied.model.body, case.metadata.get("drive"), case.metadata["robot"]
     assert body is not None
-    length, drive, title = body.length(case.values), case.metadata.get("drive"), model.robot.name
     if isinstance(drive, dict):
         title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
-    return animation.Film(
-        time_s=case.trial.time_s,
-        body=body,
-        frames=body.frames(case.values, done.columns),
-        begins_m=body.straight(case.values)[0],
-        length_m=length,
-        width_m=model.robot.body.width_m or animation.MAX_WIDTH * length,
-        title=title,
-    )
+    frames = body.frames(case.values, done.columns)
+    ends = np.array([frames[:2], body.rear_ends(frames)])
+    remark = animation.write(path, case.trial.time_s, ends, body, title, progress=progress)
+    return [remark] if remark else []
 
 
 # ------------------------------------------------------------ evidence
@@ -461,25 +444,13 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         verdict=ev.judged(answer, checks),
         facts=facts,
         checks=checks,
-        tables=[table for table in (quantities, _meanings(first)) if table.rows],
+        tables=[quantities],
         notes=notes,
     )
 
 
-def _meanings(done: Simulated) -> ev.Table:
-    """Return the definitions of the quantities of a run."""
-    names = {re.sub(r"cycle_\d+_", "", name) for name in done.quantities}
-    rows: list[list[Any]] = [
-        [numbers.split_unit(name)[0].replace("_", " "), kind.meaning]
-        for name, kind in QUANTITIES.items()
-        if name in names
-    ]
-    title, columns = "Meaning of the quantities", ["quantity", "meaning"]
-    return ev.Table(id="meanings", title=title, columns=columns, rows=rows, folded=True)
-
-
 def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
-    shares = {(d.case.id, name): change.share for d in done for name, change in d.step.items()}
+    shares = {(d.case.id, name): share for d in done for name, share in d.step.items()}
     if not shares:
         return []
     (run, name), share = max(shares.items(), key=lambda item: item[1])
@@ -514,10 +485,7 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
         label = f"{numbers.split_unit(name)[0].replace('_', ' ')}{tail}"
         if name == "mean_speed_BL_s":
             label = "mean speed in body lengths"
-        factor, unit = numbers.in_degrees(quantity.unit)
-        texts[label] = numbers.number(factor * quantity.value, 4, unit)
-        if quantity.stderr:
-            texts[label] = numbers.measured(factor * quantity.value, factor * quantity.stderr, unit)
+        texts[label] = value_text(quantity.value, quantity.unit, quantity.stderr, digits=4)
     return texts
 
 
@@ -529,14 +497,13 @@ def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]
     runs = []
     for d in done:
         ends = {name: column[-1] for name, column in d.columns.items() if not isinstance(column[-1], str)}
-        steps = {n: {"largest_change": c.largest, "share_of_range": c.share} for n, c in d.step.items()}
         runs.append(
             {
                 "id": d.case.id,
                 "metadata": dict(d.case.metadata),
                 "samples": len(d.case.trial.time_s),
                 "quantities": {name: vars(quantity) for name, quantity in d.quantities.items()},
-                "step_check": steps,
+                "step_check": d.step,
                 "last": {name: float(value) for name, value in ends.items() if np.isfinite(value)},
             }
         )

@@ -17,6 +17,7 @@ from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.logs import kinematics
 from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
+from swimid.results import numbers
 from swimid.simulation.catalogue import Quantity
 from swimid.swimmer.model import Energetics, Swimmer
 from swimid.swimmer.planar.model import Body
@@ -25,6 +26,16 @@ from swimid.swimmer.planar.model import Body
 def quantity(name: str, value: float) -> Quantity:
     """Return a quantity with the unit that :data:`swimid.logs.kinematics.QUANTITIES` has for it."""
     return Quantity(value, QUANTITIES[name].unit)
+
+
+def value_text(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
+    """Return a value as text, with its unit and any standard deviation. Angles are in degrees."""
+    factor, shown = numbers.in_degrees(unit)
+    if value is None:
+        return numbers.number(None)
+    if sd:
+        return numbers.measured(factor * value, factor * sd, shown)
+    return numbers.number(factor * value, digits, shown)
 
 
 def units_of(model: Swimmer) -> dict[str, str]:
