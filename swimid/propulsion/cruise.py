@@ -30,12 +30,8 @@ DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
 #: Maximum deviation of a free exponent from that of the law, in standard errors.
 EXPONENT_Z = 3.0
-#: Distance over which the average speed equals the terminal speed to a relative error of a millionth, m.
-FAR_M = 1e7
 #: Parameters of the drag file that the law uses.
 DRAG_PARAMETERS = ("drag_coefficient", "added_mass")
-#: Minimum and maximum Strouhal number of efficient swimmers.
-EFFICIENT_STROUHAL = (0.25, 0.4)
 #: Columns of the table of runs. Each has the name of its quantity, and the factor to the unit of the column.
 COLUMNS = {
     "f (Hz)": ("frequency_hz", 1.0),
@@ -53,7 +49,6 @@ def fit(
     experiment: Experiment,
     choices: tuple[Parameter, ...],
     origin: dict[str, Any],
-    wake: str,
     keep_departures: bool,
     progress: Progress,
 ) -> tuple[ParameterFile, ev.Evidence]:
@@ -92,13 +87,13 @@ def fit(
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents, exponent_checks = free_exponents(model, kept, choices, LAWS, "power")
     result = _with_drag_error(result, kept, choices, experiment)
-    points = _operating_points(experiment, result, wake)
+    points = _operating_points(experiment, result)
     file = fit_common.parameter_file(
         result,
         robot=experiment.robot.name,
         provenance=origin,
         derived=_derive(experiment, result, points) | exponents,
-        settings={"wake": wake, "drag_file": str(experiment.facts["drag_path"])},
+        settings={"drag_file": str(experiment.facts["drag_path"])},
     )
     file._drag = experiment.facts["drag"]
     assert file.fit is not None
@@ -114,8 +109,8 @@ def fit(
         title=f"Propulsion of {experiment.robot.name}: energy recoil law",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
-        tables=_tables(experiment, points),
-        figures=[*_figures(experiment, result, points), *fit_common.figures(result)[1:]],
+        tables=[_run_table(points)],
+        figures=[_speed_figure(experiment, result, points), *fit_common.figures(result)[1:]],
         methods=[
             "Recoil efficiency and amplitude offset were estimated from the average speeds of "
             f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
@@ -309,7 +304,7 @@ def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, An
 # ------------------------------------------------------------ operating points
 
 
-def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> list[dict[str, Any]]:
+def _operating_points(experiment: Experiment, result: FitResult) -> list[dict[str, Any]]:
     """Return the terminal speed, force, Strouhal numbers and efficiency of every run."""
     model = result.model
     assert isinstance(model, RecoilModel)
@@ -317,7 +312,6 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
     points = []
     for trial in experiment.trials:
         fin, inertia = experiment.robot.fins[trial.id], trial.cruise.inertia_kg_m2
-        levers = {"fin": fin.length_m, "axle": fin.length_m + fin.axle_gap_m}
         for k in np.flatnonzero(np.isfinite(trial.measured[SPEED])):
             speed, distance = float(trial.measured[SPEED][k]), trial.inputs["distance_m"][k]
             f, a = float(trial.inputs["frequency_hz"][k]), float(trial.inputs["amplitude_rad"][k])
@@ -327,7 +321,6 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
                 efficiency = float(
                     model.drag_area_kg_m * terminal**3 / (8 * np.pi**2 * inertia * (a - offset) ** 2 * f**3)
                 )
-            ratios = {name: strouhal(f, a, lever, terminal) for name, lever in levers.items()}
             points.append(
                 {
                     "fin": trial.id,
@@ -336,114 +329,74 @@ def _operating_points(experiment: Experiment, result: FitResult, wake: str) -> l
                     "mean_speed_m_s": speed,
                     "terminal_speed_m_s": terminal,
                     "propulsive_force_N": float(model.drag_area_kg_m * terminal**2),
-                    "strouhal": ratios[wake],
-                    "strouhal_fin": ratios["fin"],
-                    "strouhal_axle": ratios["axle"],
+                    "strouhal_fin": strouhal(f, a, fin.length_m, terminal),
+                    "strouhal_axle": strouhal(f, a, fin.length_m + fin.axle_gap_m, terminal),
                     "efficiency": efficiency,
                 }
             )
     return points
 
 
-def _tables(experiment: Experiment, points: list[dict[str, Any]]) -> list[ev.Table]:
-    """Return the tables of the runs and of the fins."""
+def _run_table(points: list[dict[str, Any]]) -> ev.Table:
+    """Return the table of the runs."""
     runs = []
     for p in points:
         row: dict[str, blocks.Cell] = {"fin": p["fin"]}
         for title, (key, factor) in COLUMNS.items():
             row[title] = p[key] and factor * p[key]
         runs.append(row)
-    fins: list[dict[str, blocks.Cell]] = []
-    for t in experiment.trials:
-        grams = t.cruise.inertia_kg_m2 and numbers.number(1e7 * t.cruise.inertia_kg_m2, 5)
-        area = experiment.robot.fins[t.id].area_m2
-        fins.append({"fin": t.id, "area (m²)": area, "hydrodynamic inertia (g cm²)": grams})
-    about_runs = (
+    about = (
         "Force is drag at terminal speed. The lever of the wake width in the Strouhal number is the length "
         "of the fin (Eq 28), or the distance from the axle to the trailing edge."
     )
-    about_fins = (
-        "The inertia of a rectangle follows from Eq 6. A fin without an entry has an unknown inertia."
-    )
-    tables = [
-        blocks.table("points", "Runs", runs, about_runs),
-        blocks.table("fins", "Fins", fins, about_fins),
-    ]
-    tables[1].folded = True
-    return tables
+    return blocks.table("points", "Runs", runs, about)
 
 
-def _figures(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> list[ev.Figure]:
-    """Return figures of speed over frequency and amplitude with the law, and of force and Strouhal number."""
+def _speed_figure(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> ev.Figure:
+    """Return the figure of the average speed over frequency and over amplitude, with the law."""
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])
     settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
     frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
     swept = frequencies[counts > 2][:1].tolist()
-    over_frequency, over_amplitude, force, wake = [], [], [], []
+    over_frequency, over_amplitude = [], []
     for group, trial in enumerate(experiment.trials):
         own = [p for p in points if p["fin"] == trial.id]
         runs = [p for p in own if abs(p["amplitude_deg"] - amplitude) < 1e-6]
         if runs:
             line = np.linspace(0.0, max(p["frequency_hz"] for p in runs), 60)[1:]
-            law = 100 * _law(result, trial, line, np.full(len(line), amplitude))
-            over_frequency.append(_points(runs, "frequency_hz", "mean_speed_m_s", 100.0, group))
+            law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
+            over_frequency.append(_points(runs, "frequency_hz", 1.0, group))
             over_frequency.append(ev.Trace(x=line, y=law, group=group))
-            force.append(_points(runs, "frequency_hz", "propulsive_force_N", 1e3, group))
-            terminal = _law(result, trial, line, np.full(len(line), amplitude), FAR_M)
-            drag = result.model.drag_area_kg_m * terminal**2  # type: ignore[attr-defined]
-            force.append(ev.Trace(x=line, y=1e3 * drag, group=group))
-            wake.append(_points(runs, "frequency_hz", "strouhal", 1.0, group))
         runs = [p for p in own if p["frequency_hz"] in swept]
         if runs:
             line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 80)[1:]
-            law = 100 * _law(result, trial, np.full(len(line), swept[0]), line)
-            over_amplitude.append(_points(runs, "amplitude_deg", "mean_speed_m_s", 100.0, group, power=1.5))
+            law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
+            over_amplitude.append(_points(runs, "amplitude_deg", 1.5, group))
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
-    at, x_label = {"title": f"at {amplitude:g}°"}, "frequency (Hz)"
-    speeds = [blocks.panel(x_label, "average speed (cm/s)", over_frequency, **at)]
+    title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
+    speeds = [blocks.panel("frequency (Hz)", y_label, over_frequency, title=title)]
     if over_amplitude:
         title, y_label = f"at {swept[0]:g} Hz", "speed¹·⁵ ((cm/s)¹·⁵)"
         speeds.append(blocks.panel("amplitude (°)", y_label, over_amplitude, title=title))
-    low, high = EFFICIENT_STROUHAL
-    efficient = [ev.Mark(at=low), ev.Mark(at=high, label="efficient swimmers")]
-    forces = [
-        blocks.panel(x_label, "propulsive force (mN)", force, **at),
-        blocks.panel(x_label, "Strouhal number", wake, **at, marks=efficient),
-    ]
-    about_speeds = (
+    about = (
         "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
         "the offset as intercept over amplitude."
     )
-    about_forces = (
-        "Lines are the fitted law: force grows with the square of frequency, the Strouhal number is constant."
-    )
-    return [
-        blocks.panels("speeds", "Average speed", about_speeds, speeds),
-        blocks.panels("force", "Force and Strouhal number", about_forces, forces),
-    ]
+    return blocks.panels("speeds", "Average speed", about, speeds)
 
 
-def _points(
-    runs: list[dict[str, Any]], x: str, y: str, factor: float, group: int, *, power: float = 1.0
-) -> ev.Trace:
+def _points(runs: list[dict[str, Any]], x: str, power: float, group: int) -> ev.Trace:
     label = runs[0]["fin"]
-    return blocks.points(runs, lambda p: p[x], lambda p: (factor * p[y]) ** power, label=label, group=group)
-
-
-def _law(
-    result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array, distance_m: float | None = None
-) -> Array:
-    """Return the average speed of runs by the law, m/s; the default distance is the median of the trial."""
-    if distance_m is None:
-        distance_m = float(np.median(trial.inputs["distance_m"]))
-    runs = replace(
-        trial,
-        time_s=np.arange(len(frequency), dtype=float),
-        inputs={
-            "frequency_hz": frequency,
-            "amplitude_rad": np.deg2rad(amplitude_deg),
-            "distance_m": np.full(len(frequency), distance_m),
-        },
+    return blocks.points(
+        runs, lambda p: p[x], lambda p: (100 * p["mean_speed_m_s"]) ** power, label=label, group=group
     )
-    return result.model.simulate(result.values(trial.id), runs)[SPEED]
+
+
+def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
+    """Return the average speed of runs over the median distance of a trial by the law, cm/s."""
+    distance = np.full(len(frequency), np.median(trial.inputs["distance_m"]))
+    amplitude = np.deg2rad(amplitude_deg)
+    inputs = {"frequency_hz": frequency, "amplitude_rad": amplitude, "distance_m": distance}
+    runs = replace(trial, time_s=np.arange(len(frequency), dtype=float), inputs=inputs)
+    return 100 * result.model.simulate(result.values(trial.id), runs)[SPEED]

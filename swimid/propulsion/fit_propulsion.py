@@ -22,7 +22,7 @@ from swimid.progress import Progress, silent
 from swimid.propulsion import cruise
 from swimid.propulsion import trials as propulsion_trials
 from swimid.propulsion.options import FitPropulsionOptions
-from swimid.results import blocks, numbers
+from swimid.results import blocks
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Estimate, ParameterFile
@@ -97,17 +97,12 @@ def fit_propulsion(
         if experiment.name == "cruise":
             if options.start_state != "auto":
                 warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
-            file, evidence = cruise.fit(
-                experiment, choices, origin, options.wake, options.keep_departures, progress
-            )
+            file, evidence = cruise.fit(experiment, choices, origin, options.keep_departures, progress)
         else:
             if options.drag is not None:
                 raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
-            if options.wake != "fin" or options.keep_departures:
-                warn(
-                    "SWM004",
-                    "--wake and --keep-departures belong to a cruise experiment and have no effect here",
-                )
+            if options.keep_departures:
+                warn("SWM004", "--keep-departures belongs to a cruise experiment and has no effect here")
             file, evidence = _fit_surge(
                 experiment, choices, origin, progress, from_rest=options.start_state == "rest"
             )
@@ -194,13 +189,6 @@ def _fit_surge(
         },
     )
     checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
-    rows: list[list[Any]] = []
-    for name, b in beats.items():
-        found = "none found"
-        if b["found_hz"] is not None:
-            found = numbers.measured(b["found_hz"], b["stderr_hz"])
-        rows.append([name, b["stated_hz"], found])
-    columns = ["trial", "stated (Hz)", "found in yaw (Hz)"]
     starts = "with the initial speed of each trial estimated"
     if from_rest:
         starts = "with every trial from rest"
@@ -209,7 +197,6 @@ def _fit_surge(
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
-        tables=[ev.Table(id="beats", title="Beat frequency", columns=columns, rows=rows, folded=True)],
         figures=fit_common.figures(result),
         methods=[
             "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "

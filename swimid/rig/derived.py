@@ -98,15 +98,15 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
             unknown = True
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
     statuses = {result.status[label] for label, g in zip(result.labels, gradient, strict=True) if g != 0}
-    if "at-bound" in statuses and (unknown or not known.any()):
-        return Estimate(value=centre, unit=unit, status="at-bound")
-    if not unknown and not known.any():
-        return Estimate(value=centre, unit=unit, status="fixed")
     variance = float(gradient[known] @ result.covariance[np.ix_(known, known)] @ gradient[known])
+    estimate = Estimate(value=centre, unit=unit, status="fixed")
     if unknown or not (math.isfinite(variance) and variance >= 0):
-        return Estimate(value=centre, unit=unit, status="unidentifiable")
-    estimate = Estimate(value=centre, stderr=math.sqrt(variance), unit=unit, status="estimated")
-    if unit != "1" and math.sqrt(variance) > UNIDENTIFIABLE * abs(centre):
+        estimate.status = "unidentifiable"
+    elif known.any():
+        estimate.status, estimate.stderr = "estimated", math.sqrt(variance)
+    if estimate.stderr is None and "at-bound" in statuses:
+        estimate.status = "at-bound"
+    elif unit != "1" and (estimate.stderr or 0.0) > UNIDENTIFIABLE * abs(centre):
         estimate.status = "unidentifiable"
     return estimate
 
@@ -155,12 +155,11 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     The limits follow from body mass, frontal area and size only. If a limit depended on the stated force, a
     wrong force could pass the check.
     """
-    checks = []
-    for limit in (_added_mass_limit(experiment, result), _drag_limit(experiment, result)):
-        if limit is not None and result.status[limit[0]] != "unidentifiable":
-            checks.append(_estimate_check(result, *limit))
-    if experiment.name == "free-decay":
-        checks += _swing_check(experiment)
+    limits = [_added_mass_limit(experiment, result), _drag_limit(experiment, result)]
+    checks = [_estimate_check(result, *limit) for limit in limits if limit is not None]
+    coordinate = result.model.channels[0].name
+    if coordinate in ("roll_rad", "pitch_rad"):
+        checks.append(_swing_check(experiment, coordinate))
     if experiment.name == "falling-weight":
         checks += _force_check(experiment)
     return checks
@@ -175,13 +174,13 @@ def _drag_limit(experiment: Experiment, result: FitResult) -> Limit | None:
     """Return the limit of the drag coefficient: the maximum of all body shapes at the simulated speeds."""
     density = experiment.robot.fluid.density_kg_m3
     sized = [t for t in result.trials if t.role == "fit" and t.rig.area_factor]
-    if "drag_coefficient" not in result.labels or not sized:
+    if result.status.get("drag_coefficient", "unidentifiable") == "unidentifiable" or not sized:
         return None
-    reached = []
-    for trial in sized:
-        speed = np.abs(result.model.simulate(result.values(trial.id), trial)["u_m_s"])
-        fastest = float(np.nanmax(speed, initial=0.0))
-        reached.append(reynolds(fastest, 2.0 * trial.rig.area_factor / density, density))
+    speeds = [result.model.simulate(result.values(t.id), t)["u_m_s"] for t in sized]
+    reached = [
+        reynolds(float(np.nanmax(np.abs(u), initial=0.0)), 2.0 * t.rig.area_factor / density, density)
+        for u, t in zip(speeds, sized, strict=True)
+    ]
     most = max_drag_coefficient(max(reached))
     if not math.isfinite(most):
         return None
@@ -192,7 +191,7 @@ def _drag_limit(experiment: Experiment, result: FitResult) -> Limit | None:
 def _added_mass_limit(experiment: Experiment, result: FitResult) -> Limit | None:
     """Return the limit of the added mass or of the added moment of inertia."""
     name = next((n for n in ("added_mass", "added_inertia") if n in result.labels), None)
-    if name is None:
+    if name is None or result.status[name] == "unidentifiable":
         return None
     density, inputs = experiment.robot.fluid.density_kg_m3, "masses, forces"
     along = result.model.channels[0].name == "x_m"
@@ -216,39 +215,23 @@ def _estimate_check(result: FitResult, name: str, most: float, basis: str, input
     value, error = result.value(name), result.stderr(name) or 0.0
     unit = next(p.unit for p in result.parameters if p.name == name)
     size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
-    words, possible = name.replace("_", " "), not value > most
-    return fit_common.warned_check(
-        "SWM072",
-        f"{words} possible",
-        size,
-        possible,
-        f"≤ {limit}",
-        f"look at {inputs} and their units, and at what the model lacks" * (not possible),
-        f"{words} {size} is more than {basis} can have ({limit})",
-        failed=value - 1.96 * error > most,
-    )
+    words, text = name.replace("_", " "), f"look at {inputs} and their units, and at what the model lacks"
+    reason = f"{words} {size} is more than {basis} can have ({limit})"
+    check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
+    return fit_common.warned_check(*check, failed=value - 1.96 * error > most)
 
 
-def _swing_check(experiment: Experiment) -> list[ev.Check]:
+def _swing_check(experiment: Experiment, name: str) -> ev.Check:
     """Check that the angle of a decay in roll or pitch stays within half a revolution of its median."""
-    swings = [
-        (float(np.nanmax(np.abs(values - np.nanmedian(values)))), trial.id)
-        for trial in experiment.trials
-        for name, values in trial.measured.items()
-        if name in ("roll_rad", "pitch_rad")
-    ]
-    if not swings:
-        return []
-    swing, name = max(swings)
-    size, limit = numbers.number(swing, 3, "rad"), numbers.number(math.pi, 3, "rad")
+    swings = []
+    for trial in experiment.trials:
+        values = trial.measured[name]
+        swings.append((float(np.nanmax(np.abs(values - np.nanmedian(values)))), trial.id))
+    size, limit = f"{numbers.number(max(swings)[0], 3, 'rad')} in {max(swings)[1]}", f"≤ {math.pi:.3g} rad"
     text = "a body that swings farther in roll or pitch turns over: are these degrees?"
-    reason = f"{name} swings by {size}, which no body does"
-    passed = swing <= math.pi
-    return [
-        ev.check(
-            "swing possible", f"{size} in {name}", passed, f"≤ {limit}", text, otherwise="fail", reason=reason
-        )
-    ]
+    reason = f"the body swings by {size}, which no body does"
+    check = ("SWM072", "swing possible", size, max(swings)[0] <= math.pi, limit, text, reason)
+    return fit_common.warned_check(*check, failed=True)
 
 
 def _force_check(experiment: Experiment) -> list[ev.Check]:
@@ -262,11 +245,10 @@ def _force_check(experiment: Experiment) -> list[ev.Check]:
     if not forces:
         return []
     force, most, name = max(forces, key=lambda f: f[0] / f[1])
-    size, limit = numbers.number(force, 3, "N"), numbers.number(most, 3, "N")
-    passed = force <= most
-    text = "look at its unit and the mass; only a drive of another kind is stronger" * (not passed)
-    reason = f"the driving force of {name}, {size}, is more than a body of its mass and size weighs or lifts"
-    check = ("SWM072", "driving force possible", f"{size} in {name}", passed, f"≤ {limit}", text, reason)
+    size, limit = f"{numbers.number(force, 3, 'N')} in {name}", f"≤ {numbers.number(most, 3, 'N')}"
+    text = "look at its unit and the mass; only a drive of another kind is stronger"
+    reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
+    check = ("SWM072", "driving force possible", size, force <= most, limit, text, reason)
     return [fit_common.warned_check(*check)]
 
 

@@ -119,8 +119,7 @@ def fit_drag(
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
-        best = _fit_best(experiment, choices, options.start_state, progress)
-        result = best.result
+        result, facts, checks = _fit_best(experiment, choices, options.start_state, progress)
         profiles = {}
         if options.profile:
             profiles = _profiles(result, progress)
@@ -136,13 +135,13 @@ def fit_drag(
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
-            derived={**best.derived, **derived.derive(experiment, result)},
-            settings=best.facts,
+            derived=derived.derive(experiment, result),
+            settings=facts,
         )
         checks = [
             *fit_common.checks(result, file),
             *derived.possible_checks(experiment, result),
-            *best.checks,
+            *checks,
         ]
     estimated = [label for label in result.labels if "[" not in label]
     if estimated and all(result.status[label] != "estimated" for label in estimated):
@@ -178,47 +177,36 @@ def fit_drag(
 
 def _fit_best(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
-) -> lack_of_fit.Explained:
-    """Return the best fit over interpretations of the logs and models of differences between trials."""
+) -> tuple[FitResult, dict[str, str], list[ev.Check]]:
+    """Return the best fit over interpretations of the logs and start states, its settings and its checks."""
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
-    no_spring = any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices)
-    friction = any(p.name == lack_of_fit.FRICTION and p.free for p in choices)
-    adapted = []
-    for p in choices:
-        if p.name == "gravity_stiffness" and p.free and no_spring:
-            # without a spring, the search starts at the gravity stiffness that follows from the period
-            p = replace(p, start=p.scale)
-        if p.name == lack_of_fit.FRICTION:
-            # the friction of a trial is estimated as a random effect, and never as a free parameter
-            p = replace(p, free=False)
-        adapted.append(p)
-    choices = tuple(adapted)
+    if any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices):
+        # without a spring, the search starts at the gravity stiffness that follows from the period
+        choices = tuple(
+            replace(p, start=p.scale) if p.name == "gravity_stiffness" and p.free else p for p in choices
+        )
     readings = experiment.variants or {"": experiment.trials}
     fits = {
         name: output_error.fit(experiment.model, trials, parameters=choices, progress=progress)
         for name, trials in readings.items()
     }
     name = min(fits, key=lambda key: lack_of_fit.squared_error(fits[key]))
+    facts = {"encoder_rounding": name} if name else {}
     plain, checks = _search_from_starts(fits[name], progress)
     odd = lack_of_fit.find_odd(plain)
     free_start = any(p.free for p in choices if p.name in lack_of_fit.STARTS)
-    if experiment.name == "falling-weight" and (friction or (start_state == "auto" and not free_start)):
-        masses = experiment.facts.get("pulling_mass_kg", {})
-        best = lack_of_fit.explain_trials(plain, choices, masses, odd, insist=friction)
+    if experiment.name == "falling-weight" and start_state == "auto" and not free_start:
+        best, facts["start_state"], omitted = lack_of_fit.fit_start_states(plain)
     else:
-        check = lack_of_fit.omission_check(plain, lack_of_fit.find_omitted(plain))
-        best = lack_of_fit.Explained(plain, checks=[check])
-    checks += best.checks
+        best, omitted = plain, lack_of_fit.find_omitted(plain)
+    checks.append(lack_of_fit.omission_check(best, omitted))
     if experiment.name == "towed":
-        checks += lack_of_fit.force_checks(best.result)
-    result = output_error.with_held_out(best.result)
+        checks.append(lack_of_fit.sign_check(best))
+    result = output_error.with_held_out(best)
     if odd is not None:
         checks.append(lack_of_fit.odd_check(result, odd))
-    facts = dict(best.facts)
-    if name:
-        facts = {"encoder_rounding": name, **facts}
-    return replace(best, result=result, facts=facts, checks=checks)
+    return result, facts, checks
 
 
 def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:

@@ -16,25 +16,23 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import between_trials, fit_common, output_error, restarts
+from swimid.fitting import fit_common, output_error, restarts
 from swimid.fitting.between_trials import MIN_ERROR_RATIO, OUTLIER_P_VALUE, OutlierTrial, find_outlier_trial
 from swimid.fitting.covariance import HETEROGENEITY
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, Trial, chosen
-from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression, long_run_covariance
+from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression
 from swimid.notices import recorded, warn
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.parameters import Estimate
+from swimid.results import numbers
 from swimid.rig.model import ALIKE
 from swimid.rig.trials import third_difference_sd
 
@@ -51,18 +49,9 @@ MAX_NAMED = 3
 START_P, START_RATIO = 1e-6, 0.8
 #: Parameters of the start state of a trial, and their descriptions in a warning.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: Deviation of the friction in a trial from the common friction, and the common friction.
-FRICTION, COMMON_FRICTION = "friction_deviation", "pulley_friction"
-#: Maximum p-value of the slope of the friction over the pulling mass that counts as a trend.
-TREND_P = 1e-2
 #: Maximum ratio of the squared residuals with one more shared parameter to those with a parameter for each
 #: trial. Up to this ratio the shared parameter is preferred.
 SHARED_RATIO = 1.1
-#: Minimum number of samples at rest for the check of the force at rest.
-MIN_SAMPLES = 10
-#: Minimum displacement of a body that has moved, in standard deviations of the measurement noise.
-MOVED_SD = 5.0
-
 
 # ------------------------------------------------------------ omitted parameters
 
@@ -103,26 +92,16 @@ class Omitted:
         return math.log(self.fit.samples) * (not self.replaced) - self.evidence
 
     @property
-    def command(self) -> str:
-        """Command-line options for a fit with the parameter."""
+    def sentence(self) -> str:
+        """Sentence on the effect of the parameter on the fit, with the options that choose it."""
         name = self.parameter.name
-        if any(p.name == name and p.free for p in self.fit.model.parameters):
-            return f"leave out --fix {name}"
         held = "".join(f" --fix {other}=0" for other in self.replaced)
         acting = next(p for p in self.fit.parameters if p.name == name)
-        if acting.free:
-            return f"free it with --free {name}{held}"
-        return f"choose it with --fix {name}={acting.start:g}{held}"
-
-    def sentence(self, stated: FitResult) -> str:
-        """Return a sentence on the effect of the parameter on the fit, and the options to use."""
-        share = f"{100.0 * (1.0 - self.fit.cost / stated.cost):.3g} % of the squared residuals"
-        explains = "the trials as well"
-        if not self.replaced:
-            explains = f"{share} ({blocks.p_text(self.p_value)})"
-        elif self.evidence > STRONG:
-            explains = f"{share} with no more unknowns"
-        return f"{self.text} would explain {explains}: {self.command}"
+        choice = f"--free {name}"
+        if not acting.free:
+            choice = f"--fix {name}={acting.start:g}"
+        share = f"{math.expm1(-self.evidence / self.fit.samples):+.3g}"
+        return f"{self.text} would change the squared residuals by {share} of them: use {choice}{held}"
 
 
 def find_omitted(stated: FitResult) -> list[Omitted]:
@@ -265,10 +244,7 @@ def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
     if not omitted:
         held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
         return ev.check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
-    sentences = [o.sentence(stated) for o in omitted[:MAX_NAMED]]
-    if len(omitted) > MAX_NAMED:
-        sentences.append(f"{len(omitted) - MAX_NAMED} more parameters, less well")
-    warn("SWM024", "; ".join(sentences))
+    warn("SWM024", "; ".join(o.sentence for o in omitted[:MAX_NAMED]))
     best = omitted[0]
     moved = find_moved(stated, best.fit)
     text = f"with it {', '.join(moved)} would lie outside the stated interval" * bool(moved)
@@ -281,72 +257,50 @@ def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
 # ------------------------------------------------------------ differences between trials
 
 
-@dataclass(frozen=True)
-class Explained:
-    """A fit that describes differences between trials, with its entries for parameter file and report."""
+def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
+    """Return a fit with a start state of each trial, if the data clearly support it; else the given fit.
 
-    result: FitResult
-    #: Entries for the settings in the parameter file.
-    facts: dict[str, Any] = field(default_factory=dict)
-    derived: dict[str, Estimate] = field(default_factory=dict)
-    checks: list[ev.Check] = field(default_factory=list)
-
-
-def explain_trials(
-    plain: FitResult,
-    choices: tuple[Parameter, ...],
-    pulling_kg: Mapping[str, float | None],
-    odd: OutlierTrial | None,
-    *,
-    insist: bool,
-) -> Explained:
-    """Return a fit with a start state or a friction of each trial, if the data clearly support it.
+    The given fit is also returned if a friction of each trial lowers the residuals more than the start
+    states, or if an omitted parameter lowers them about as much.
 
     Parameters
     ----------
     plain : FitResult
         Fit with all trials starting at rest, and without per-trial parameters.
-    choices : tuple of Parameter
-        Parameters with the choices of the user.
-    pulling_kg : mapping of str to float
-        Pulling mass of each trial, kg.
-    odd : OutlierTrial or None
-        Trial that contradicts the others.
-    insist : bool
-        Whether to estimate a friction of each trial without comparing it with other explanations.
 
-    Raises
-    ------
-    NoTrustworthyResult
-        If ``insist`` is true and the trials do not determine the friction.
+    Returns
+    -------
+    result : FitResult
+    start_state : str
+        Name of the parameter of the start state that is estimated; ``rest`` if there is none.
+    omitted : list of Omitted
+        Omitted parameters of the result.
     """
-    if insist:
-        return _explain_friction(plain, pulling_kg, odd, *_fit_friction(plain, odd))
-    fits: dict[str, FitResult] = {}
-    for name in STARTS:
+    fits = {}
+    for name in (*STARTS, "friction_deviation"):
         rival = fit_freed(plain, name)
         if rival is not None and _is_significant(plain, rival):
             fits[name] = rival
-    with suppress(NoTrustworthyResult):
-        with_friction, spread = _fit_friction(plain, odd)
-        if spread.p_value < HETEROGENEITY:
-            fits[FRICTION] = with_friction
     omitted = find_omitted(plain)
-    least = min((squared_error(rival) for rival in fits.values()), default=math.inf)
-    if not fits or (omitted and squared_error(omitted[0].fit) < SHARED_RATIO * least):
-        return Explained(plain, {"start_state": "rest"}, checks=[omission_check(plain, omitted)])
-    reason = min(fits, key=lambda name: squared_error(fits[name]))
-    if reason == FRICTION:
-        return _explain_friction(plain, pulling_kg, odd, with_friction, spread)
+    reason = min(fits, key=lambda name: squared_error(fits[name]), default="")
+    if reason not in STARTS:
+        return plain, "rest", omitted
     best = fits[reason]
-    unit = next(p.unit for p in choices if p.name == reason)
+    if omitted and squared_error(omitted[0].fit) < SHARED_RATIO * squared_error(best):
+        return plain, "rest", omitted
+    unit = next(p.unit for p in best.parameters if p.name == reason)
+    values = ", ".join(
+        f"{label[len(reason) + 1 : -1]} {value:+.3g}"
+        for label, value in zip(best.labels, best.estimate, strict=True)
+        if label.startswith(f"{reason}[")
+    )
     warn(
         "SWM017",
-        f"the trials start {STARTS[reason]}; {reason} is estimated for each ({_list_values(best, reason)} "
-        f"{unit}). Use --start-state rest to insist on rest at the first sample",
+        f"the trials start {STARTS[reason]}; {reason} is estimated for each ({values} {unit}). Use "
+        "--start-state rest to insist on rest at the first sample",
     )
     # test again, because the start states may have absorbed a part of the omitted effect
-    return Explained(best, {"start_state": reason}, checks=[omission_check(best, find_omitted(best))])
+    return best, reason, find_omitted(best)
 
 
 def find_odd(plain: FitResult) -> OutlierTrial | None:
@@ -376,74 +330,6 @@ def odd_check(result: FitResult, odd: OutlierTrial) -> ev.Check:
     )
 
 
-def _fit_friction(plain: FitResult, odd: OutlierTrial | None) -> tuple[FitResult, between_trials.Spread]:
-    """Return the fit with friction as a random effect, and its standard deviation between trials.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        If the trials do not determine the friction.
-    """
-    pulled = [t for t in plain.trials if t.role == "fit" and t.rig.pulley]
-    reason = ""
-    if not any(p.name == FRICTION for p in plain.parameters) or len(pulled) < between_trials.MIN_TRIALS:
-        reason = f"it takes at least {between_trials.MIN_TRIALS} trials with a pulley"
-    elif COMMON_FRICTION not in plain.labels:
-        reason = f"{COMMON_FRICTION} is held"
-    if reason:
-        raise NoTrustworthyResult(f"{FRICTION} cannot be estimated: {reason}")
-    # start from the fit of the other trials, because an outlier moves the estimates out of the linear range
-    near = odd.others if odd is not None and COMMON_FRICTION in odd.others.labels else None
-    return between_trials.fit_random_effect(plain, FRICTION, COMMON_FRICTION, near=near)
-
-
-def _explain_friction(
-    plain: FitResult,
-    pulling_kg: Mapping[str, float | None],
-    odd: OutlierTrial | None,
-    with_friction: FitResult,
-    spread: between_trials.Spread,
-) -> Explained:
-    """Return the fit with friction as a random effect, or the plain fit if friction is not random."""
-    facts: dict[str, Any] = {"start_state": "rest"}
-    if spread.sd == 0.0:
-        return Explained(plain, facts)
-    checks = [omission_check(with_friction, find_omitted(with_friction))]
-    # leave out the outlier, which could cause a trend or hide one
-    others = with_friction if odd is None else odd.others
-    own = between_trials.estimate_own_values(others, FRICTION, COMMON_FRICTION)
-    pulling = np.array([pulling_kg.get(name) or math.nan for name in own.trials])
-    trend = between_trials.estimate_trend(own, pulling)
-    refused = ""
-    if trend.p_value < TREND_P:
-        verb = "grows" if trend.slope > 0 else "falls"
-        refused = f"{verb} with its pulling mass, by {numbers.measured(trend.slope, trend.stderr, 'N/kg')}"
-        warn(
-            "SWM070",
-            f"the friction of each trial {refused} (p = {trend.p_value:.1g}). This is not a random variation "
-            "but a force that the model lacks, such as another law of drag or a bearing under load. Find it "
-            "with: swimid diagnose TRIALS --params FILE",
-        )
-    elif spread.sd > others.value(COMMON_FRICTION):
-        refused = "varies by more than its mean, so that it would push in some trials"
-        warn("SWM072", f"the friction of each trial {refused}: it is not a friction")
-    if refused:
-        name, limit = "friction differs by chance only", f"no trend (p ≥ {TREND_P:g}), none that pushes"
-        text = "all parameters absorb a part of what the model lacks"
-        reason = f"the friction of each trial {refused}"
-        checks.append(ev.check(name, refused, False, limit, text, otherwise="fail", reason=reason))
-        return Explained(plain, facts, checks=checks)
-    size = numbers.measured(spread.sd, spread.stderr, "N")
-    warn(
-        "SWM014",
-        f"the pulley friction differs from trial to trial by {size} ({_list_values(with_friction, FRICTION)} "
-        "N): a random effect; the standard errors allow for it",
-    )
-    estimate = Estimate(value=spread.sd, stderr=spread.stderr, unit="N", status="estimated")
-    facts["friction"] = "random effect of each trial"
-    return Explained(with_friction, facts, {"friction_spread": estimate}, checks)
-
-
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:
     """Return whether an F-test that allows for coloured noise prefers a fit with more unknowns."""
     extra = len(rival.labels) - len(plain.labels)
@@ -465,25 +351,11 @@ def squared_error(result: FitResult) -> float:
     return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 
-def _list_values(result: FitResult, name: str) -> str:
-    """List the values of a per-trial parameter as text."""
-    return ", ".join(
-        f"{label[len(name) + 1 : -1]} {value:+.3g}"
-        for label, value in zip(result.labels, result.estimate, strict=True)
-        if label.startswith(f"{name}[")
-    )
-
-
 # ------------------------------------------------------------ measured force
 
 
-def force_checks(result: FitResult) -> list[ev.Check]:
-    """Return the checks of the measured force of towed trials; warn of each check that fails."""
-    return [_sign_check(result), *_rest_check(result)]
-
-
-def _sign_check(result: FitResult) -> ev.Check:
-    """Check that no trial fits better if the sign of the force is changed."""
+def sign_check(result: FitResult) -> ev.Check:
+    """Check that no trial fits better if the sign of the measured force is changed."""
     name, limit = "sign of force_N", "no trial agrees better with -force_N"
     fitted = [t for t in result.trials if t.role == "fit"]
     channel = next(s.channel for s in result.series if s.role == "fit")
@@ -514,70 +386,11 @@ def _sign_check(result: FitResult) -> ev.Check:
     where = ", ".join(sorted(suspects))
     if len(suspects) == len(fitted):
         where = "all trials"
-    unit = next(c.unit for c in result.model.channels if c.name == channel)
-    rmse = []
-    for fit, shown in ((result, result.trials), (found, trials)):
-        squares = [mean_square(t, fit.values(t.id)) for t in shown if t.role == "fit"]
-        rmse.append(numbers.number(math.sqrt(float(np.mean(squares))), 2, unit))
-    reason = f"with force_N times -1 in {where} the error of {channel} falls from {rmse[0]} to {rmse[1]}"
+    change = math.expm1(-0.5 * compute_evidence(result, found) / result.samples)
+    reason = f"with force_N times -1 in {where} the error of {channel} falls by {-100 * change:.3g} %"
     text = (
         "force_N must be the force on the body, positive along x_m: turn its sign in the log, or with "
         "factor: -1 in the mapping of an import"
     )
     check = ("SWM110", name, f"wrong in {where}", False, limit, text, reason)
     return fit_common.warned_check(*check, failed=True)
-
-
-def _rest_check(result: FitResult) -> list[ev.Check]:
-    """Check that the force is zero while the body is at rest, within its offset and the dry friction."""
-    loads = {}
-    for trial in result.trials:
-        count = _count_still(trial)
-        if trial.role == "fit" and count >= MIN_SAMPLES:
-            loads[trial.id] = _load_at_rest(result, trial, count)
-    if not loads:
-        return []
-    name, allowed = "force at rest", f"zero (p ≥ {SIGNIFICANCE:g})"
-    beyond = {trial: load for trial, load in loads.items() if load[2] < SIGNIFICANCE / len(loads)}
-    if not beyond:
-        return [ev.check(name, "zero within its noise", True, allowed)]
-    worst = min(beyond, key=lambda trial: beyond[trial][2])
-    size = numbers.measured(*beyond[worst][:2], "N")
-    text = (
-        f"it is not zero in {len(beyond)} of {len(loads)} trials that begin at rest: a sensor that was not "
-        "tared (--free force_offset), one that drifts (--free force_drift), or dry friction that holds the "
-        "body (--free dry_friction)"
-    )
-    reason = f"force_N is {size} in {worst} while the body stands still"
-    check = ("SWM111", name, f"{size} in {worst}", False, allowed, text, reason)
-    return [fit_common.warned_check(*check)]
-
-
-def _count_still(trial: Trial) -> int:
-    """Return the number of samples at the start of a trial in which the body is certainly at rest.
-
-    The result is half the number of samples before the first visible motion, because the force that starts
-    the motion begins earlier.
-    """
-    counts = []
-    for values in trial.measured.values():
-        there = np.flatnonzero(np.isfinite(values))
-        x = values[there]
-        if len(x) < 2 * MIN_SAMPLES:
-            return 0
-        first = float(np.median(x[:MIN_SAMPLES]))
-        away = np.flatnonzero(np.abs(x - first) > MOVED_SD * third_difference_sd(x))
-        counts.append(int(there[away[0]] if len(away) else 0))
-    return min(counts, default=0) // 2
-
-
-def _load_at_rest(result: FitResult, trial: Trial, count: int) -> tuple[float, float, float]:
-    """Return the mean force at rest that the fit does not explain, its standard error, and its p-value."""
-    drift = result.value("force_drift") * (trial.time_s - trial.rig.begin_s)
-    force: Array = (trial.inputs["force_N"] + result.value("force_offset") + drift)[:count]
-    mean = float(force.mean())
-    error = math.sqrt(float(long_run_covariance((force - mean)[:, None])[0, 0])) / count
-    excess = max(abs(mean) - result.value("dry_friction"), 0.0)
-    errors = (result.stderr("force_offset") or 0.0, result.stderr("dry_friction") or 0.0)
-    z = excess / math.hypot(error, *errors, 1e-300)
-    return mean, error, 2.0 * float(special.ndtr(-z))
