@@ -24,7 +24,7 @@ import numpy as np
 from scipy import special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import fit_common, output_error, restarts
+from swimid.fitting import fit_common, output_error
 from swimid.fitting.between_trials import MIN_ERROR_RATIO, OUTLIER_P_VALUE, OutlierTrial, find_outlier_trial
 from swimid.fitting.covariance import HETEROGENEITY
 from swimid.fitting.metrics import FitResult
@@ -34,14 +34,11 @@ from swimid.notices import recorded, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.rig.model import ALIKE
-from swimid.rig.trials import third_difference_sd
 
 #: Start values of a freed parameter, as multiples of its typical scale from the value at which it was held.
 FREED_STARTS = (0.0, 1.0, -1.0)
 #: Minimum of twice the logarithm of a likelihood ratio that counts as strong evidence [1]_.
 STRONG = 6.0
-#: Number of random samples of the noise of a measured force.
-N_DRAWS = 30
 #: Maximum number of parameters that a warning names.
 MAX_NAMED = 3
 #: Maximum p-value, and maximum ratio of the sums of squared residuals with and without start parameters, at
@@ -119,8 +116,6 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
         if fit is not None and fit.stderr(name) and fit.status[name] == "estimated":
             evidence = compute_evidence(stated, fit)
             distance, error = abs(fit.value(name) - parameter.start), fit.stderr(name) or 0.0
-            if distance > 2.0 * error:
-                error = math.hypot(error, _force_error(fit, name))
             # unlike the standard error, the likelihood ratio does not depend on the parametrisation
             z = min(distance / error, math.sqrt(max(evidence, 0.0)))
             sides = 1.0 if parameter.start in parameter.bounds else 2.0
@@ -141,33 +136,6 @@ def fit_freed(stated: FitResult, name: str) -> FitResult | None:
     if held is None:
         return None
     return _fit_from_starts(stated, held, chosen(stated.parameters, freed=(name,)))
-
-
-def _force_error(fit: FitResult, name: str) -> float:
-    """Return the standard error of an estimate due to the noise of a measured force, to first order.
-
-    Noise of the force moves the simulated body on a random walk. The autocorrelation of the residuals shows
-    only a part of this motion. The size of the noise is estimated from third differences, because a smooth
-    force has hardly any.
-    """
-    fitted = [t for t in fit.trials if t.role == "fit"]
-    if not any("force_N" in t.inputs for t in fitted):
-        return 0.0
-    rng = np.random.default_rng(0)
-    theta = np.asarray(fit.estimate, dtype=float)
-    problem = restarts.weighted(fit)
-    before = problem.residuals(theta)
-    inverse = np.linalg.pinv(problem.jacobian(theta) * problem.scale)[fit.labels.index(name)]
-    moves = []
-    for _ in range(N_DRAWS):
-        disturbed = []
-        for trial in fitted:
-            force = trial.inputs["force_N"]
-            noise = rng.normal(0.0, third_difference_sd(force), len(force))
-            disturbed.append(replace(trial, inputs={**trial.inputs, "force_N": force + noise}))
-        problem = restarts.weighted(replace(fit, trials=tuple(disturbed)))
-        moves.append(float(inverse @ (problem.residuals(theta) - before)))
-    return float(problem.scale[fit.labels.index(name)] * np.sqrt(np.mean(np.square(moves))))
 
 
 def _fit_replacement(stated: FitResult, held: Parameter) -> tuple[FitResult | None, tuple[str, ...]]:
