@@ -342,20 +342,16 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     InputError
         For missing columns, for cells that are no positive number, and for a table without rows.
     """
-    held, line = None, None
-    try:
-        if isinstance(source, str | Path):
-            path = Path(source)
-            with file_errors(path):
-                _, header, line = tabular.head(path)
-                text = path.read_text(encoding="utf-8-sig")
-            names = tabular.column_names(header, path, line)
-        else:
-            path, names = Path("table"), [str(name) for name in source.columns]
-            text = source.to_csv(index=False)
-            held = Held("table", hashlib.sha256(text.encode()).hexdigest())
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", file=path) from error
+    path, held, line = Path("table"), None, None
+    if isinstance(source, str | Path):
+        path = Path(source)
+        with file_errors(path):
+            _, header, line = tabular.head(path)
+            text = path.read_text(encoding="utf-8-sig", errors="replace")
+        names = tabular.column_names(header, path, line)
+    else:
+        names, text = [str(name) for name in source.columns], source.to_csv(index=False)
+        held = Held("table", hashlib.sha256(text.encode()).hexdigest())
     speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
     for column in ("fin", *NUMBERS, speed):
         if column not in names:

@@ -33,7 +33,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
-from swimid.results.parameters import Estimate, Fit, ParameterFile
+from swimid.results.parameters import Fit, ParameterFile
 from swimid.rig import derived, lack_of_fit
 from swimid.rig import trials as rig_experiment
 from swimid.rig.model import falling_weight_closed_form
@@ -260,13 +260,6 @@ def _methods(
         "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model.",
         fit_common.COVARIANCE,
     ]
-    if set(experiment.facts.get("encoder", {}).values()) - {"continuous"}:
-        step = experiment.facts.get("resolution_m")
-        size = f" of {numbers.number(1e3 * step, 3)} mm" if step else ""
-        sentences.append(
-            f"The displacement came from an encoder with steps{size}; its quantisation is part of the noise "
-            "model."
-        )
     if method == "two-point" and pair is not None:
         points = " and ".join(f"{point:.3f} m" for point in pair.points_m)
         sentences.append(f"The two-point method (Eqs 13 to 19 of the boxfish paper) was used at {points}.")
@@ -525,15 +518,8 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
         )
     parameters = {}
     for name, value in pair.values.items():
-        e = file.parameters[name]
-        parameters[name] = Estimate(
-            value=value,
-            stderr=pair.stderr[name],
-            unit=e.unit,
-            bounds=e.bounds,
-            status="estimated",
-            meaning=e.meaning,
-        )
+        found = {"value": value, "stderr": pair.stderr[name], "status": "estimated", "ci95": None}
+        parameters[name] = file.parameters[name].model_copy(update=found)
     assert file.fit is not None
     fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
     return file.model_copy(

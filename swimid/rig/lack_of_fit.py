@@ -28,7 +28,7 @@ from swimid.fitting import fit_common, output_error
 from swimid.fitting.between_trials import MIN_ERROR_RATIO, OUTLIER_P_VALUE, OutlierTrial, find_outlier_trial
 from swimid.fitting.covariance import HETEROGENEITY
 from swimid.fitting.metrics import FitResult
-from swimid.fitting.model import Array, Parameter, Trial, chosen
+from swimid.fitting.model import Parameter, Trial, chosen
 from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression
 from swimid.notices import recorded, warn
 from swimid.results import evidence as ev
@@ -65,16 +65,12 @@ class Omitted:
         Parameters that it replaces; empty if the parameter is freed in addition to the others.
     evidence : float
         Twice the logarithm of the likelihood ratio of the fit with the parameter to the reference fit.
-    p_value : float
-        Probability that the estimate is this far from the held value by chance, with Bonferroni's correction
-        for all held parameters. NaN if the parameter replaces others.
     """
 
     parameter: Parameter
     fit: FitResult
     replaced: tuple[str, ...]
     evidence: float
-    p_value: float
 
     @property
     def text(self) -> str:
@@ -121,12 +117,12 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
             sides = 1.0 if parameter.start in parameter.bounds else 2.0
             p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
             if p_value < SIGNIFICANCE and evidence > 0.0:
-                found.append(Omitted(parameter, fit, (), evidence, p_value))
+                found.append(Omitted(parameter, fit, (), evidence))
         fit, replaced = _fit_replacement(stated, parameter)
         if fit is not None and fit.status.get(name, "fixed") in ("estimated", "fixed"):
             evidence = compute_evidence(stated, fit)
             if evidence > -STRONG and find_moved(stated, fit):
-                found.append(Omitted(parameter, fit, replaced, evidence, math.nan))
+                found.append(Omitted(parameter, fit, replaced, evidence))
     return sorted(found, key=lambda omitted: omitted.criterion)
 
 
@@ -328,31 +324,28 @@ def sign_check(result: FitResult) -> ev.Check:
     fitted = [t for t in result.trials if t.role == "fit"]
     channel = next(s.channel for s in result.series if s.role == "fit")
 
-    def mean_square(trial: Trial, values: Array) -> float:
-        if channel not in trial.measured:
-            return math.nan
-        simulated = result.model.simulate(values, trial)[channel]
-        return float(np.nanmean((trial.measured[channel] - simulated) ** 2))
-
-    def turned(trial: Trial) -> Trial:
-        return replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
-
     # simulate with the start values, because a fit to a force of the wrong sign makes the body so heavy that
     # no force moves it
     start = np.array([p.start for p in result.model.parameters])
-    suspects = [t.id for t in fitted if mean_square(turned(t), start) < mean_square(t, start)]
-    trials = list(result.trials)
-    for k, trial in enumerate(trials):
-        if trial.id in suspects:
-            trials[k] = turned(trial)
+
+    def mean_square(trial: Trial) -> float:
+        simulated = result.model.simulate(start, trial)[channel]
+        return float(np.nanmean((trial.measured[channel] - simulated) ** 2))
+
+    turned = {}
+    for trial in fitted:
+        other = replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
+        if channel in trial.measured and mean_square(other) < mean_square(trial):
+            turned[trial.id] = other
     found = None
-    if suspects:
+    if turned:
+        trials = [turned.get(t.id, t) for t in result.trials]
         with suppress(NoTrustworthyResult), recorded():
             found = output_error.fit(result.model, trials, parameters=result.parameters, tested=False)
     if found is None or compute_evidence(result, found) <= STRONG:
         return ev.check(name, "as stated", True, limit)
-    where = ", ".join(sorted(suspects))
-    if len(suspects) == len(fitted):
+    where = ", ".join(sorted(turned))
+    if len(turned) == len(fitted):
         where = "all trials"
     change = math.expm1(-0.5 * compute_evidence(result, found) / result.samples)
     reason = f"with force_N times -1 in {where} the error of {channel} falls by {-100 * change:.3g} %"

@@ -176,11 +176,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         trials=trials("floor"),
         inputs=inputs_of(path, entries, logs),
         variants=variants,
-        facts={
-            "encoder": {e.id: r.kind for e, r in zip(entries.trials, records, strict=True)},
-            "resolution_m": next((r.resolution for r in records if r.resolution), None),
-            "pulling_mass_kg": {e.id: e.pulling_mass_kg for e in entries.trials},
-        },
+        facts={"pulling_mass_kg": {e.id: e.pulling_mass_kg for e in entries.trials}},
     )
 
 
@@ -346,9 +342,8 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         amplitude=float(np.median(amplitudes)),
         gravity=gravity or 0.0,
     )
-    facts = {"period_s": {t.id: p for t, p in zip(trials, periods, strict=True)}}
     inputs = inputs_of(path, entries, [log.source for log in logs])
-    return Experiment("free-decay", robot, model, trials, inputs, facts=facts)
+    return Experiment("free-decay", robot, model, trials, inputs)
 
 
 def _coordinate(logs: list[Log]) -> str:
