@@ -34,7 +34,7 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.fitted import Fitted
 from swimid.results.parameters import Fit, ParameterFile
-from swimid.rig import derived, lack_of_fit
+from swimid.rig import checks as rig_checks
 from swimid.rig import trials as rig_experiment
 from swimid.rig.model import falling_weight_closed_form
 from swimid.rig.options import FitDragOptions
@@ -135,12 +135,12 @@ def fit_drag(
             robot=experiment.robot.name,
             provenance=origin,
             profiles=profiles,
-            derived=derived.derive(experiment, result),
+            derived=rig_checks.derive(experiment, result),
             settings=facts,
         )
         checks = [
             *fit_common.checks(result, file),
-            *derived.possible_checks(experiment, result),
+            *rig_checks.possible_checks(experiment, result),
             *checks,
         ]
     estimated = [label for label in result.labels if "[" not in label]
@@ -191,21 +191,21 @@ def _fit_best(
         name: output_error.fit(experiment.model, trials, parameters=choices, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: lack_of_fit.squared_error(fits[key]))
+    name = min(fits, key=lambda key: rig_checks.squared_error(fits[key]))
     facts = {"encoder_rounding": name} if name else {}
     plain, checks = _search_from_starts(fits[name], progress)
-    odd = lack_of_fit.find_odd(plain)
-    free_start = any(p.free for p in choices if p.name in lack_of_fit.STARTS)
+    odd = rig_checks.find_odd(plain)
+    free_start = any(p.free for p in choices if p.name in rig_checks.STARTS)
     if experiment.name == "falling-weight" and start_state == "auto" and not free_start:
-        best, facts["start_state"], omitted = lack_of_fit.fit_start_states(plain)
+        best, facts["start_state"], omitted = rig_checks.fit_start_states(plain)
     else:
-        best, omitted = plain, lack_of_fit.find_omitted(plain)
-    checks.append(lack_of_fit.omission_check(best, omitted))
+        best, omitted = plain, rig_checks.find_omitted(plain)
+    checks.append(rig_checks.omission_check(best, omitted))
     if experiment.name == "towed":
-        checks.append(lack_of_fit.sign_check(best))
+        checks.append(rig_checks.sign_check(best))
     result = output_error.with_held_out(best)
     if odd is not None:
-        checks.append(lack_of_fit.odd_check(result, odd))
+        checks.append(rig_checks.odd_check(result, odd))
     return result, facts, checks
 
 
@@ -226,7 +226,7 @@ def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult
         begins=[first.estimate],
         progress=progress,
     )
-    if lack_of_fit.compute_evidence(first, best) > output_error.NEEDED_GAIN:
+    if rig_checks.compute_evidence(first, best) > output_error.NEEDED_GAIN:
         change = 100 * (1 - best.cost / first.cost)
         warn(
             "SWM073",
@@ -268,7 +268,7 @@ def _methods(
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
     """Return a table of the estimates of both methods together with values from theory."""
-    theory = derived.theory_estimates(experiment.robot)
+    theory = rig_checks.theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result, {})
     rows: list[list[Any]] = []
     for name in dict.fromkeys([*NAMES, *(t.parameter for t in theory)]):
