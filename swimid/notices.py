@@ -72,7 +72,6 @@ CODES: dict[str, str] = {
     "SWM066": "marker hidden in part",
     "SWM067": "what is followed does not move",
     "SWM068": "the camera moves",
-    "SWM070": "what differs between trials follows a setting of theirs",
     "SWM071": "a trial contradicts the others",
     "SWM072": "an estimate is physically impossible",
     "SWM073": "the search had stopped short of the best fit",
@@ -88,7 +87,6 @@ CODES: dict[str, str] = {
     "SWM100": "the robot swims tail first",
     "SWM101": "a body larger than a marker is followed",
     "SWM110": "a measured force has the wrong sign",
-    "SWM111": "a measured force is not zero while the body stands still",
     "SWM150": "lines of a checkpoint ignored",
     "SWM151": "a checkpoint cannot be written",
 }

@@ -167,8 +167,7 @@ def _fit_surge(
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
     result = output_error.with_held_out(result)
-    shared = [label for label in result.labels if "[" not in label]
-    if all(result.status[label] != "estimated" for label in shared):
+    if all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
     laws = {}

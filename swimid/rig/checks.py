@@ -618,13 +618,17 @@ def _box(body: Body) -> tuple[float, float, float] | None:
 
 
 def _water_in_body(experiment: Experiment, trial: Trial) -> float:
-    """Return the mass of water in the largest body of the known size, kg; infinite if the size is unknown."""
+    """Return the mass of water in the largest body of the known size, kg; infinite if the size is unknown.
+
+    Without a box, the body is as long as a body of its frontal area can be (:data:`MAX_SLENDERNESS`).
+    """
     box, density = _box(experiment.robot.body), experiment.robot.fluid.density_kg_m3
     if box is not None:
         return density * math.prod(box)
     if not trial.rig.area_factor:
         return math.inf
-    return max_displaced(2.0 * trial.rig.area_factor / density, density)
+    area = 2.0 * trial.rig.area_factor / density
+    return density * area * MAX_SLENDERNESS * 2.0 * math.sqrt(area / math.pi)
 
 
 # ------------------------------------------------------------ theory and tables
@@ -711,16 +715,6 @@ def max_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_k
     if frontal_area_m2 is None:
         return 10.0 * displaced_kg
     return 3.0 * displaced_kg + 0.8 * density_kg_m3 * frontal_area_m2**1.5
-
-
-def max_displaced(frontal_area_m2: float, density_kg_m3: float) -> float:
-    """Return the mass of water that the longest possible body with a frontal area displaces, kg.
-
-    >>> round(max_displaced(np.pi / 4, 1000.0))
-    7854
-    """
-    diameter = 2.0 * float(np.sqrt(frontal_area_m2 / np.pi))
-    return density_kg_m3 * frontal_area_m2 * MAX_SLENDERNESS * diameter
 
 
 def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> float:

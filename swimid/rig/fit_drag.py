@@ -122,7 +122,11 @@ def fit_drag(
         result, facts, checks = _fit_best(experiment, choices, options.start_state, progress)
         profiles = {}
         if options.profile:
-            profiles = _profiles(result, progress)
+            names = [label for label in result.shared if result.stderr(label) is not None]
+            with progress("profiling", total=len(names)) as step:
+                for name in names:
+                    profiles[name] = profile_interval(result, name)
+                    step()
         pair = None
         try:
             pair = _two_point(experiment, options.points_m)
@@ -143,10 +147,9 @@ def fit_drag(
             *rig_checks.possible_checks(experiment, result),
             *checks,
         ]
-    estimated = [label for label in result.labels if "[" not in label]
-    if estimated and all(result.status[label] != "estimated" for label in estimated):
+    if result.shared and all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult(
-            f"none of {', '.join(estimated)} can be identified from these trials",
+            f"none of {', '.join(result.shared)} can be identified from these trials",
             hint="use longer runs, more different forces, or fix what is known with --fix",
         )
     if options.method == "two-point":
@@ -238,17 +241,6 @@ def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult
     reason = f"only {agree} of {len(ends)} searches ended in the lowest minimum"
     text = "the lowest is reported"
     return best, [ev.check("one minimum", value, agree > 1, "two at least", text, reason=reason)]
-
-
-def _profiles(result: FitResult, progress: Progress) -> dict[str, tuple[float | None, float | None]]:
-    """Return the profile-likelihood interval of each shared parameter that has a standard error."""
-    names = [label for label in result.labels if "[" not in label and result.stderr(label) is not None]
-    intervals = {}
-    with progress("profiling", total=len(names)) as step:
-        for name in names:
-            intervals[name] = profile_interval(result, name)
-            step()
-    return intervals
 
 
 def _methods(
@@ -393,7 +385,9 @@ def two_point(
     """
     masses = np.array([d.pulling_mass_kg for d in drops])
     if len(np.unique(masses)) < MIN_MASSES:
-        raise NoTrustworthyResult("the two-point method needs at least three different pulling masses")
+        raise NoTrustworthyResult(
+            f"the two-point method needs at least {MIN_MASSES} different pulling masses"
+        )
     reach = min(float(d.displacement_m.max()) for d in drops)
     points = points_m or (POINT_SHARES[0] * reach, POINT_SHARES[1] * reach)
     if not 0 < points[0] < points[1]:
@@ -482,13 +476,8 @@ def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> 
     """Apply the two-point method to an experiment; raise an error if the method cannot be used."""
     body, fluid = experiment.robot.body, experiment.robot.fluid
     pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
-    cannot = "the two-point method cannot be used: "
-    if experiment.name != "falling-weight" or len(pulled) < MIN_MASSES:
-        raise NoTrustworthyResult(
-            f"{cannot}it needs a falling-weight experiment with at least three pulling masses"
-        )
     if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
-        raise NoTrustworthyResult(f"{cannot}the robot's inertial mass and frontal area are needed")
+        raise NoTrustworthyResult("the two-point method needs the robot's inertial mass and frontal area")
     drops = [
         Drop(t.rig.pull / fluid.gravity_m_s2, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
         for t in pulled

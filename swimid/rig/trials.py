@@ -348,17 +348,13 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
 
 def _coordinate(logs: list[Log]) -> str:
     common = [c for c in rig.COORDINATES if all(c in log for log in logs)]
-    if len(common) == 1:
-        return common[0]
-    if not common:
+    if len(common) != 1:
         raise InputError(
-            f"none of the coordinates {', '.join(rig.COORDINATES)} is in every log", file=logs[0].path
+            f"one coordinate is needed in every log, and there are {len(common)} ({', '.join(common)})",
+            file=logs[0].path,
+            hint=f"choose one of {', '.join(rig.COORDINATES)} with --coordinate",
         )
-    raise InputError(
-        f"holds several coordinates: {', '.join(common)}",
-        file=logs[0].path,
-        hint=f"choose one: --coordinate {common[0]}",
-    )
+    return common[0]
 
 
 def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
