@@ -31,7 +31,6 @@ from scipy import special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.between_trials import MIN_ERROR_RATIO, OUTLIER_P_VALUE, OutlierTrial, find_outlier_trial
 from swimid.fitting.covariance import HETEROGENEITY, UNIDENTIFIABLE
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.metrics import FitResult
@@ -276,31 +275,33 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
     return best, reason, find_omitted(best)
 
 
-def find_odd(plain: FitResult) -> OutlierTrial | None:
-    """Return the outlier trial; search for it only if residuals are coloured or trials disagree."""
-    if plain.scatter_p < HETEROGENEITY or any(len(n.autoregression) for n in plain.noise.values()):
-        return find_outlier_trial(plain)
-    return None
+def outlier_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
+    """Return a check for the trial that contradicts the others, and warn of it.
 
+    The outlier is searched for only if the residuals of the plain fit are coloured or trials disagree.
+    """
+    coloured = any(len(noise.autoregression) for noise in plain.noise.values())
+    if plain.scatter_p >= HETEROGENEITY and not coloured:
+        return []
+    from swimid.fitting import between_trials
 
-def odd_check(result: FitResult, odd: OutlierTrial) -> ev.Check:
-    """Return the check that no trial contradicts the others; warn of the trial that does."""
+    odd = between_trials.find_outlier_trial(plain)
+    if odd is None:
+        return []
     units = {p.name: p.unit for p in result.parameters}
     without = "; ".join(
         f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
         for label in odd.others.shared
     )
-    return fit_common.warned_check(
-        "SWM071",
-        "no trial contradicts the others",
-        f"{odd.trial}: {numbers.number(odd.error_ratio, 2)} times the others' error",
-        False,
-        f"below {MIN_ERROR_RATIO:g} times, or p ≥ {OUTLIER_P_VALUE:g}",
+    size = f"{odd.trial}: {numbers.number(odd.error_ratio, 2)} times the others' error"
+    limit = f"below {between_trials.MIN_ERROR_RATIO:g} times, or p ≥ {between_trials.OUTLIER_P_VALUE:g}"
+    text = (
         f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
-        "out of the fit with role: validate",
-        f"{odd.trial} contradicts the other trials",
-        failed=bool(find_moved(result, odd.others)),
+        "out of the fit with role: validate"
     )
+    reason = f"{odd.trial} contradicts the other trials"
+    check = ("SWM071", "no trial contradicts the others", size, False, limit, text, reason)
+    return [fit_common.warned_check(*check, failed=bool(find_moved(result, odd.others)))]
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:

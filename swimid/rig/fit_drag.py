@@ -197,7 +197,6 @@ def _fit_best(
     name = min(fits, key=lambda key: rig_checks.squared_error(fits[key]))
     facts = {"encoder_rounding": name} if name else {}
     plain, checks = _search_from_starts(fits[name], progress)
-    odd = rig_checks.find_odd(plain)
     free_start = any(p.free for p in choices if p.name in rig_checks.STARTS)
     if experiment.name == "falling-weight" and start_state == "auto" and not free_start:
         best, facts["start_state"], omitted = rig_checks.fit_start_states(plain)
@@ -207,9 +206,7 @@ def _fit_best(
     if experiment.name == "towed":
         checks.append(rig_checks.sign_check(best))
     result = output_error.with_held_out(best)
-    if odd is not None:
-        checks.append(rig_checks.odd_check(result, odd))
-    return result, facts, checks
+    return result, facts, checks + rig_checks.outlier_checks(plain, result)
 
 
 def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
