@@ -27,7 +27,7 @@ from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, chosen
 from swimid.fitting.restarts import profile_interval
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded, warn
+from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -53,8 +53,6 @@ HALF_WIDTH = 1 / 6
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
-#: Number of starting points of the search if the residuals are coloured.
-N_STARTS = 4
 
 
 @takes(FitDragOptions)
@@ -195,49 +193,20 @@ def _fit_best(
         for name, trials in readings.items()
     }
     name = min(fits, key=lambda key: rig_checks.squared_error(fits[key]))
-    facts = {"encoder_rounding": name} if name else {}
-    plain, checks = _search_from_starts(fits[name], progress)
+    facts = {}
+    if name:
+        facts["encoder_rounding"] = name
+    plain = fits[name]
     free_start = any(p.free for p in choices if p.name in rig_checks.STARTS)
     if experiment.name == "falling-weight" and start_state == "auto" and not free_start:
         best, facts["start_state"], omitted = rig_checks.fit_start_states(plain)
     else:
         best, omitted = plain, rig_checks.find_omitted(plain)
-    checks.append(rig_checks.omission_check(best, omitted))
+    checks = [rig_checks.omission_check(best, omitted)]
     if experiment.name == "towed":
         checks.append(rig_checks.sign_check(best))
     result = output_error.with_held_out(best)
     return result, facts, checks + rig_checks.outlier_checks(plain, result)
-
-
-def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
-    """Search again from several starting points if the residuals are coloured; warn of a better minimum.
-
-    If the residuals are white, no other minimum can be better to within noise, and nothing is searched.
-    """
-    if first.interrupted or not any(len(noise.autoregression) for noise in first.noise.values()):
-        return first, []
-    from swimid.fitting.global_search import agreeing, multistart
-
-    best, ends = multistart(
-        first.model,
-        first.trials,
-        first.parameters,
-        starts=N_STARTS,
-        begins=[first.estimate],
-        progress=progress,
-    )
-    if rig_checks.compute_evidence(first, best) > output_error.NEEDED_GAIN:
-        change = 100 * (1 - best.cost / first.cost)
-        warn(
-            "SWM073",
-            "the search from the start values ended in a poorer minimum: another start lowered the mean "
-            f"squared residual by {change:.3g} %, and its answer is reported",
-        )
-    agree = agreeing(ends)
-    value = f"{agree} of {len(ends)} starts end in it"
-    reason = f"only {agree} of {len(ends)} searches ended in the lowest minimum"
-    text = "the lowest is reported"
-    return best, [ev.check("one minimum", value, agree > 1, "two at least", text, reason=reason)]
 
 
 def _methods(
