@@ -101,8 +101,8 @@ class Omitted:
         choice = f"--free {name}"
         if not acting.free:
             choice = f"--fix {name}={acting.start:g}"
-        share = f"{math.expm1(-self.evidence / self.fit.samples):+.3g}"
-        return f"{self.text} would change the squared residuals by {share} of them: use {choice}{held}"
+        change = numbers.percent(math.expm1(-self.evidence / self.fit.samples), 2)
+        return f"{self.text} would change the squared residuals by {change}: use {choice}{held}"
 
 
 def find_omitted(stated: FitResult) -> list[Omitted]:
@@ -249,16 +249,19 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
         Omitted parameters of the result.
     """
     fits = {}
-    for name in (*STARTS, "friction_deviation"):
+    for name in STARTS:
         rival = fit_freed(plain, name)
         if rival is not None and _is_significant(plain, rival):
             fits[name] = rival
     omitted = find_omitted(plain)
-    reason = min(fits, key=lambda name: squared_error(fits[name]), default="")
-    if reason not in STARTS:
+    if not fits:
         return plain, "rest", omitted
+    reason = min(fits, key=lambda name: squared_error(fits[name]))
     best = fits[reason]
     if omitted and squared_error(omitted[0].fit) < SHARED_RATIO * squared_error(best):
+        return plain, "rest", omitted
+    friction = fit_freed(plain, "friction_deviation")
+    if friction is not None and squared_error(friction) < squared_error(best):
         return plain, "rest", omitted
     unit = next(p.unit for p in best.parameters if p.name == reason)
     values = ", ".join(
@@ -333,7 +336,6 @@ def sign_check(result: FitResult) -> ev.Check:
     name, limit = "sign of force_N", "no trial agrees better with -force_N"
     fitted = [t for t in result.trials if t.role == "fit"]
     channel = next(s.channel for s in result.series if s.role == "fit")
-
     # simulate with the start values, because a fit to a force of the wrong sign makes the body so heavy that
     # no force moves it
     start = np.array([p.start for p in result.model.parameters])
