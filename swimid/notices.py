@@ -72,6 +72,7 @@ CODES: dict[str, str] = {
     "SWM066": "marker hidden in part",
     "SWM067": "what is followed does not move",
     "SWM068": "the camera moves",
+    "SWM070": "what differs between trials follows a setting of theirs",
     "SWM071": "a trial contradicts the others",
     "SWM072": "an estimate is physically impossible",
     "SWM073": "the search had stopped short of the best fit",

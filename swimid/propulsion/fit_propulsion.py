@@ -329,9 +329,7 @@ def _find_departures(
     model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
 ) -> list[dict[str, Any]]:
     """Return the frequencies whose runs depart from the law fitted to all others, the worst first."""
-    levels = np.unique(
-        np.concatenate([t.inputs["frequency_hz"][np.isfinite(t.measured[SPEED])] for t in trials])
-    ).tolist()
+    levels = np.unique(np.concatenate([t.inputs["frequency_hz"] for t in trials])).tolist()
     departures: list[dict[str, Any]] = []
     while len(levels) - len(departures) > MIN_LEVELS and len(departures) < len(levels) // 3:
         out = [d["frequency_hz"] for d in departures]

@@ -37,8 +37,8 @@ from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, Trial, chosen
 from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression
 from swimid.notices import recorded, warn
+from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results import numbers
 from swimid.results.parameters import Estimate
 from swimid.rig.model import ALIKE, COORDINATES, terminal_speed
 from swimid.robots.file import Body, Robot, Theory
@@ -57,6 +57,8 @@ STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their
 #: Maximum ratio of the squared residuals with one more shared parameter to those with a parameter for each
 #: trial. Up to this ratio the shared parameter is preferred.
 SHARED_RATIO = 1.1
+#: Maximum p-value of the slope of the friction over the pulling force that counts as a trend.
+TREND_P = 1e-2
 
 # ------------------------------------------------------------ omitted parameters
 
@@ -278,19 +280,26 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
     return best, reason, find_omitted(best)
 
 
-def outlier_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
-    """Return a check for the trial that contradicts the others, and warn of it.
+def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
+    """Return a check if the friction has a trend over the trials, and one if a trial contradicts the others.
 
-    The outlier is searched for only if the residuals of the plain fit are coloured or trials disagree.
+    Both are tested only if the residuals of the plain fit are coloured or trials disagree.
     """
     coloured = any(len(noise.autoregression) for noise in plain.noise.values())
     if plain.scatter_p >= HETEROGENEITY and not coloured:
         return []
     from swimid.fitting import between_trials
 
+    checks, p_value = [], _friction_trend(plain)
+    if p_value < TREND_P:
+        p, name = blocks.p_text(p_value), "friction does not follow the pulling mass"
+        reason = f"the friction of each trial follows its pulling mass ({p})"
+        text = "this is a force that the model lacks: find it with swimid diagnose TRIALS --params FILE"
+        check = ("SWM070", name, p, False, f"p ≥ {TREND_P:g}", text, reason)
+        checks.append(fit_common.warned_check(*check, failed=True))
     odd = between_trials.find_outlier_trial(plain)
     if odd is None:
-        return []
+        return checks
     units = {p.name: p.unit for p in result.parameters}
     without = "; ".join(
         f"{label} {numbers.measured(odd.others.value(label), odd.others.stderr(label), units[label])}"
@@ -304,7 +313,24 @@ def outlier_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
     )
     reason = f"{odd.trial} contradicts the other trials"
     check = ("SWM071", "no trial contradicts the others", size, False, limit, text, reason)
-    return [fit_common.warned_check(*check, failed=bool(find_moved(result, odd.others)))]
+    return [*checks, fit_common.warned_check(*check, failed=bool(find_moved(result, odd.others)))]
+
+
+def _friction_trend(plain: FitResult) -> float:
+    """Return the p-value of the slope of the trials' frictions over the pulling force; 1 if they are equal.
+
+    The fit is linear in the frictions only near its answer. They show a trend, but not its size.
+    """
+    from swimid.fitting import between_trials
+
+    if "pulley_friction" not in plain.labels:
+        return 1.0
+    own = between_trials.estimate_own_values(plain, "friction_deviation", "pulley_friction")
+    few = len(own.trials) < between_trials.MIN_TRIALS
+    if few or between_trials.estimate_spread(own).p_value >= HETEROGENEITY:
+        return 1.0
+    pulls = {t.id: t.rig.pull for t in plain.trials}
+    return between_trials.estimate_trend(own, np.array([pulls[name] for name in own.trials])).p_value
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:

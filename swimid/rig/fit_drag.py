@@ -206,7 +206,7 @@ def _fit_best(
     if experiment.name == "towed":
         checks.append(rig_checks.sign_check(best))
     result = output_error.with_held_out(best)
-    return result, facts, checks + rig_checks.outlier_checks(plain, result)
+    return result, facts, checks + rig_checks.trial_checks(plain, result)
 
 
 def _methods(
