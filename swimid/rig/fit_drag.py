@@ -182,14 +182,16 @@ def _fit_best(
     """Return the best fit over interpretations of the logs and start states, its settings and its checks."""
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
-    if any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices):
-        # without a spring, the search starts at the gravity stiffness that follows from the period
-        choices = tuple(
-            replace(p, start=p.scale) if p.name == "gravity_stiffness" and p.free else p for p in choices
-        )
+    no_spring = any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices)
+    adapted = []
+    for p in choices:
+        if p.name == "gravity_stiffness" and p.free and no_spring:
+            # without a spring, the search starts at the gravity stiffness that follows from the period
+            p = replace(p, start=p.scale)
+        adapted.append(p)
     readings = experiment.variants or {"": experiment.trials}
     fits = {
-        name: output_error.fit(experiment.model, trials, parameters=choices, progress=progress)
+        name: output_error.fit(experiment.model, trials, parameters=adapted, progress=progress)
         for name, trials in readings.items()
     }
     name = min(fits, key=lambda key: rig_checks.squared_error(fits[key]))
@@ -197,7 +199,7 @@ def _fit_best(
     if name:
         facts["encoder_rounding"] = name
     plain = fits[name]
-    free_start = any(p.free for p in choices if p.name in rig_checks.STARTS)
+    free_start = any(p.free for p in adapted if p.name in rig_checks.STARTS)
     if experiment.name == "falling-weight" and start_state == "auto" and not free_start:
         best, facts["start_state"], omitted = rig_checks.fit_start_states(plain)
     else:
