@@ -281,7 +281,7 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
 
 
 def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
-    """Return a check if the friction has a trend over the trials, and one if a trial contradicts the others.
+    """Return a check if the friction differs between trials, and one if a trial contradicts the others.
 
     Both are tested only if the residuals of the plain fit are coloured or trials disagree.
     """
@@ -290,13 +290,7 @@ def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
         return []
     from swimid.fitting import between_trials
 
-    checks, p_value = [], _friction_trend(plain)
-    if p_value < TREND_P:
-        p, name = blocks.p_text(p_value), "friction does not follow the pulling mass"
-        reason = f"the friction of each trial follows its pulling mass ({p})"
-        text = "this is a force that the model lacks: find it with swimid diagnose TRIALS --params FILE"
-        check = ("SWM070", name, p, False, f"p ≥ {TREND_P:g}", text, reason)
-        checks.append(fit_common.warned_check(*check, failed=True))
+    checks = _friction_check(plain)
     odd = between_trials.find_outlier_trial(plain)
     if odd is None:
         return checks
@@ -316,21 +310,31 @@ def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
     return [*checks, fit_common.warned_check(*check, failed=bool(find_moved(result, odd.others)))]
 
 
-def _friction_trend(plain: FitResult) -> float:
-    """Return the p-value of the slope of the trials' frictions over the pulling force; 1 if they are equal.
+def _friction_check(plain: FitResult) -> list[ev.Check]:
+    """Return a check that fails if the friction follows the pulling force, and warns if it differs at random.
 
-    The fit is linear in the frictions only near its answer. They show a trend, but not its size.
+    The frictions are linearised at the fit. They show that trials differ, but not by how much.
     """
     from swimid.fitting import between_trials
 
     if "pulley_friction" not in plain.labels:
-        return 1.0
+        return []
     own = between_trials.estimate_own_values(plain, "friction_deviation", "pulley_friction")
-    few = len(own.trials) < between_trials.MIN_TRIALS
-    if few or between_trials.estimate_spread(own).p_value >= HETEROGENEITY:
-        return 1.0
+    if len(own.trials) < between_trials.MIN_TRIALS:
+        return []
+    code, how, p_value = "SWM014", "differs from trial to trial", between_trials.estimate_spread(own).p_value
+    if p_value >= HETEROGENEITY:
+        return []
     pulls = {t.id: t.rig.pull for t in plain.trials}
-    return between_trials.estimate_trend(own, np.array([pulls[name] for name in own.trials])).p_value
+    trend = between_trials.estimate_trend(own, np.array([pulls[name] for name in own.trials]))
+    follows = trend.p_value < TREND_P
+    if follows:
+        code, how, p_value = "SWM070", "follows the pulling mass", trend.p_value
+    value, limit = f"{how} ({blocks.p_text(p_value)})", f"p ≥ {HETEROGENEITY:g}; for a trend p ≥ {TREND_P:g}"
+    reason = f"the pulley friction {value}"
+    text = "standard errors do not allow for it: find the cause with swimid diagnose TRIALS --params FILE"
+    check = (code, "same friction in all trials", value, False, limit, text, reason)
+    return [fit_common.warned_check(*check, failed=follows)]
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:
