@@ -88,7 +88,6 @@ CODES: dict[str, str] = {
     "SWM100": "the robot swims tail first",
     "SWM101": "a body larger than a marker is followed",
     "SWM110": "a measured force has the wrong sign",
-    "SWM111": "a measured force is not zero while the body stands still",
     "SWM150": "lines of a checkpoint ignored",
     "SWM151": "a checkpoint cannot be written",
 }

@@ -51,7 +51,7 @@ def recoil():
         np.arange(5.0),
         {SPEED: np.full(5, 0.1)},
         inputs=inputs,
-        cruise=CruiseInput(fin="rect", inertia_kg_m2=1.27e-4, middle=(2.5, 0.2), rows=np.arange(5)),
+        cruise=CruiseInput(fin="rect", inertia_kg_m2=1.27e-4, middle=(2.5, 0.2)),
         value_sd={SPEED: np.arange(1.0, 6.0)},
     )
     return model, trial
@@ -427,4 +427,3 @@ class TestAverageModels:
         for k, run in enumerate(apart):
             assert model.simulate(starts(model), run)[SPEED] == pytest.approx([whole[k]], rel=1e-15)
             assert run.value_sd[SPEED] == [k + 1]
-            assert run.cruise.rows == [k]

@@ -16,7 +16,7 @@ from swimid.fitting import output_error
 from swimid.fitting.drives import RigInput
 from swimid.fitting.model import Trial
 from swimid.results import evidence, parameters
-from swimid.rig import derived
+from swimid.rig import checks
 from swimid.rig import fit_drag as drag_module
 from swimid.rig import model as equation
 from swimid.rig import model as rig_model
@@ -273,7 +273,7 @@ class TestTwoPoint:
 
 def test_added_mass_of_a_prism() -> None:
     # DNV-RP-C205: a cube moving along an edge has the coefficient 0.68
-    assert derived.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
+    assert checks.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
 
 
 class TestCommand:

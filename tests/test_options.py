@@ -191,7 +191,7 @@ def test_the_provenance_records_the_options(
 #: Keys of ``settings`` in the provenance, in the order of the files.
 RECORDED = {
     "fit-drag": "method start_state fixed freed bounds",
-    "fit-propulsion": "wake keep_departures start_state fixed freed",
+    "fit-propulsion": "keep_departures start_state fixed freed",
     "fit-graybox": "fixed freed bounds share channels start_state starts seed readings max_step_s method",
     "compare": "channels refit_start start_state set readings dt",
     "sensitivity": "samples range coefficients set readings seed dt",

@@ -91,23 +91,16 @@ def test_a_decay_that_is_held_before_its_release(swimid: Run, tmp_path: Path) ->
         assert abs(p[name]["value"] - true) < 4 * p[name]["stderr"], name
 
 
-@pytest.mark.slow
-def test_intervals_cover_the_truth_if_friction_differs_between_trials(swimid: Run, tmp_path: Path) -> None:
-    """5 % scatter of the friction: 95 % intervals of 12 repeats hold the truth in at least 9 for each."""
-    hits = dict.fromkeys(TRUTH, 0)
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        logs = {}
-        for w in WEIGHTS:
-            t = generator.click_times(float(w), friction_mN=30.8 * (1 + 0.05 * rng.normal()))
-            logs[w] = (np.sort(t + np.r_[0, rng.normal(0, 2e-3, len(t) - 1)]), STEP * np.arange(len(t)))
-        ran = swimid("fit-drag", _write(tmp_path, logs), "--json")
-        assert "SWM014" in ran.err
-        for name, true in TRUTH.items():
-            e = ran.json["result"]["parameters"][name]
-            hits[name] += abs(e["value"] - true) < 1.96 * e["stderr"]
-    # twelve draws at 95 % give fewer than nine once in four thousand
-    assert min(hits.values()) >= 9, hits
+def test_a_friction_that_differs_between_trials_is_named(swimid: Run, tmp_path: Path) -> None:
+    """The friction scatters by 5 %."""
+    rng = np.random.default_rng(0)
+    logs = {}
+    for w in WEIGHTS:
+        t = generator.click_times(float(w), friction_mN=30.8 * (1 + 0.05 * rng.normal()))
+        logs[w] = (np.sort(t + np.r_[0, rng.normal(0, 2e-3, len(t) - 1)]), STEP * np.arange(len(t)))
+    ran = swimid("fit-drag", _write(tmp_path, logs))
+    assert "SWM014: the pulley friction differs from trial to trial" in ran.err
+    assert "GOOD" not in ran.out
 
 
 def test_an_encoder_other_than_the_robots(swimid: Run, tmp_path: Path, clicks: dict) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,19 +71,17 @@ class TestRandomEffect:
 def test_one_odd_friction_is_named_beside_a_linear_drag(
     swimid: Run, tmp_path: Path, weight: int, friction: float
 ) -> None:
-    """The estimates are right in spite of the odd trial."""
+    """The message has the estimates without the odd trial, and the verdict is not good."""
     trials = generator.write_falls(
         tmp_path, np.random.default_rng(0), linear_N_s_m=0.06, odd={weight: {"friction_mN": friction}}
     )
-    ran = swimid("fit-drag", trials, "--free", "linear_drag", "--json")
+    ran = swimid("fit-drag", trials, "--free", "linear_drag")
     assert ran.status == 0, ran.err
-    _inside(ran, tuple(TRUTH))
-    assert ran.json["result"]["parameters"]["added_mass"]["value"] > 0.5
-    assert f"w{weight} contradicts the other trials" in ran.err
-    size = ran.json["result"]["derived"]["friction_spread"]
-    # standard deviation of seven values, one of which differs
-    expected = abs(friction - 30.8) * 1e-3 * np.sqrt((1 / 7) * (6 / 7) * 7 / 6)
-    assert size["value"] == pytest.approx(expected, rel=0.3)
+    words = " ".join(ran.err.split())
+    found = re.search(f"w{weight} contradicts the other trials; without it: drag_coefficient (\\S+) ±", words)
+    assert found
+    assert float(found[1]) == pytest.approx(TRUTH["drag_coefficient"], abs=0.003)
+    assert _verdict(ran) != "GOOD"
 
 
 def test_repeated_samples_of_a_log_are_left_out(swimid: Run, tmp_path: Path) -> None:
@@ -122,10 +121,7 @@ def test_a_friction_that_grows_with_the_pulling_mass_is_no_random_effect(swimid:
     )
     ran = swimid("fit-drag", trials)
     assert "SWM070" in ran.err
-    assert "grows with its pulling mass" in ran.err
-    assert "--free linear_drag" in ran.err
     assert _verdict(ran) == "BAD"
-    assert "friction_deviation" not in ran.out
 
 
 def test_an_omitted_drag_that_changes_the_estimates_is_bad(swimid: Run, tmp_path: Path) -> None:
@@ -141,7 +137,6 @@ def test_a_mislabelled_weight_is_named(swimid: Run, tmp_path: Path, stated: floa
     ran = swimid("fit-drag", trials)
     assert "w20 contradicts the other trials" in ran.err
     assert _verdict(ran) == level
-    assert ("the pulley friction differs from trial to trial" in ran.err) is (level == "CAUTION")
 
 
 def test_a_tow_with_another_gain_of_its_force_is_named(swimid: Run, tmp_path: Path) -> None:
@@ -171,17 +166,6 @@ def test_a_large_held_out_error_is_bad(swimid: Run, tmp_path: Path, stated: floa
     ran = swimid("fit-drag", trials)
     assert _verdict(ran) == level
     assert ("largest in w20" in ran.err) is (level != "GOOD")
-
-
-def test_friction_of_each_trial_on_request_is_a_random_effect(swimid: Run, tmp_path: Path) -> None:
-    trials = generator.write_falls(tmp_path, np.random.default_rng(0))
-    ran = swimid("fit-drag", trials, "--free", "friction_deviation", "--json")
-    # no trial differs, so that there is no spread and no friction of single trials
-    assert not any("friction_deviation[" in name for name in ran.json["result"]["parameters"])
-    few = generator.write_falls(tmp_path / "few", np.random.default_rng(0), (10, 20, 30))
-    ran = swimid("fit-drag", few, "--free", "friction_deviation")
-    assert ran.status == 4
-    assert "at least 4 trials" in ran.err
 
 
 def test_the_two_point_method_without_an_answer_is_an_error(swimid: Run, tmp_path: Path) -> None:

@@ -303,8 +303,6 @@ class CruiseInput:
     inertia_kg_m2: float | None = None
     #: Reference frequency (Hz) and amplitude (rad) of the power law.
     middle: tuple[float, float] = (1.0, 1.0)
-    #: Rows of the runs in the cruise table.
-    rows: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True)

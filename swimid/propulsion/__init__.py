@@ -1,6 +1,6 @@
 """Propulsion by a caudal fin (boxfish paper), and surge averaged over tail beats: ``swimid fit-propulsion``.
 
 ``trials`` reads cruise tables and logs of straight free swimming. ``model`` has the energy recoil law of
-cruise tables and the surge model of straight swimming. ``cruise`` fits the recoil law. ``fit_propulsion`` is
-the command, and fits the surge model. ``options`` has the options of the command.
+cruise tables and the surge model of straight swimming. ``fit_propulsion`` is the command, and fits both.
+``options`` has the options of the command.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,18 +15,40 @@ from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.covariance import UNIDENTIFIABLE
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Parameter
+from swimid.fitting.metrics import FitResult
+from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
-from swimid.propulsion import cruise
 from swimid.propulsion import trials as propulsion_trials
+from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
 from swimid.propulsion.options import FitPropulsionOptions
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.parameters import Estimate, Fitted, ParameterFile
 
+#: Minimum relative deviation of the mean speed at a frequency from the law, and minimum deviation in standard
+#: errors, that count as a departure. At least ``MIN_LEVELS`` frequencies stay in the fit, and at most a third
+#: of the frequencies is left out.
+DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
+#: Exponents of the power in the recoil law.
+LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
+#: Maximum deviation of a free exponent from that of the law, in standard errors.
+EXPONENT_Z = 3.0
+#: Parameters of the drag file that the law uses.
+DRAG_PARAMETERS = ("drag_coefficient", "added_mass")
+#: Columns of the table of runs. Each has the name of its quantity, and the factor to the unit of the column.
+COLUMNS = {
+    "f (Hz)": ("frequency_hz", 1.0),
+    "amplitude (°)": ("amplitude_deg", 1.0),
+    "average speed (cm/s)": ("mean_speed_m_s", 100.0),
+    "terminal speed (cm/s)": ("terminal_speed_m_s", 100.0),
+    "force (mN)": ("propulsive_force_N", 1e3),
+    "Strouhal, fin": ("strouhal_fin", 1.0),
+    "Strouhal, axle": ("strouhal_axle", 1.0),
+    "efficiency (%)": ("efficiency", 100.0),
+}
 #: Exponent of the amplitude in the law of thrust.
 AMPLITUDE_EXPONENT = 2.0
 
@@ -96,17 +119,12 @@ def fit_propulsion(
         if experiment.name == "cruise":
             if options.start_state != "auto":
                 warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
-            file, evidence = cruise.fit(
-                experiment, choices, origin, options.wake, options.keep_departures, progress
-            )
+            file, evidence = _fit_recoil_law(experiment, choices, origin, options.keep_departures, progress)
         else:
             if options.drag is not None:
                 raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
-            if options.wake != "fin" or options.keep_departures:
-                warn(
-                    "SWM004",
-                    "--wake and --keep-departures belong to a cruise experiment and have no effect here",
-                )
+            if options.keep_departures:
+                warn("SWM004", "--keep-departures belongs to a cruise experiment and has no effect here")
             file, evidence = _fit_surge(
                 experiment, choices, origin, progress, from_rest=options.start_state == "rest"
             )
@@ -148,14 +166,13 @@ def _fit_surge(
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
     result = output_error.with_held_out(result)
-    shared = [label for label in result.labels if "[" not in label]
-    if all(result.status[label] != "estimated" for label in shared):
+    if all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
     laws = {}
     if len(amplitudes) > 1:
         laws["amplitude_exponent"] = AMPLITUDE_EXPONENT
-    derived, exponent_checks = cruise.free_exponents(model, experiment.trials, choices, laws, "thrust")
+    derived, exponent_checks = _free_exponents(model, experiment.trials, choices, laws, "thrust")
     reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
     thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
     at_one = thrust / reference**exponent
@@ -193,13 +210,6 @@ def _fit_surge(
         },
     )
     checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
-    rows: list[list[Any]] = []
-    for name, b in beats.items():
-        found = "none found"
-        if b["found_hz"] is not None:
-            found = numbers.measured(b["found_hz"], b["stderr_hz"])
-        rows.append([name, b["stated_hz"], found])
-    columns = ["trial", "stated (Hz)", "found in yaw (Hz)"]
     starts = "with the initial speed of each trial estimated"
     if from_rest:
         starts = "with every trial from rest"
@@ -208,7 +218,6 @@ def _fit_surge(
         title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
-        tables=[ev.Table(id="beats", title="Beat frequency", columns=columns, rows=rows, folded=True)],
         figures=fit_common.figures(result),
         methods=[
             "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
@@ -219,3 +228,361 @@ def _fit_surge(
         provenance=origin,
     )
     return file, evidence
+
+
+# ---------------------------------------------------------------- recoil law
+
+
+def _fit_recoil_law(
+    experiment: Experiment,
+    choices: tuple[Parameter, ...],
+    origin: dict[str, Any],
+    keep_departures: bool,
+    progress: Progress,
+) -> tuple[ParameterFile, ev.Evidence]:
+    """Fit the law to all frequencies that follow it; standard errors include those of the drag file.
+
+    Parameters
+    ----------
+    choices : tuple of Parameter
+        Parameters of the model with the choices of the user.
+    origin : dict
+        Provenance of the inputs.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        If neither the recoil efficiency nor the amplitude offset can be identified.
+    """
+    model = experiment.model
+    assert isinstance(model, RecoilModel)
+    if all(inertia is None for inertia in model.fins.values()):
+        warn(
+            "SWM019",
+            "no fin's hydrodynamic inertia is known: only its product with the efficiency is determined; the "
+            "efficiency is held at its starting value",
+        )
+    everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
+    fit_common.refuse_interrupted(everything)
+    departures: list[dict[str, Any]] = []
+    if not keep_departures:
+        departures = _find_departures(model, experiment.trials, choices)
+    kept, result = experiment.trials, everything
+    if departures:
+        kept = _without(experiment.trials, [d["frequency_hz"] for d in departures])
+        result = output_error.fit(model, kept, parameters=choices, progress=progress)
+    if all(result.status[label] != "estimated" for label in result.labels):
+        raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
+    exponents, exponent_checks = _free_exponents(model, kept, choices, LAWS, "power")
+    result = _with_drag_error(result, kept, choices, experiment)
+    points = _operating_points(experiment, result)
+    file = fit_common.parameter_file(
+        result,
+        robot=experiment.robot.name,
+        provenance=origin,
+        derived=_derive(experiment, result, points) | exponents,
+        settings={"drag_file": str(experiment.facts["drag_path"])},
+    )
+    file._drag = experiment.facts["drag"]
+    assert file.fit is not None
+    assert file.fit.model_extra is not None
+    file.fit.model_extra.update(departures=departures, operating_points=points)
+    checks = [
+        *fit_common.checks(result, file),
+        _departure_check(departures, everything),
+        *exponent_checks,
+    ]
+    evidence = ev.Evidence(
+        command="fit-propulsion",
+        title=f"Propulsion of {experiment.robot.name}: energy recoil law",
+        verdict=ev.judged(fit_common.answer(file), checks),
+        checks=checks,
+        tables=[_run_table(points)],
+        figures=[_speed_figure(experiment, result, points), *fit_common.figures(result)[1:]],
+        methods=[
+            "Recoil efficiency and amplitude offset were estimated from the average speeds of "
+            f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
+            "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
+            "falling-weight rig and their uncertainty carried along.",
+            "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
+        ],
+        references=list(experiment.robot.sources),
+        provenance=origin,
+    )
+    return file, evidence
+
+
+# ------------------------------------------------------------ checks of the law
+
+
+def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
+    """Return the trials with the speeds at some frequencies set to missing."""
+    kept = []
+    for trial in trials:
+        out = np.isclose(trial.inputs["frequency_hz"][:, None], frequencies).any(axis=1)
+        kept.append(replace(trial, measured={SPEED: np.where(out, np.nan, trial.measured[SPEED])}))
+    return kept
+
+
+def _find_departures(
+    model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
+) -> list[dict[str, Any]]:
+    """Return the frequencies whose runs depart from the law fitted to all others, the worst first."""
+    levels = np.unique(np.concatenate([t.inputs["frequency_hz"] for t in trials])).tolist()
+    departures: list[dict[str, Any]] = []
+    while len(levels) - len(departures) > MIN_LEVELS and len(departures) < len(levels) // 3:
+        out = [d["frequency_hz"] for d in departures]
+        tests = []
+        for level in levels:
+            if level in out:
+                continue
+            try:
+                fitted = output_error.fit(model, _without(trials, [*out, level]), parameters=choices)
+            except NoTrustworthyResult:
+                continue
+            test = _departure(fitted, trials, level)
+            if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
+                tests.append(test)
+        if not tests:
+            break
+        departures.append(max(tests, key=lambda t: abs(t["z"])))
+    return departures
+
+
+def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
+    """Return the mean relative deviation of the runs at a frequency from the law; None without a speed."""
+    shares, spread = [], []
+    size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
+    reference = fitted.noise[SPEED].value_sd
+    for trial in trials:
+        predicted = fitted.model.simulate(fitted.values(trial.id), trial)[SPEED]
+        at = np.isclose(trial.inputs["frequency_hz"], level) & np.isfinite(trial.measured[SPEED])
+        at &= predicted > 0
+        shares += list(trial.measured[SPEED][at] / predicted[at] - 1)
+        known = np.asarray(trial.value_sd[SPEED])
+        spread += list(size * known[at] * reference / float(np.sqrt(np.mean(known**2))) / predicted[at])
+    if not shares:
+        return None
+    share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
+    # standard error of the mean speed, and of the fitted law (about twice that of the mean of all runs)
+    error = math.hypot(math.sqrt(variance / len(shares)), 2 * math.sqrt(variance / max(fitted.samples, 1)))
+    return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
+
+
+def _departure_check(departures: list[dict[str, Any]], everything: FitResult) -> ev.Check:
+    """Check that every frequency follows the law; warn of the frequencies that depart from it."""
+    for d in departures:
+        word = "slower" if d["share"] < 0 else "faster"
+        warn(
+            "SWM030",
+            f"the runs at {d['frequency_hz']:g} Hz are {abs(100 * d['share']):.1f} % {word} than the law "
+            f"fitted to the other frequencies ({abs(d['z']):.1f} standard errors, {d['runs']} runs); they "
+            "are left out of the fit. Fins that flex at high frequency do this (source, section 4.2)",
+        )
+    off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
+    units = {p.name: p.unit for p in everything.parameters}
+    fitted = "; ".join(
+        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), units[n])}"
+        for n in everything.labels
+    )
+    limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
+    text = f"left out of the fit; with these frequencies {fitted}" * bool(departures)
+    reason = f"runs depart from the law at {off}, and are left out"
+    name = "every frequency follows the law"
+    return ev.check(name, off or "all", not departures, limit, text, reason=reason)
+
+
+def _free_exponents(
+    model: Model, trials: Sequence[Trial], choices: tuple[Parameter, ...], laws: Mapping[str, float], of: str
+) -> tuple[dict[str, Estimate], list[ev.Check]]:
+    """Estimate each exponent of a law in a separate fit, and check that it agrees with the law.
+
+    Parameters
+    ----------
+    laws : mapping of str to float
+        Value of each exponent in the law.
+    of : str
+        Name of the quantity that is a power law, for the messages.
+
+    Returns
+    -------
+    exponents : dict of str to Estimate
+        Estimates of the exponents, with names such as ``free_frequency_exponent``.
+    checks : list of Check
+    """
+    exponents, checks = {}, []
+    for name, law in laws.items():
+        try:
+            result = output_error.fit(model, trials, parameters=chosen(choices, freed=(name,)))
+        except NoTrustworthyResult:
+            continue
+        fit_common.refuse_interrupted(result)
+        value, stderr, status = result.value(name), result.stderr(name), result.status[name]
+        # an exponent is not identifiable if the amplitude offset is at its bound
+        if result.status.get("amplitude_offset_deg", "estimated") != "estimated":
+            status = "unidentifiable"
+        exponents[f"free_{name}"] = Estimate(
+            value=value, stderr=stderr, unit="1", bounds=(0, 6), status=status
+        )  # type: ignore[arg-type]
+        words, shown, agrees = name.replace("_", " "), "not identifiable", None
+        if status == "estimated" and stderr:
+            shown, agrees = numbers.measured(value, stderr), abs(value - law) <= EXPONENT_Z * stderr
+        if agrees is False:
+            warn("SWM031", f"set free, the {words} of {of} is {shown}, the law says {law:g}")
+        reason = f"the {words} of {of} is {shown}, not {law:g}"
+        text = f"exponent of the {of}, estimated together with the other parameters"
+        checks.append(ev.check(words, shown, agrees, f"{law:g} (the law)", text, reason=reason))
+    return exponents, checks
+
+
+# ------------------------------------------------------------ errors of the drag file
+
+
+def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
+    """Return a model for each parameter of the drag file, with it increased by its standard error."""
+    drag, fins = experiment.facts["drag"], [t.id for t in experiment.trials]
+    models = {}
+    for name in DRAG_PARAMETERS:
+        if drag.parameters[name].stderr:
+            moved = drag.model_copy(deep=True)
+            moved.parameters[name].value += drag.parameters[name].stderr
+            path = experiment.facts["drag_path"]
+            models[name] = propulsion_trials.recoil_model(experiment.robot, fins, moved, path=path)
+    return models
+
+
+def _with_drag_error(
+    result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
+) -> FitResult:
+    """Add the errors of the drag file's parameters to the covariance of the estimates."""
+    drag: ParameterFile = experiment.facts["drag"]
+    shifts = np.zeros((2, len(result.labels)))
+    for name, other in _models_by_drag_error(experiment).items():
+        moved = output_error.fit(other, trials, parameters=choices)
+        shifts[DRAG_PARAMETERS.index(name)] = moved.estimate - result.estimate
+    joint = np.eye(2)
+    if drag.correlation and all(n in drag.correlation.names for n in DRAG_PARAMETERS):
+        i, j = (drag.correlation.names.index(n) for n in DRAG_PARAMETERS)
+        joint[0, 1] = joint[1, 0] = drag.correlation.matrix[i][j]
+    return replace(result, covariance=result.covariance + shifts.T @ joint @ shifts)
+
+
+def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
+    """Return the velocity ratio, and the minimum and the maximum propulsive force."""
+    drag, model = experiment.facts["drag"], experiment.model
+    assert isinstance(model, RecoilModel)
+    distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
+    ratio = float(velocity_ratio(model.b1, 0.0, distance))
+    moved = [float(velocity_ratio(m.b1, 0.0, distance)) for m in _models_by_drag_error(experiment).values()]
+    error = math.sqrt(sum((other - ratio) ** 2 for other in moved))
+    quantities = {"velocity_ratio": Estimate(value=ratio, stderr=error, unit="1", status="estimated")}
+    coefficient = drag.parameters["drag_coefficient"]
+    relative_drag = (coefficient.stderr or 0.0) / coefficient.value
+    scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
+    for end, pick in (("smallest", min), ("largest", max)):
+        force = pick(p["propulsive_force_N"] for p in points)
+        quantities[f"{end}_propulsive_force"] = Estimate(
+            value=force, stderr=force * math.hypot(relative_drag, scatter), unit="N", status="estimated"
+        )
+    return quantities
+
+
+# ------------------------------------------------------------ operating points
+
+
+def _operating_points(experiment: Experiment, result: FitResult) -> list[dict[str, Any]]:
+    """Return the terminal speed, force, Strouhal numbers and efficiency of every run."""
+    model = result.model
+    assert isinstance(model, RecoilModel)
+    offset = np.deg2rad(result.value("amplitude_offset_deg"))
+    points = []
+    for trial in experiment.trials:
+        fin, inertia = experiment.robot.fins[trial.id], trial.cruise.inertia_kg_m2
+        for k in np.flatnonzero(np.isfinite(trial.measured[SPEED])):
+            speed, distance = float(trial.measured[SPEED][k]), trial.inputs["distance_m"][k]
+            f, a = float(trial.inputs["frequency_hz"][k]), float(trial.inputs["amplitude_rad"][k])
+            terminal = float(speed / velocity_ratio(model.b1, 0.0, distance))
+            efficiency = None
+            if inertia is not None and a > offset:
+                efficiency = float(
+                    model.drag_area_kg_m * terminal**3 / (8 * np.pi**2 * inertia * (a - offset) ** 2 * f**3)
+                )
+            points.append(
+                {
+                    "fin": trial.id,
+                    "frequency_hz": f,
+                    "amplitude_deg": float(np.rad2deg(a)),
+                    "mean_speed_m_s": speed,
+                    "terminal_speed_m_s": terminal,
+                    "propulsive_force_N": float(model.drag_area_kg_m * terminal**2),
+                    "strouhal_fin": strouhal(f, a, fin.length_m, terminal),
+                    "strouhal_axle": strouhal(f, a, fin.length_m + fin.axle_gap_m, terminal),
+                    "efficiency": efficiency,
+                }
+            )
+    return points
+
+
+def _run_table(points: list[dict[str, Any]]) -> ev.Table:
+    """Return the table of the runs."""
+    runs = []
+    for p in points:
+        row: dict[str, blocks.Cell] = {"fin": p["fin"]}
+        for title, (key, factor) in COLUMNS.items():
+            row[title] = p[key] and factor * p[key]
+        runs.append(row)
+    about = (
+        "Force is drag at terminal speed. The lever of the wake width in the Strouhal number is the length "
+        "of the fin (Eq 28), or the distance from the axle to the trailing edge."
+    )
+    return blocks.table("points", "Runs", runs, about)
+
+
+def _speed_figure(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> ev.Figure:
+    """Return the figure of the average speed over frequency and over amplitude, with the law."""
+    amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
+    amplitude = float(amplitudes[np.argmax(counts)])
+    settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
+    frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
+    swept = frequencies[counts > 2][:1].tolist()
+    over_frequency, over_amplitude = [], []
+    for group, trial in enumerate(experiment.trials):
+        own = [p for p in points if p["fin"] == trial.id]
+        runs = [p for p in own if abs(p["amplitude_deg"] - amplitude) < 1e-6]
+        if runs:
+            line = np.linspace(0.0, max(p["frequency_hz"] for p in runs), 60)[1:]
+            law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
+            over_frequency.append(_points(runs, "frequency_hz", 1.0, group))
+            over_frequency.append(ev.Trace(x=line, y=law, group=group))
+        runs = [p for p in own if p["frequency_hz"] in swept]
+        if runs:
+            line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 80)[1:]
+            law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
+            over_amplitude.append(_points(runs, "amplitude_deg", 1.5, group))
+            over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
+    title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
+    speeds = [blocks.panel("frequency (Hz)", y_label, over_frequency, title=title)]
+    if over_amplitude:
+        title, y_label = f"at {swept[0]:g} Hz", "speed¹·⁵ ((cm/s)¹·⁵)"
+        speeds.append(blocks.panel("amplitude (°)", y_label, over_amplitude, title=title))
+    about = (
+        "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
+        "the offset as intercept over amplitude."
+    )
+    return blocks.panels("speeds", "Average speed", about, speeds)
+
+
+def _points(runs: list[dict[str, Any]], x: str, power: float, group: int) -> ev.Trace:
+    label = runs[0]["fin"]
+    return blocks.points(
+        runs, lambda p: p[x], lambda p: (100 * p["mean_speed_m_s"]) ** power, label=label, group=group
+    )
+
+
+def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
+    """Return the average speed of runs over the median distance of a trial by the law, cm/s."""
+    distance = np.full(len(frequency), np.median(trial.inputs["distance_m"]))
+    amplitude = np.deg2rad(amplitude_deg)
+    inputs = {"frequency_hz": frequency, "amplitude_rad": amplitude, "distance_m": distance}
+    runs = replace(trial, time_s=np.arange(len(frequency), dtype=float), inputs=inputs)
+    return 100 * result.model.simulate(result.values(trial.id), runs)[SPEED]

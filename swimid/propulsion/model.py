@@ -66,9 +66,6 @@ def terminal_speed(
     quadratic, linear, dry : ndarray or float
         Drag coefficients: kg/m, kg/s and N.
     """
-    power, quadratic, linear, dry = np.broadcast_arrays(
-        *(np.asarray(v, dtype=float) for v in (power, quadratic, linear, dry))
-    )
     v = np.cbrt(power / quadratic) + np.abs(linear) / quadratic + np.sqrt(np.abs(dry) / quadratic)
     for _ in range(MAX_ITERATIONS):
         excess = v * (dry + v * (linear + v * quadratic)) - power
@@ -277,9 +274,6 @@ class RecoilModel(Model):
             def cut(columns: Mapping[str, Any]) -> dict[str, Any]:
                 return {name: v[k : k + 1] if np.ndim(v) else v for name, v in columns.items()}
 
-            rows = trial.cruise.rows
-            if rows is not None:
-                rows = rows[k : k + 1]
             return replace(
                 trial,
                 id=f"{trial.id}/{k + 1}",
@@ -287,7 +281,6 @@ class RecoilModel(Model):
                 measured=cut(trial.measured),
                 inputs=cut(trial.inputs),
                 value_sd=cut(trial.value_sd),
-                cruise=replace(trial.cruise, rows=rows),
             )
 
         return [run(k) for k in range(len(trial.time_s))]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 import swimid.options as fits
 from swimid.options import Options, Source, StartState, option
@@ -26,10 +25,6 @@ class FitPropulsionOptions(
     """
 
     drag: Source = option(None, help="Drag file of the rig (fit-drag); needed for a cruise.", recorded=False)
-    wake: Literal["fin", "axle"] = option(
-        "fin",
-        help="Lever of the wake width in the Strouhal number: fin length, or axle to trailing edge.",
-    )
     keep_departures: bool = option(False, help="Keep frequencies that depart from the law in the fit.")
     start_state: StartState = option(
         "auto",

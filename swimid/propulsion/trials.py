@@ -27,7 +27,6 @@ from swimid.logs.trials import Cruise, Drive, FreeSwim, StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, plate_inertia
 from swimid.results import parameters as parameters_format
-from swimid.results.parameters import ParameterFile
 from swimid.robots.file import Robot
 
 if TYPE_CHECKING:
@@ -82,18 +81,6 @@ def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None
 # ------------------------------------------------------------ cruise
 
 
-def drag_numbers(drag: ParameterFile, path: Path, robot: Robot) -> tuple[float, float]:
-    """Return ``rho C_d A / 2`` (kg/m) and ``m_f + m_a`` (kg) from a drag file and the robot file."""
-    coefficient, added = parameters_format.require(drag, ("drag_coefficient", "added_mass"), path)
-    body = robot.body
-    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
-        raise InputError(
-            f"the robot '{robot.name}' needs body.inertial_mass_kg and body.frontal_area_m2 for a "
-            "cruise experiment"
-        )
-    return 0.5 * robot.fluid.density_kg_m3 * coefficient * body.frontal_area_m2, body.inertial_mass_kg + added
-
-
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
     """Return each fin's hydrodynamic inertia, kg m2: stated, or by Eq 6 (rectangle); None if unknown."""
     inertias: dict[str, float | None] = {}
@@ -129,10 +116,19 @@ def recoil_model(
         File that names the fins, for error messages.
     """
     file = parameters_format.read(drag, model=("falling-weight", "towed", "free-decay"))
-    area, mass = drag_numbers(file, parameters_format.place(drag), robot)
+    coefficient, added = parameters_format.require(
+        file, ("drag_coefficient", "added_mass"), parameters_format.place(drag)
+    )
+    body = robot.body
+    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
+        raise InputError(
+            f"the robot '{robot.name}' needs body.inertial_mass_kg and body.frontal_area_m2 for a "
+            "cruise experiment"
+        )
+    area = 0.5 * robot.fluid.density_kg_m3 * coefficient * body.frontal_area_m2
     inertias = fin_inertias(robot, fins, path)
     inertias |= dict.fromkeys(unknown)
-    return RecoilModel(drag_area_kg_m=area, moving_mass_kg=mass, fins=inertias)
+    return RecoilModel(drag_area_kg_m=area, moving_mass_kg=body.inertial_mass_kg + added, fins=inertias)
 
 
 def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
@@ -159,7 +155,7 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
                 time_s=np.arange(len(speed), dtype=float),
                 measured={SPEED: speed},
                 inputs=inputs,
-                cruise=CruiseInput(fin, inertia, middle, np.flatnonzero(rows)),
+                cruise=CruiseInput(fin, inertia, middle),
                 value_sd={SPEED: np.nan_to_num(spread, nan=1.0)},
             )
         )
@@ -342,20 +338,16 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     InputError
         For missing columns, for cells that are no positive number, and for a table without rows.
     """
-    held, line = None, None
-    try:
-        if isinstance(source, str | Path):
-            path = Path(source)
-            with file_errors(path):
-                _, header, line = tabular.head(path)
-                text = path.read_text(encoding="utf-8-sig")
-            names = tabular.column_names(header, path, line)
-        else:
-            path, names = Path("table"), [str(name) for name in source.columns]
-            text = source.to_csv(index=False)
-            held = Held("table", hashlib.sha256(text.encode()).hexdigest())
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", file=path) from error
+    path, held, line = Path("table"), None, None
+    if isinstance(source, str | Path):
+        path = Path(source)
+        with file_errors(path):
+            _, header, line = tabular.head(path)
+            text = path.read_text(encoding="utf-8-sig", errors="replace")
+        names = tabular.column_names(header, path, line)
+    else:
+        names, text = [str(name) for name in source.columns], source.to_csv(index=False)
+        held = Held("table", hashlib.sha256(text.encode()).hexdigest())
     speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
     for column in ("fin", *NUMBERS, speed):
         if column not in names:
@@ -397,10 +389,8 @@ def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> l
     """Return the line number and the cells of every row that is neither blank nor a comment."""
     rows: list[Row] = []
     before = header_line or 1
-    stream = io.StringIO(text, newline="")
-    for _ in range(before):
-        next(stream)
-    reader = csv.reader(stream, skipinitialspace=True, strict=True)
+    lines = io.StringIO(text, newline="").readlines()[before:]
+    reader = csv.reader(lines, skipinitialspace=True, strict=True)
     try:
         for cells in reader:
             line = before + reader.line_num if header_line else None

@@ -2,7 +2,6 @@
 
 ``trials`` reads logs and detects encoders. ``model`` is the model of a rig, and integrates its equation of
 motion. ``fit_drag`` is the command, and has the two-point method of the boxfish paper. ``options`` has the
-options of the command. ``lack_of_fit`` tests held parameters, differences between trials, and the measured
-force of a towed body. ``derived`` has the quantities that follow from the parameters, and tests whether the
-parameters are physically possible.
+options of the command. ``checks`` tests held parameters, trials, the measured force of a towed body, and
+whether the parameters are physically possible. It also has the quantities that follow from the parameters.
 """

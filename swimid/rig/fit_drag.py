@@ -26,13 +26,13 @@ from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, chosen
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded, warn
+from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
-from swimid.results.parameters import Estimate, Fit, Fitted, ParameterFile
-from swimid.rig import derived, lack_of_fit
+from swimid.results.parameters import Fit, Fitted, ParameterFile
+from swimid.rig import checks as rig_checks
 from swimid.rig import trials as rig_experiment
 from swimid.rig.model import falling_weight_closed_form
 from swimid.rig.options import FitDragOptions
@@ -51,8 +51,6 @@ HALF_WIDTH = 1 / 6
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
-#: Number of starting points of the search if the residuals are coloured.
-N_STARTS = 4
 
 
 @takes(FitDragOptions)
@@ -117,8 +115,7 @@ def fit_drag(
         choices = fit_common.prepare(
             experiment, output, fixed=options.fixed, freed=options.freed, bounds=options.bounds
         )
-        best = _fit_best(experiment, choices, options.start_state, progress)
-        result = best.result
+        result, facts, checks = _fit_best(experiment, choices, options.start_state, progress)
         pair = None
         try:
             pair = _two_point(experiment, options.points_m)
@@ -130,18 +127,17 @@ def fit_drag(
             result,
             robot=experiment.robot.name,
             provenance=origin,
-            derived={**best.derived, **derived.derive(experiment, result)},
-            settings=best.facts,
+            derived=rig_checks.derive(experiment, result),
+            settings=facts,
         )
         checks = [
             *fit_common.checks(result, file),
-            *derived.possible_checks(experiment, result),
-            *best.checks,
+            *rig_checks.possible_checks(experiment, result),
+            *checks,
         ]
-    estimated = [label for label in result.labels if "[" not in label]
-    if estimated and all(result.status[label] != "estimated" for label in estimated):
+    if result.shared and all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult(
-            f"none of {', '.join(estimated)} can be identified from these trials",
+            f"none of {', '.join(result.shared)} can be identified from these trials",
             hint="use longer runs, more different forces, or fix what is known with --fix",
         )
     if options.method == "two-point":
@@ -172,78 +168,37 @@ def fit_drag(
 
 def _fit_best(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
-) -> lack_of_fit.Explained:
-    """Return the best fit over interpretations of the logs and models of differences between trials."""
+) -> tuple[FitResult, dict[str, str], list[ev.Check]]:
+    """Return the best fit over interpretations of the logs and start states, its settings and its checks."""
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
     no_spring = any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices)
-    friction = any(p.name == lack_of_fit.FRICTION and p.free for p in choices)
     adapted = []
     for p in choices:
         if p.name == "gravity_stiffness" and p.free and no_spring:
             # without a spring, the search starts at the gravity stiffness that follows from the period
             p = replace(p, start=p.scale)
-        if p.name == lack_of_fit.FRICTION:
-            # the friction of a trial is estimated as a random effect, and never as a free parameter
-            p = replace(p, free=False)
         adapted.append(p)
-    choices = tuple(adapted)
     readings = experiment.variants or {"": experiment.trials}
     fits = {
-        name: output_error.fit(experiment.model, trials, parameters=choices, progress=progress)
+        name: output_error.fit(experiment.model, trials, parameters=adapted, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: lack_of_fit.squared_error(fits[key]))
-    plain, checks = _search_from_starts(fits[name], progress)
-    odd = lack_of_fit.find_odd(plain)
-    free_start = any(p.free for p in choices if p.name in lack_of_fit.STARTS)
-    if experiment.name == "falling-weight" and (friction or (start_state == "auto" and not free_start)):
-        masses = experiment.facts.get("pulling_mass_kg", {})
-        best = lack_of_fit.explain_trials(plain, choices, masses, odd, insist=friction)
-    else:
-        check = lack_of_fit.omission_check(plain, lack_of_fit.find_omitted(plain))
-        best = lack_of_fit.Explained(plain, checks=[check])
-    checks += best.checks
-    if experiment.name == "towed":
-        checks += lack_of_fit.force_checks(best.result)
-    result = output_error.with_held_out(best.result)
-    if odd is not None:
-        checks.append(lack_of_fit.odd_check(result, odd))
-    facts = dict(best.facts)
+    name = min(fits, key=lambda key: rig_checks.squared_error(fits[key]))
+    facts = {}
     if name:
-        facts = {"encoder_rounding": name, **facts}
-    return replace(best, result=result, facts=facts, checks=checks)
-
-
-def _search_from_starts(first: FitResult, progress: Progress) -> tuple[FitResult, list[ev.Check]]:
-    """Search again from several starting points if the residuals are coloured; warn of a better minimum.
-
-    If the residuals are white, no other minimum can be better to within noise, and nothing is searched.
-    """
-    if first.interrupted or not any(len(noise.autoregression) for noise in first.noise.values()):
-        return first, []
-    from swimid.fitting.global_search import agreeing, multistart
-
-    best, ends = multistart(
-        first.model,
-        first.trials,
-        first.parameters,
-        starts=N_STARTS,
-        begins=[first.estimate],
-        progress=progress,
-    )
-    if lack_of_fit.compute_evidence(first, best) > output_error.NEEDED_GAIN:
-        change = 100 * (1 - best.cost / first.cost)
-        warn(
-            "SWM073",
-            "the search from the start values ended in a poorer minimum: another start lowered the mean "
-            f"squared residual by {change:.3g} %, and its answer is reported",
-        )
-    agree = agreeing(ends)
-    value = f"{agree} of {len(ends)} starts end in it"
-    reason = f"only {agree} of {len(ends)} searches ended in the lowest minimum"
-    text = "the lowest is reported"
-    return best, [ev.check("one minimum", value, agree > 1, "two at least", text, reason=reason)]
+        facts["encoder_rounding"] = name
+    plain = fits[name]
+    free_start = any(p.free for p in adapted if p.name in rig_checks.STARTS)
+    if experiment.name == "falling-weight" and start_state == "auto" and not free_start:
+        best, facts["start_state"], omitted = rig_checks.fit_start_states(plain)
+    else:
+        best, omitted = plain, rig_checks.find_omitted(plain)
+    checks = [rig_checks.omission_check(best, omitted)]
+    if experiment.name == "towed":
+        checks.append(rig_checks.sign_check(best))
+    result = output_error.with_held_out(best)
+    return result, facts, checks + rig_checks.trial_checks(plain, result)
 
 
 def _methods(
@@ -255,13 +210,6 @@ def _methods(
         "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model.",
         fit_common.COVARIANCE,
     ]
-    if set(experiment.facts.get("encoder", {}).values()) - {"continuous"}:
-        step = experiment.facts.get("resolution_m")
-        size = f" of {numbers.number(1e3 * step, 3)} mm" if step else ""
-        sentences.append(
-            f"The displacement came from an encoder with steps{size}; its quantisation is part of the noise "
-            "model."
-        )
     if method == "two-point" and pair is not None:
         points = " and ".join(f"{point:.3f} m" for point in pair.points_m)
         sentences.append(f"The two-point method (Eqs 13 to 19 of the boxfish paper) was used at {points}.")
@@ -270,7 +218,7 @@ def _methods(
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
     """Return a table of the estimates of both methods together with values from theory."""
-    theory = derived.theory_estimates(experiment.robot)
+    theory = rig_checks.theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result)
     rows: list[list[Any]] = []
     for name in dict.fromkeys([*NAMES, *(t.parameter for t in theory)]):
@@ -395,7 +343,9 @@ def two_point(
     """
     masses = np.array([d.pulling_mass_kg for d in drops])
     if len(np.unique(masses)) < MIN_MASSES:
-        raise NoTrustworthyResult("the two-point method needs at least three different pulling masses")
+        raise NoTrustworthyResult(
+            f"the two-point method needs at least {MIN_MASSES} different pulling masses"
+        )
     reach = min(float(d.displacement_m.max()) for d in drops)
     points = points_m or (POINT_SHARES[0] * reach, POINT_SHARES[1] * reach)
     if not 0 < points[0] < points[1]:
@@ -484,13 +434,8 @@ def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> 
     """Apply the two-point method to an experiment; raise an error if the method cannot be used."""
     body, fluid = experiment.robot.body, experiment.robot.fluid
     pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
-    cannot = "the two-point method cannot be used: "
-    if experiment.name != "falling-weight" or len(pulled) < MIN_MASSES:
-        raise NoTrustworthyResult(
-            f"{cannot}it needs a falling-weight experiment with at least three pulling masses"
-        )
     if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
-        raise NoTrustworthyResult(f"{cannot}the robot's inertial mass and frontal area are needed")
+        raise NoTrustworthyResult("the two-point method needs the robot's inertial mass and frontal area")
     drops = [
         Drop(t.rig.pull / fluid.gravity_m_s2, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
         for t in pulled
@@ -520,15 +465,8 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
         )
     parameters = {}
     for name, value in pair.values.items():
-        e = file.parameters[name]
-        parameters[name] = Estimate(
-            value=value,
-            stderr=pair.stderr[name],
-            unit=e.unit,
-            bounds=e.bounds,
-            status="estimated",
-            meaning=e.meaning,
-        )
+        found = {"value": value, "stderr": pair.stderr[name], "status": "estimated", "ci95": None}
+        parameters[name] = file.parameters[name].model_copy(update=found)
     assert file.fit is not None
     fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
     return file.model_copy(

@@ -176,11 +176,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         trials=trials("floor"),
         inputs=inputs_of(path, entries, logs),
         variants=variants,
-        facts={
-            "encoder": {e.id: r.kind for e, r in zip(entries.trials, records, strict=True)},
-            "resolution_m": next((r.resolution for r in records if r.resolution), None),
-            "pulling_mass_kg": {e.id: e.pulling_mass_kg for e in entries.trials},
-        },
+        facts={"pulling_mass_kg": {e.id: e.pulling_mass_kg for e in entries.trials}},
     )
 
 
@@ -346,24 +342,19 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         amplitude=float(np.median(amplitudes)),
         gravity=gravity or 0.0,
     )
-    facts = {"period_s": {t.id: p for t, p in zip(trials, periods, strict=True)}}
     inputs = inputs_of(path, entries, [log.source for log in logs])
-    return Experiment("free-decay", robot, model, trials, inputs, facts=facts)
+    return Experiment("free-decay", robot, model, trials, inputs)
 
 
 def _coordinate(logs: list[Log]) -> str:
     common = [c for c in rig.COORDINATES if all(c in log for log in logs)]
-    if len(common) == 1:
-        return common[0]
-    if not common:
+    if len(common) != 1:
         raise InputError(
-            f"none of the coordinates {', '.join(rig.COORDINATES)} is in every log", file=logs[0].path
+            f"one coordinate is needed in every log, and there are {len(common)} ({', '.join(common)})",
+            file=logs[0].path,
+            hint=f"choose one of {', '.join(rig.COORDINATES)} with --coordinate",
         )
-    raise InputError(
-        f"holds several coordinates: {', '.join(common)}",
-        file=logs[0].path,
-        hint=f"choose one: --coordinate {common[0]}",
-    )
+    return common[0]
 
 
 def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
