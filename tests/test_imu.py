@@ -12,7 +12,7 @@ import pytest
 from scipy import io, signal
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import alone, motion, paper
+from swimid.inertial import alone, motion
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import Record, integrated_attitude
 from swimid.inertial.setup import find_rests, measure_noise, prepare
@@ -78,8 +78,8 @@ def test_noise_and_rests_of_a_known_sensor(rng: np.random.Generator) -> None:
     assert record.time_s[rests[0].last] == pytest.approx(4.0, abs=0.6)
     noise = measure_noise(record, rests)
     # 3 x 800 differences: the deviation of a deviation is 1/sqrt(2 n), doubled for their correlation
-    assert noise.acceleration == pytest.approx(imu.Errors().acceleration_noise, rel=0.1)
-    assert noise.rate == pytest.approx(imu.Errors().rate_noise, rel=0.1)
+    assert noise.acceleration_m_s2_per_rt_hz == pytest.approx(imu.Errors().acceleration_noise, rel=0.1)
+    assert noise.rate_rad_s_per_rt_hz == pytest.approx(imu.Errors().rate_noise, rel=0.1)
 
 
 @pytest.mark.parametrize("mode", ["marching", "receding", "rotating"])
@@ -90,13 +90,13 @@ def test_the_steps_of_the_paper(mode: Literal["marching", "receding", "rotating"
     rate = np.column_stack([np.zeros(4), np.zeros(4), [0.5, 0.5, 0.7, 0.3]])
     quarter = Rotation.from_rotvec(np.tile([0, 0, np.pi / 2], (4, 1)))
     options = TrackImuOptions(motion_mode=mode, threshold_m_s2=0.02, threshold_rad_s=0.01)
-    found, constant = paper.compute_motion(Record(t, acceleration, rate), quarter, options)
-    np.testing.assert_allclose(found["acceleration"][:, 1], [1, 3, -1, -3], atol=1e-12)
-    np.testing.assert_allclose(found["acceleration"][:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
-    np.testing.assert_allclose(found["velocity"][:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
-    np.testing.assert_allclose(found["position"][:, 1], [0, 0.01, 0.035, 0.055], atol=1e-12)
+    found, constant = motion.compute_by_paper(Record(t, acceleration, rate), quarter, options)
+    np.testing.assert_allclose(found.acceleration[:, 1], [1, 3, -1, -3], atol=1e-12)
+    np.testing.assert_allclose(found.acceleration[:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
+    np.testing.assert_allclose(found.velocity[:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
+    np.testing.assert_allclose(found.position[:, 1], [0, 0.01, 0.035, 0.055], atol=1e-12)
     kept = 0.5 if mode == "rotating" else 0.0
-    assert found["rate"][0, 2] == pytest.approx(kept)
+    assert found.rate[0, 2] == pytest.approx(kept)
     np.testing.assert_allclose(constant, [0, 0, 9.8, 0, 0, 0.5 - kept], atol=1e-12)
 
 
@@ -139,32 +139,6 @@ def test_errors_are_as_large_as_their_bands_say() -> None:
     # 36 independent numbers: chi square over its freedom lies in 0.6 ... 1.5 in 95 of 100 cases; prior
     # biases and the drift budget are bounds, not this sensor's values, so that less than 1 is expected
     assert 0.1 < np.mean(squares) < 1.5
-
-
-def test_declared_constraints_narrow_the_band(
-    swimid: Callable[..., Ran], tmp_path: Path, rng: np.random.Generator
-) -> None:
-    run = imu.marching(rng)
-    log = save(tmp_path / "imu.csv", run.columns())
-    plain = swimid("track", "imu", log, "-o", tmp_path / "a.csv", "--json").json["result"]
-    declared = swimid(
-        "track",
-        "imu",
-        log,
-        "--zero-mean",
-        "sway",
-        "--zero-mean",
-        "heave",
-        "--window-s",
-        "2.5",
-        "-o",
-        tmp_path / "b.csv",
-        "--json",
-    ).json["result"]
-    assert declared["largest_band_95"]["position_m"] < plain["largest_band_95"]["position_m"]
-    found = table(tmp_path / "b.csv")
-    error = found[["v_m_s", "w_m_s"]].to_numpy() - run.body_velocity[:, 1:]
-    assert (np.abs(error) <= BAND * found[["v_sd_m_s", "w_sd_m_s"]].to_numpy()).mean() >= 0.9
 
 
 def test_the_result_has_the_time_up_to_which_the_path_can_be_used(

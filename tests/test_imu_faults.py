@@ -102,7 +102,7 @@ def test_a_dead_channel_is_refused(run: imu.Run, axis: int, value: float) -> Non
     both = np.hstack([run.acceleration, run.rate])
     both[:, axis] = value
     column = ("ax_m_s2", "ay_m_s2", "az_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s")[axis]
-    with pytest.raises(InputError, match=f"'{column}': the channel is dead"):
+    with pytest.raises(InputError, match=f"'{column}': 100.0 % of the samples are stuck"):
         faults.repair(replace(record(run), acceleration=both[:, :3], rate=both[:, 3:]))
 
 

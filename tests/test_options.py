@@ -318,7 +318,7 @@ def test_names_given_together_and_apart_are_the_same() -> None:
     [
         (["fit-drag"], "--st", {"--start-state"}),
         (["fit-drag", "--method"], "t", {"two-point"}),
-        (["track", "imu"], "--ac", {"--accel-noise", "--accel-bias-mg"}),
+        (["track", "imu"], "--mo", {"--motion-mode", "--mount-deg"}),
     ],
 )
 def test_completion(words: list[str], begun: str, found: set[str]) -> None:

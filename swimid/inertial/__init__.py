@@ -2,11 +2,11 @@
 
 ``record`` reads a recording and ``faults`` finds and repairs its faults. ``setup`` determines what must be
 known before the motion is estimated: sensor errors, rests, mounting and attitude. ``smoother`` integrates the
-readings to a path and estimates the errors of this path from the observations in ``aiding``. ``alone``
-applies the smoother to the inertial unit by itself. ``fusion`` applies it to the unit together with another
-log of the same trial, after ``alignment`` of the two logs. ``motion`` computes the motion of the reference
-point of the body. ``paper`` contains the method of the long-fin paper. ``track_imu`` is the command with its
-evidence, and ``options`` contains its options.
+readings to a path and estimates the errors of this path from observations. ``alone`` applies the smoother to
+the inertial unit by itself. ``fusion`` applies it to the unit together with another log of the same trial,
+after ``alignment`` of the two logs. ``motion`` computes the motion of the reference point of the body, or the
+motion by the method of the long-fin paper. ``track_imu`` is the command with its evidence, and ``options``
+contains its options.
 
 Frames
 ------

@@ -6,7 +6,7 @@ prediction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import optimize
@@ -51,14 +51,9 @@ class Offset:
     low_s: float
     high_s: float
     #: Fraction of the variance of the compared channels, without drift, that the reference explains.
-    explained: float
+    explained: float = np.nan
     #: Regression coefficients of the other log's channels on the reference channels, shape (k, d).
-    factors: Array
-
-    @property
-    def excludes_zero(self) -> bool:
-        """Whether the 95 % interval excludes an offset of 0."""
-        return not self.low_s <= 0.0 <= self.high_s
+    factors: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def clock_offset(
@@ -99,9 +94,8 @@ def clock_offset(
     True
     """
     known = np.isfinite(seen).all(axis=1)
-    if known.sum() < MIN_SAMPLES or np.ptp(time_s) == 0:
-        return None
-    if np.median(np.diff(seen_time_s[known])) > MAX_STEP * slow_s:
+    few = known.sum() < MIN_SAMPLES or np.ptp(time_s) == 0
+    if few or np.median(np.diff(seen_time_s[known])) > MAX_STEP * slow_s:
         return None
     profile = _Profile(time_s, reference, seen_time_s[known], seen[known], slow_s)
     start = profile.correlate()
@@ -113,12 +107,8 @@ def clock_offset(
     if not np.isfinite(values).any():
         return None
     best, width = float(grid[np.nanargmax(values)]), float(grid[1] - grid[0])
-    found = optimize.minimize_scalar(
-        lambda shift: -profile(shift),
-        bounds=(best - width, best + width),
-        method="bounded",
-        options={"xatol": 1e-6},
-    )
+    bounds = best - width, best + width
+    found = optimize.minimize_scalar(lambda shift: -profile(shift), bounds=bounds, options={"xatol": 1e-6})
     value = float(found.x)
     stderr = profile.standard_error(value)
     if not np.isfinite(stderr):
@@ -244,8 +234,6 @@ class Alignment:
 
     #: Clock offset: time to add to the times of the other log.
     offset: Offset
-    #: Signal from which the offset was estimated ("turn rates", "yaw", "pitch" or "path"), or "given".
-    by: str
     #: Rotation from body to sensor axes; None unless the other log has three angles.
     mount: Rotation | None = None
     #: Sign of the correlation between the rotations in both logs: -1 if an axis is mirrored, 0 if unknown.
@@ -274,35 +262,32 @@ def align(record: Record, source: Source, poses: Poses) -> list[Alignment]:
 
 def align_at(record: Record, poses: Poses, offset_s: float) -> Alignment:
     """Return the alignment for a given clock offset."""
-    offset = Offset(offset_s, 0.0, offset_s, offset_s, np.nan, np.zeros((0, 0)))
-    return _with_mount(record, poses, offset, "given")
+    return _with_mount(record, poses, Offset(offset_s, 0.0, offset_s, offset_s))
 
 
-def _with_mount(record: Record, poses: Poses, offset: Offset, by: str) -> Alignment:
-    if not poses.full:
-        return Alignment(offset, by)
-    return Alignment(offset, by, *_find_mount(record, replace(poses, time_s=poses.time_s + offset.value_s)))
+def _with_mount(record: Record, poses: Poses, offset: Offset) -> Alignment:
+    if not poses.measured.all():
+        return Alignment(offset)
+    return Alignment(offset, *_find_mount(record, replace(poses, time_s=poses.time_s + offset.value_s)))
 
 
 def _by_turns(record: Record, source: Source, poses: Poses) -> Alignment | None:
     rows = np.flatnonzero(poses.turned)
     if len(rows) < MIN_SAMPLES:
         return None
-    by, rate = "turn rates", record.rate
-    if poses.full:
+    seen, rate = poses.angles[rows][:, poses.measured], record.rate
+    by_yaw = seen.shape[1] == 1 and bool(poses.measured[2])
+    if poses.measured.all():
         seen = _summed_turns(poses.rotation[rows])
-    else:
-        seen = poses.angles[rows][:, poses.measured]
-        by = "yaw" if poses.measured[2] else "pitch"
-    if by == "yaw":
+    elif by_yaw:
         rate = source.rotation.apply(record.rate)[:, 2:]
     turned = integral(record.time_s, rate - rate.mean(axis=0))
     offset = clock_offset(record.time_s, turned, poses.time_s[rows], seen, slow_s=SLOW_TURN_S)
     if offset is None:
         return None
-    if by == "yaw":
-        return Alignment(offset, by, handed=float(np.sign(offset.factors[0, 0])))
-    return _with_mount(record, poses, offset, by)
+    if by_yaw:
+        return Alignment(offset, handed=float(np.sign(offset.factors[0, 0])))
+    return _with_mount(record, poses, offset)
 
 
 def _by_path(record: Record, source: Source, poses: Poses) -> Alignment | None:
@@ -311,7 +296,7 @@ def _by_path(record: Record, source: Source, poses: Poses) -> Alignment | None:
         return None
     path, seen = _fast_path(record, source), poses.position[:, axes]
     offset = clock_offset(record.time_s, path, poses.time_s, seen, slow_s=SLOW_PATH_S)
-    return None if offset is None else Alignment(offset, "path")
+    return None if offset is None else Alignment(offset)
 
 
 def _summed_turns(rotation: Rotation) -> Array:
@@ -370,7 +355,7 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
             return Rotation.identity()
         near = np.clip(np.searchsorted(record.time_s, poses.time_s[rows]), 0, len(record) - 1)
         body = source.rotation[near] * mount
-        if poses.full:
+        if poses.measured.all():
             return (poses.rotation[rows] * body.inv()).mean()
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.inertial import aiding, smoother
-from swimid.inertial.aiding import GATE, REST_RATE_SD, REST_SPEED_SD, rest_nodes
+from swimid.inertial import smoother
 from swimid.inertial.record import Array, Finding
-from swimid.inertial.setup import DEG, QUATERNION_SD, Rest, Sensor, Setup, Stillness
+from swimid.inertial.setup import CLASSES, DEG, QUATERNION_SD, QUATERNIONS, Rest, Sensor, Setup
 from swimid.inertial.smoother import PARTS, Nominal, Observation, Smoothed, cross_matrix, jacobian
 
 #: Standard deviation, at the first sample, of the quantities that define the origin: position, m, and yaw,
@@ -23,22 +22,29 @@ from swimid.inertial.smoother import PARTS, Nominal, Observation, Smoothed, cros
 ORIGIN_SD = 1e-6
 #: Standard deviation of roll and pitch at the first sample, rad.
 START_TILT_SD = 0.05
-#: Maximum number of iterations that exclude rests. The last iteration excludes all rests.
-MAX_STEPS = 3
+#: Maximum number of rests that are excluded one by one. After them all rests are excluded.
+MAX_SINGLE = 2
 #: Minimum increase in log-likelihood for replacing the stated class of sensor by another one: "strong"
 #: evidence (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572, sec. 3.2).
 MIN_GAIN = 3.0
+#: Standard deviations of the velocity, m/s, and turn rate, rad/s, of a robot at rest in drifting water.
+REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
+#: Correlation times of the attitude errors, s: minimum for quaternions, and value for a filter. Samples
+#: within this time count as one measurement.
+QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
+#: Maximum normalised residual, in standard deviations. Larger residuals are outliers.
+GATE = 6.0
+#: Interval between observations of velocity at rest, and between observations of attitude and top speed, s.
+REST_STEP_S, STEP_S = 0.5, 1.0
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Most likely motion, with the sensor errors and rests that it assumes."""
+    """Most likely motion, with the rests that it assumes."""
 
     smoothed: Smoothed
-    #: Still periods, with the rests that were used.
-    still: Stillness
-    #: Sensor with the error class that is most likely for this recording.
-    sensor: Sensor
+    #: Setup with the rests that were used.
+    setup: Setup
     findings: list[Finding]
     #: Reasons why the motion is impossible; empty if it is possible.
     impossible: list[str]
@@ -51,71 +57,63 @@ def estimate(setup: Setup) -> Estimate:
     If the motion contradicts a rest, the rest with the largest contradiction is excluded first, then the next
     one, and finally all rests.
     """
-    used, (smoothed, sensor) = setup, _choose_class(setup)
-    first = smoothed, sensor
+    used, first = setup, _choose_class(setup)
+    smoothed = first
     wrong = doubts = find_contradictions(setup, smoothed)
     reasons: list[str] = []
-    for step in range(1, MAX_STEPS + 1):
-        if not doubts or not used.still.rests:
-            break
+    while doubts and used.rests:
+        dropped, reason = used.rests, "no rest is used"
         doubted = _doubted_rests(used, smoothed)
-        if doubted and step < MAX_STEPS:
+        if doubted and len(reasons) < MAX_SINGLE:
             rest, size = max(doubted, key=lambda pair: pair[1])
-            reasons.append(_contradiction(setup, rest, size))
-            used = used.without([rest])
-        else:
-            reasons.append("no rest is used")
-            used = used.without(used.still.rests)
-        smoothed, sensor = _choose_class(used)
+            dropped, reason = [rest], _contradiction(setup, rest, size)
+        reasons.append(reason)
+        used = used.without(dropped)
+        smoothed = _choose_class(used)
         doubts = find_contradictions(used, smoothed)
     if doubts:
-        return Estimate(first[0], setup.still, first[1], [], wrong)
-    findings = class_findings(setup.sensor, sensor)
+        return Estimate(first, setup, [], wrong)
+    findings = class_findings(smoothed)
     if wrong:
-        count = len(setup.still.rests)
-        text = f"{'; '.join(reasons)}: {count - len(used.still.rests)} of {count} not used"
+        count = len(setup.rests)
+        text = f"{'; '.join(reasons)}: {count - len(used.rests)} of {count} not used"
         findings.append(Finding("rests", "handled", text))
-    return Estimate(smoothed, used.still, sensor, findings, [])
+    return Estimate(smoothed, used, findings, [])
 
 
-def class_findings(stated: Sensor, shown: Sensor) -> list[Finding]:
-    """Return a finding if the recording shows the errors of another class of sensor than the stated one."""
-    names = [name for name, other in stated.classes().items() if other == shown != stated]
+def class_findings(smoothed: Smoothed) -> list[Finding]:
+    """Return a finding if the recording shows the errors of a class of sensor in :data:`CLASSES`."""
+    names = [name for name, sensor in CLASSES.items() if sensor == smoothed.sensor]
     text = "the log shows the errors of {}; bands are made for one"
-    return [Finding("sensor class", "noted", text.format(name)) for name in names[:1]]
+    return [Finding("sensor class", "noted", text.format(name)) for name in names]
 
 
-def most_likely_class(
-    stated: Smoothed, sensor: Sensor, attempt: Callable[[Sensor], Smoothed]
-) -> tuple[Smoothed, Sensor]:
-    """Return the most likely motion and the corresponding class of sensor.
+def most_likely_class(stated: Smoothed, attempt: Callable[[Sensor], Smoothed]) -> Smoothed:
+    """Return the motion with the most likely class of sensor.
 
     Parameters
     ----------
     stated : Smoothed
         Motion with the stated class. Another class must be more likely by ``MIN_GAIN``.
-    sensor : Sensor
-        Sensor of the stated class.
     attempt : callable
         Estimates the motion with another sensor.
     """
-    best, shown = stated, sensor
-    for other in sensor.classes().values():
-        if other == sensor:
+    best, least = stated, stated.errors.likelihood + MIN_GAIN
+    for sensor in CLASSES.values():
+        if sensor == stated.sensor:
             continue
-        smoothed = attempt(other)
-        least = MIN_GAIN if best is stated else 0.0
-        if smoothed.errors.likelihood - best.errors.likelihood > least:
-            best, shown = smoothed, other
-    return best, shown
+        smoothed = attempt(sensor)
+        if smoothed.errors.likelihood > least:
+            best, least = smoothed, smoothed.errors.likelihood
+    return best
 
 
-def _choose_class(setup: Setup) -> tuple[Smoothed, Sensor]:
+def _choose_class(setup: Setup) -> Smoothed:
     stated = smooth(setup, setup.sensor)
-    best, shown = most_likely_class(stated, setup.sensor, lambda other: smooth(setup, other, stated, 1))
+    best = most_likely_class(stated, lambda sensor: smooth(setup, sensor, stated, 1))
     if best is not stated:
-        best = smooth(setup, shown, best, smoother.PASSES - 1)
-    return best, shown
+        best = smooth(setup, best.sensor, best, smoother.PASSES - 1)
+    return best
 
 
 def smooth(
@@ -128,12 +126,9 @@ def smooth(
     after, passes
         See :func:`swimid.inertial.smoother.smooth`.
     """
-    source, still, top_m_s = setup.source, setup.still, setup.options.top_speed_m_s
-    yaw_sd = ORIGIN_SD
-    if source.heading:
-        stated = setup.options.attitude_sd_deg
-        yaw_sd = QUATERNION_SD if stated is None else stated * DEG
-    at_rest = bool(still.rests) and still.rests[0].first == 0
+    source, rests, top_m_s = setup.source, setup.rests, setup.options.top_speed_m_s
+    yaw_sd = QUATERNION_SD if source.heading else ORIGIN_SD
+    at_rest = bool(rests) and rests[0].first == 0
     mount = setup.mount.rotation
     state = smoother.State(
         rotation=source.rotation[0], rate_bias=setup.still_rate, lever=setup.lever(mount), mount=mount
@@ -145,12 +140,91 @@ def smooth(
     }
 
     def observe(path: Nominal) -> list[Observation]:
-        return [*aiding.observe_alone(setup, path), *aiding.observe_speed_limit(top_m_s, path)]
+        return [*observe_alone(setup, path), *observe_speed_limit(top_m_s, path)]
 
     prior = smoother.Prior(source.rotation, state, sd)
-    smoothed = smoother.smooth(setup.record, prior, sensor, still.noise, observe, after=after, passes=passes)
+    smoothed = smoother.smooth(setup.record, prior, sensor, setup.noise, observe, after=after, passes=passes)
     setup.advance()
     return smoothed
+
+
+# ---------------------------------------------------------------- observations
+
+
+def observe_alone(setup: Setup, path: Nominal) -> list[Observation]:
+    """Return the observations of a path that need no other log."""
+    return [*_rests(setup, path), *_attitudes(setup, path)]
+
+
+def _rests(setup: Setup, path: Nominal) -> list[Observation]:
+    """Return observations of zero velocity at rests, and of the gyroscope bias in still periods.
+
+    The method is that of Skog et al. (2010).
+    """
+    record = setup.record
+    observations = []
+    by_velocity = jacobian(path.states, 3, velocity=np.eye(3))
+    by_bias = jacobian(path.states, 3, rate_bias=np.eye(3))
+    for rest in setup.still:
+        nodes = rest_nodes(rest, path)
+        if not len(nodes):
+            continue
+        if rest in setup.rests:
+            for node in _spaced(path, nodes, REST_STEP_S):
+                off, sd = -path.velocity[path.nodes[node]], np.full(3, REST_SPEED_SD)
+                observations.append(Observation(int(node), "rest", off, by_velocity, sd))
+        duration = path.time_s[rest.last - 1] - path.time_s[rest.first]
+        middle = int(nodes[len(nodes) // 2])
+        off = record.rate[rest.rows].mean(axis=0) - path.rate_bias[path.nodes[middle]]
+        rate_sd = setup.noise.rate_rad_s_per_rt_hz / np.sqrt(max(duration, record.step_s))
+        sd = np.full(3, np.hypot(rate_sd, REST_RATE_SD))
+        observations.append(Observation(middle, "gyroscope at rest", off, by_bias, sd))
+    return observations
+
+
+def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
+    """Return observations of the attitude before smoothing, whose errors are correlated in time.
+
+    The tilt of an attitude filter is wrong for some seconds while the body accelerates. The quaternions of a
+    sensor may have the same rotation error throughout a log, so that all of them together count as one
+    measurement.
+    """
+    source = setup.source
+    nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
+    axes = slice(0, 3 if source.heading else 2)
+    at = path.nodes[nodes]
+    off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()[:, axes]
+    memory_s = FILTER_MEMORY_S
+    if source.kind == QUATERNIONS:
+        memory_s = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s)))
+    sd = np.full(axes.stop, setup.attitude_sd * np.sqrt(2 * memory_s))
+    h = jacobian(path.states, 3, rotation=np.eye(3))[axes]
+    return [Observation(int(n), "attitude", turn, h, sd) for n, turn in zip(nodes, off, strict=True)]
+
+
+def observe_speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
+    """Return observations of velocity 0 with half of the top speed as standard deviation.
+
+    All these observations of a log together have the weight of a single one, so that a steady cruise is not
+    pulled to rest.
+    """
+    nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
+    h = jacobian(path.states, 3, velocity=np.eye(3))
+    sd = np.full(3, 0.5 * top_m_s * np.sqrt(len(nodes)))
+    velocity = path.velocity[path.nodes]
+    return [Observation(int(node), "top speed", -velocity[node], h, sd) for node in nodes]
+
+
+def rest_nodes(rest: Rest, path: Nominal) -> np.ndarray:
+    """Return the indices of the nodes of a path that lie within a rest."""
+    return np.flatnonzero((path.nodes >= rest.first) & (path.nodes < rest.last))
+
+
+def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
+    """Return a subset of the nodes, at least ``step_s`` apart."""
+    times = path.node_s[nodes]
+    marks = np.arange(times[0], times[-1] + 1e-9, step_s)
+    return nodes[np.unique(np.clip(np.searchsorted(times, marks), 0, len(nodes) - 1))]
 
 
 # ---------------------------------------------------------------- contradictions
@@ -177,7 +251,7 @@ def find_contradictions(setup: Setup, smoothed: Smoothed) -> list[str]:
 
 def _doubted_rests(setup: Setup, smoothed: Smoothed) -> list[tuple[Rest, float]]:
     """Return the rests that the motion contradicts by more than ``GATE``, each with its contradiction."""
-    sizes = [(rest, _departure(setup, smoothed, rest)) for rest in setup.still.rests]
+    sizes = [(rest, _departure(setup, smoothed, rest)) for rest in setup.rests]
     return [(rest, size) for rest, size in sizes if size > GATE]
 
 

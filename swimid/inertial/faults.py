@@ -1,15 +1,14 @@
-"""Faults of a recording: :data:`FAULTS` contains the test of each fault and its messages.
+"""Faults of a recording: tests that find each fault and repair it, or refuse the recording.
 
-The tests run in the order of :data:`FAULTS`. Faults of single samples come first. Faults of units and axes
+The tests run in the order of :data:`TESTS`. Faults of single samples come first. Faults of units and axes
 follow: they show as contradictions between gravity, turn rates and quaternions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import permutations, product
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -34,36 +33,9 @@ from swimid.logs.log import runs
 from swimid.logs.mapping import in_order
 from swimid.logs.rotation import rearranged
 
-
-@dataclass(frozen=True)
-class Found:
-    """Result of a test: message to use, values to insert in it, and repaired record."""
-
-    #: Name of the message: "handled", "noted", "refuted" or "refused". It is empty for a repair without a
-    #: message.
-    words: str
-    record: Record | None = None
-    #: Number of affected samples; 0 if the fault does not concern single samples.
-    count: int = 0
-    #: Name of the column that made the record unusable.
-    column: str = ""
-    values: dict[str, Any] = field(default_factory=dict)
-
-
-Test = Callable[[Record], Found | None]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Fault of a recording, with a message for each result of its test (see :class:`Finding`)."""
-
-    test: Test
-    handled: str = ""
-    noted: str = ""
-    refuted: str = ""
-    #: Message for a record that cannot be repaired, and hint for the user.
-    refused: str = ""
-    hint: str = ""
+#: Test of a fault. It returns the record, repaired if the fault was found, and the fault or None. It raises
+#: an InputError for a fault that cannot be repaired.
+Test = Callable[[Record], tuple[Record, Finding | None]]
 
 
 def repair(record: Record) -> tuple[Record, list[Finding]]:
@@ -74,18 +46,11 @@ def repair(record: Record) -> tuple[Record, list[Finding]]:
     InputError
         For the first fault that cannot be repaired.
     """
-    findings: list[Finding] = []
-    for name, fault in FAULTS.items():
-        found = fault.test(record)
-        if found is None:
-            continue
-        record = found.record or record
-        if not found.words:
-            continue
-        text = getattr(fault, found.words).format(**found.values, count=found.count)
-        if found.words == "refused":
-            raise InputError(text, file=record.name, column=found.column, hint=fault.hint or None)
-        findings.append(Finding(name, found.words, text, found.count))  # type: ignore[arg-type]
+    findings = []
+    for test in TESTS:
+        record, found = test(record)
+        if found is not None:
+            findings.append(found)
     return record, findings
 
 
@@ -117,74 +82,72 @@ MIN_JITTER = 0.05
 QUATERNION_TOL = 0.05
 
 
-def find_clock_reset(record: Record) -> Found | None:
-    """Find a clock that jumps back and continues from the earlier time."""
-    row = in_order(record.time_s, {}).reset_row
-    if row is None:
-        return None
-    return Found("refused", column="t_s", values={"time_s": record.time_s[row], "sample": row + 1})
-
-
-def find_stamps(record: Record) -> Found | None:
-    """Find time stamps that repeat or are out of order.
+def find_stamps(record: Record) -> tuple[Record, Finding | None]:
+    """Find time stamps that repeat or are out of order, and refuse a clock that jumps back and counts on.
 
     The repaired record is in order of time and has the first sample of each repeated time stamp.
     """
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
-    gone = order.untimed + order.repeated + order.clashing
-    values = {"gone": gone, "late": order.late, "total": len(record)}
+    row, gone = order.reset_row, order.untimed + order.repeated + order.clashing
+    if row is not None:
+        text = f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there"
+        hint = "was the clock reset or wrapped? cut the log there, one file for each piece"
+        raise InputError(text, file=record.name, column="t_s", hint=hint)
     if gone > MAX_MISSING * len(record):
-        return Found("refused", column="t_s", values=values)
+        text = f"{gone} of {len(record)} samples have no time of their own"
+        hint = "the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping"
+        raise InputError(text, file=record.name, column="t_s", hint=hint)
     if not order.changed:
-        return None
-    return Found("handled", record.take(order.index), gone + order.late, values=values)
+        return record, None
+    text = f"{gone} samples without a time of their own left out, {order.late} out of order put in place"
+    return record.take(order.index), Finding("repeated stamps", "handled", text, gone + order.late)
 
 
-def bridge(record: Record, bad: Flags) -> Record:
-    """Return the record with bad samples, shape (n, 6), interpolated linearly and flagged as filled."""
-    values = record.channels
-    for column, hole in zip(values.T, bad.T, strict=True):
-        if hole.any() and not hole.all():
-            column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
-    acceleration, rate = (half.any(axis=1) for half in np.hsplit(bad, 2))
-    return replace(
-        record.with_channels(values),
-        filled_acceleration=record.filled_acceleration | acceleration,
-        filled_rate=record.filled_rate | rate,
-    )
-
-
-def find_samples(is_bad: Callable[[Record], Flags], max_share: float) -> Test:
-    """Return a test that interpolates bad samples and refuses a channel with too many of them.
+def find_samples(
+    name: str, is_bad: Callable[[Record, Array], Flags], max_share: float, text: str, hint: str | None = None
+) -> Test:
+    """Return a test that interpolates bad samples, flags them, and refuses a channel with too many of them.
 
     Parameters
     ----------
+    name : str
+        Name of the fault.
     is_bad : callable
-        Returns flags of the bad samples of a record, shape (n, 6).
+        Returns flags of the bad samples of a channel, shape (n,), from the record and the channel.
     max_share : float
         Maximum fraction of bad samples in a channel.
+    text : str
+        Clause about the bad samples; ``{largest}`` is their largest absolute value.
+    hint : str, optional
+        Remedy for a refused channel.
     """
 
-    def test(record: Record) -> Found | None:
-        bad = is_bad(record)
-        share = bad.mean(axis=0)
+    def test(record: Record) -> tuple[Record, Finding | None]:
+        bad = np.column_stack([is_bad(record, values) for values in record.channels.T])
+        if not bad.any():
+            return record, None
+        share, sizes = bad.mean(axis=0), np.abs(np.nan_to_num(record.channels)) * bad
         worst = int(np.argmax(share))
         if share[worst] > max_share:
-            size = np.max(np.abs(np.nan_to_num(record.channels[bad[:, worst], worst])))
-            values = {"percent": 100 * share[worst], "largest": size}
-            return Found("refused", column=CHANNELS[worst], values=values)
-        if not bad.any():
-            return None
-        names = [name for name, flags in zip(CHANNELS, bad.T, strict=True) if flags.any()]
-        size = np.max(np.abs(np.nan_to_num(record.channels[bad])))
-        values = {"channels": ", ".join(names), "largest": size}
-        return Found("handled", bridge(record, bad), int(bad.any(axis=1).sum()), values=values)
+            said = f"{100 * share[worst]:.1f} % of the samples {text.format(largest=sizes[:, worst].max())}"
+            raise InputError(said, file=record.name, column=CHANNELS[worst], hint=hint)
+        names = ", ".join(np.array(CHANNELS)[bad.any(axis=0)])
+        count = int(bad.any(axis=1).sum())
+        said = f"{count} samples in {names} {text.format(largest=sizes.max())}, interpolated"
+        values = record.channels
+        for column, hole in zip(values.T, bad.T, strict=True):
+            if hole.any() and not hole.all():
+                column[hole] = np.interp(record.time_s[hole], record.time_s[~hole], column[~hole])
+        fixed = replace(
+            record,
+            acceleration=values[:, :3],
+            rate=values[:, 3:],
+            filled_acceleration=record.filled_acceleration | bad[:, :3].any(axis=1),
+            filled_rate=record.filled_rate | bad[:, 3:].any(axis=1),
+        )
+        return fixed, Finding(name, "handled", said, count)
 
     return test
-
-
-def _by_channel(is_bad: Callable[[Record, Array], Flags]) -> Callable[[Record], Flags]:
-    return lambda record: np.column_stack([is_bad(record, values) for values in record.channels.T])
 
 
 def is_wild(_: Record, values: Array) -> Flags:
@@ -225,12 +188,10 @@ def is_stuck(record: Record, values: Array) -> Flags:
     return flags
 
 
-def is_repeated(record: Record) -> Flags:
+def is_repeated(record: Record, _: Array) -> Flags:
     """Return flags of samples that repeat the previous one because the logger is faster than the sensor."""
     same = np.concatenate(([False], np.all(np.diff(record.channels, axis=0) == 0, axis=1)))
-    if not MIN_REPEATED <= np.mean(same) <= MAX_REPEATED:
-        same[:] = False
-    return np.repeat(same[:, None], 6, axis=1)
+    return same & (MIN_REPEATED <= np.mean(same) <= MAX_REPEATED)
 
 
 def is_clipped(_: Record, values: Array) -> Flags:
@@ -251,36 +212,38 @@ def is_clipped(_: Record, values: Array) -> Flags:
     return flags
 
 
-def find_dead_magnetometer(record: Record) -> Found | None:
+def find_dead_magnetometer(record: Record) -> tuple[Record, Finding | None]:
     """Find a magnetometer without measurements, and remove its readings.
 
     If the magnetometer has a lower sample rate than the log, its readings are interpolated.
     """
     if record.magnetic is None:
-        return None
+        return record, None
     rows = _measured_rows(record, record.magnetic)
     if len(rows) == 0 or np.any(np.ptp(record.magnetic[rows], axis=0) == 0):
-        return Found("handled", replace(record, magnetic=None))
-    slow = resampled(record.time_s, record.time_s[rows], record.magnetic[rows])
-    return Found("", replace(record, magnetic=slow))
+        text = "the magnetometer is constant or has gaps, not used"
+        return replace(record, magnetic=None), Finding("dead magnetometer", "handled", text)
+    return replace(
+        record, magnetic=resampled(record.time_s, record.time_s[rows], record.magnetic[rows])
+    ), None
 
 
-def find_dead_quaternion(record: Record) -> Found | None:
+def find_dead_quaternion(record: Record) -> tuple[Record, Finding | None]:
     """Find quaternions that are not a measured attitude, and remove them.
 
     Quaternions with a lower sample rate than the log are interpolated.
     """
     q, t = record.quaternion, record.time_s
     if q is None:
-        return None
+        return record, None
     rows = _measured_rows(record, q)
     wrong = np.abs(np.linalg.norm(q[rows], axis=1) - 1) > QUATERNION_TOL
     if len(rows) == 0 or np.ptp(q[rows], axis=0).max() == 0 or wrong.any():
-        return Found("handled", replace(record, quaternion=None))
-    if len(rows) == len(record):
-        return None
-    between = Slerp(t[rows], rotations(q[rows]))(np.clip(t, t[rows[0]], t[rows[-1]]))
-    return Found("", replace(record, quaternion=between.as_quat(scalar_first=True)))
+        text = "the quaternions are constant, have gaps or are not of length 1, not used"
+        return replace(record, quaternion=None), Finding("dead quaternions", "handled", text)
+    if len(rows) < len(record):
+        q = Slerp(t[rows], rotations(q[rows]))(np.clip(t, t[rows[0]], t[rows[-1]])).as_quat(scalar_first=True)
+    return replace(record, quaternion=q), None
 
 
 def _measured_rows(record: Record, values: Array) -> np.ndarray:
@@ -292,19 +255,22 @@ def _measured_rows(record: Record, values: Array) -> np.ndarray:
     return rows
 
 
-def find_dropped(record: Record) -> Found | None:
+def find_dropped(record: Record) -> tuple[Record, Finding | None]:
     """Find missing samples. The integrals span the gaps, and the noise model accounts for them."""
     steps = np.diff(record.time_s)
     wide, row = steps > LONG_STEP * record.step_s, int(np.argmax(steps))
     if not wide.any():
-        return None
-    values = {"places": int(wide.sum()), "longest": steps[row], "time_s": record.time_s[row]}
+        return record, None
     if steps[row] > MAX_STEP_S:
-        return Found("refused", column="t_s", values=values)
-    return Found("handled", count=int(np.sum(np.round(steps[wide] / record.step_s) - 1)), values=values)
+        text = f"no samples for {steps[row]:.2f} s after t = {record.time_s[row]:.3f} s"
+        hint = "the motion in between is unknown: cut the log there, one file for each piece"
+        raise InputError(text, file=record.name, column="t_s", hint=hint)
+    count = int(np.sum(np.round(steps[wide] / record.step_s) - 1))
+    text = f"{count} samples missing in {wide.sum()} places, up to {steps[row]:.3f} s; integrals span them"
+    return record, Finding("dropped samples", "handled", text, count)
 
 
-def find_jitter(record: Record) -> Found | None:
+def find_jitter(record: Record) -> tuple[Record, Finding | None]:
     """Find uneven time steps. All integrals use the time stamps of the samples."""
     steps = np.diff(record.time_s)
     single = steps[steps < LONG_STEP * record.step_s]
@@ -312,8 +278,10 @@ def find_jitter(record: Record) -> Found | None:
     if jitter:
         jitter = max(jitter, float(np.std(single)) / record.step_s)
     if jitter < MIN_JITTER:
-        return None
-    return Found("handled", values={"percent": 100 * jitter, "step_ms": 1e3 * record.step_s})
+        return record, None
+    step = f"{1e3 * record.step_s:.3g} ms"
+    text = f"time steps vary by {100 * jitter:.0f} % (rms) of {step}; the time stamps are used"
+    return record, Finding("clock jitter", "handled", text)
 
 
 # ---------------------------------------------------------------- units and axes
@@ -324,7 +292,7 @@ GRAVITY_RTOL = 0.12
 #: Minimum magnitude of a specific force that includes gravity, in g.
 MIN_GRAVITY = 0.5
 #: Units of acceleration, in m/s^2. The nearest unit is chosen; mg and cm/s2 differ by 2 %.
-UNITS = {"g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
+UNITS = {"m/s2": 1.0, "g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
 #: Length of the windows in which the specific force is analysed, s, and maximum number of windows for turn
 #: rates.
 WINDOW_S, MAX_WINDOWS = 0.5, 200
@@ -350,76 +318,60 @@ FAST_RAD_S = 12.0
 STRIDE_S, MIN_STEP_RAD = 0.1, 1e-3
 
 
-def _compare_gravity(record: Record) -> tuple[float, str]:
-    """Return the magnitude of the specific force, in the logged unit, and the name of the actual unit.
+def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
+    """Find accelerations that are not in the stated unit or not in any known unit.
 
-    The name is "m/s2", a key of :data:`UNITS`, or empty if no unit fits. The stated unit is assumed unless
-    samples at rest show gravity in another unit. If the sensor moves all the time, the magnitude only has to
-    exceed a minimum. Gravity then shows in the mean of the readings or, if the sensor tumbles, in their
-    median magnitude.
+    The magnitude of the specific force is the median over windows at rest. A window is at rest if the
+    standard deviation divided by the magnitude is at most that of a sensor at rest. If the sensor moves all
+    the time, the stated unit is assumed, and the magnitude only has to exceed a minimum. Gravity then shows
+    in the mean of the readings or, if the sensor tumbles, in their median magnitude.
     """
-    size = _size_at_rest(record)
-    if size is None:
-        sizes = np.linalg.norm([record.acceleration.mean(axis=0), *record.acceleration], axis=1)
-        size = float(max(sizes[0], np.median(sizes)))
-        return size, "m/s2" if size >= MIN_GRAVITY * GRAVITY_M_S2 else ""
-    if abs(size / GRAVITY_M_S2 - 1) <= GRAVITY_RTOL:
-        return size, "m/s2"
-    off = {name: abs(np.log(size * factor / GRAVITY_M_S2)) for name, factor in UNITS.items()}
-    name = min(off, key=lambda unit: off[unit])
-    return size, name if off[name] <= GRAVITY_RTOL else ""
-
-
-def _size_at_rest(record: Record) -> float | None:
-    """Return the median magnitude of the specific force at rest, or None if the sensor is never at rest.
-
-    A window is at rest if the standard deviation divided by the magnitude is at most that of a sensor at
-    rest.
-    """
-    size = max(round(WINDOW_S / record.step_s), 4)
-    count = len(record) // size
-    windows = record.acceleration[: count * size].reshape(count, size, 3)
+    rows = max(round(WINDOW_S / record.step_s), 4)
+    count = len(record) // rows
+    windows = record.acceleration[: count * rows].reshape(count, rows, 3)
     sizes = np.linalg.norm(windows.mean(axis=1), axis=1)
     quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= MAX_REST_ACCELERATION / GRAVITY_M_S2 * sizes
-    return float(np.median(sizes[quiet])) if quiet.any() else None
-
-
-def find_acceleration_unit(record: Record) -> Found | None:
-    """Find accelerations that are not in the stated unit or not in any known unit."""
-    size, unit = _compare_gravity(record)
+    if quiet.any():
+        size = float(np.median(sizes[quiet]))
+        off = {name: abs(size * factor / GRAVITY_M_S2 - 1) for name, factor in UNITS.items()}
+        unit = min(off, key=lambda name: off[name])
+        known = off[unit] <= GRAVITY_RTOL
+    else:
+        sizes = np.linalg.norm([record.acceleration.mean(axis=0), *record.acceleration], axis=1)
+        size, unit = float(max(sizes[0], np.median(sizes))), "m/s2"
+        known = size >= MIN_GRAVITY * GRAVITY_M_S2
+    if not known:
+        text = f"the typical size of the acceleration is {size:.4g} m/s2, where gravity alone makes 9.81"
+        hint = "state the unit in a mapping (--map); gravity must not be subtracted from the readings"
+        raise InputError(text, file=record.name, column="ax_m_s2 ... az_m_s2", hint=hint)
     if unit == "m/s2":
-        return None
-    if not unit:
-        return Found("refused", column="ax_m_s2 ... az_m_s2", values={"size": size})
-    values = {"unit": unit, "size": size, "factor": UNITS[unit]}
-    return Found("handled", replace(record, acceleration=record.acceleration * UNITS[unit]), values=values)
+        return record, None
+    factor = UNITS[unit]
+    text = f"accelerations are in {unit} ({size:.4g} at rest), converted by {factor:.6g}"
+    fixed = replace(record, acceleration=record.acceleration * factor)
+    return fixed, Finding("acceleration unit", "handled", text)
 
 
-def find_rate_unit(record: Record) -> Found | None:
-    """Find turn rates in degrees, by comparison with the rotation of the quaternions or of gravity."""
-    scale, judge = _rate_scale(record)
-    if scale is None or abs(np.log(scale / DEG)) >= abs(np.log(scale)):
-        return None
-    return Found("handled", replace(record, rate=record.rate * DEG), values={"judge": judge})
+def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
+    """Find turn rates in degrees, by comparison with the rotation of the quaternions or of gravity.
 
-
-def find_unconfirmed_rates(record: Record) -> Found | None:
-    """Find fast turn rates whose unit cannot be confirmed by other columns."""
-    fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
-    if fast <= FAST_RAD_S or _rate_scale(record)[0] is not None:
-        return None
-    return Found("handled", values={"fast": fast})
-
-
-def _rate_scale(record: Record) -> tuple[float | None, str]:
-    """Return the factor from logged to true turn rates, or None, and the name of the signal that shows it."""
-    scale = _scale_by_quaternion(record)
-    if scale is not None:
-        return scale, "the quaternions"
-    scale = _scale_by_constant_gravity(record)
+    Fast turn rates whose unit cannot be confirmed by other columns are reported.
+    """
+    estimates = (_scale_by_quaternion, _scale_by_constant_gravity, _scale_by_gravity)
+    scale = next((found for find in estimates if (found := find(record)) is not None), None)
     if scale is None:
-        scale = _scale_by_gravity(record)
-    return scale, "gravity in the accelerometer"
+        fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
+        if fast <= FAST_RAD_S:
+            return record, None
+        text = (
+            f"turn rates reach {fast:.0f} rad/s in the stated unit, which nothing else in the log confirms; "
+            "state another one in a mapping (--map)"
+        )
+        return record, Finding("unconfirmed turn rates", "handled", text)
+    if abs(np.log(scale / DEG)) >= abs(np.log(scale)):
+        return record, None
+    text = "turn rates are in deg/s, as the turning of gravity or quaternions shows; converted to rad/s"
+    return replace(record, rate=record.rate * DEG), Finding("turn-rate unit", "handled", text)
 
 
 def _scale_by_constant_gravity(record: Record) -> float | None:
@@ -435,12 +387,10 @@ def _scale_by_constant_gravity(record: Record) -> float | None:
     starts = starts[:: max(len(starts) // MAX_WINDOWS, 1)]
     residual = {1.0: 0.0, DEG: 0.0, 0.0: 0.0}
     for first in starts.tolist():
-        rows = slice(first, first + size)
+        part = record.take(slice(first, first + size))
         for factor in residual:
-            attitude = integrated_attitude(
-                record.time_s[rows], factor * record.rate[rows], Rotation.identity()
-            )
-            residual[factor] += _spread(attitude.apply(record.acceleration[rows]))
+            attitude = integrated_attitude(part.time_s, factor * part.rate, Rotation.identity())
+            residual[factor] += _spread(attitude.apply(part.acceleration))
     best = min(residual, key=lambda factor: residual[factor])
     others = min(value for factor, value in residual.items() if factor != best)
     return best if best and residual[best] < CLEAR_RATIO * others else None
@@ -482,15 +432,17 @@ def _rms_size(vectors: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
-def find_swapped_axes(record: Record) -> Found | None:
+def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
     """Find the arrangement of the gyroscope's axes, out of 48, that explains the rotation of gravity.
 
     Rotations about the vertical carry no information, nor do rotations that are small compared with
     accelerations.
     """
+    name = "swapped or flipped axes"
     seen, up, turned = _up_turning(record)
     if len(seen) < MIN_BLOCKS or _rms_size(seen) < MIN_TURN:
-        return Found("noted")
+        text = "the body hardly tilts, so that the axes of gyroscope and accelerometer cannot be compared"
+        return record, Finding(name, "noted", text)
     scores = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         residual = _spread(seen + np.cross(turned[:, order] * signs, up))
@@ -498,16 +450,22 @@ def find_swapped_axes(record: Record) -> Found | None:
     as_is = scores[0][0]
     (best, order, signs), (runner_up, _, _) = sorted(scores, key=lambda entry: entry[0])[:2]
     if best > BETTER * as_is or best > EXPLAINED or as_is < EXPLAINED:
-        return None
-    changed = [
+        return record, None
+    changed = ", ".join(
         f"w{to} from {'-' * (sign < 0)}w{'xyz'[place]}"
         for to, place, sign in zip("xyz", order, signs, strict=True)
         if to != "xyz"[place] or sign < 0
-    ]
-    values = {"axes": ", ".join(changed), "best": 100 * best, "as_is": 100 * as_is}
+    )
     if best > DECIDED * runner_up:
-        return Found("refused", column="wx_rad_s ... wz_rad_s", values=values)
-    return Found("handled", replace(record, rate=record.rate[:, order] * np.asarray(signs)), values=values)
+        text = f"axes are swapped or flipped, and the tilting does not show which ({changed} fits best)"
+        hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
+        raise InputError(text, file=record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
+    text = (
+        f"the gyroscope's axes contradict the accelerometer's: {changed} leaves {100 * best:.0f} % of "
+        f"gravity's turning unexplained, as logged {100 * as_is:.0f} %; rearranged in this way"
+    )
+    fixed = replace(record, rate=record.rate[:, order] * np.asarray(signs))
+    return fixed, Finding(name, "handled", text)
 
 
 def _up_turning(record: Record) -> tuple[Array, Array, Array]:
@@ -532,116 +490,62 @@ def _up_turning(record: Record) -> tuple[Array, Array, Array]:
     return up[after] - up[before], 0.5 * (up[after] + up[before]), centres[after] - centres[before]
 
 
-def find_wrong_quaternions(record: Record) -> Found | None:
+def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
     """Find quaternions of another convention by comparison with the gyroscope, and remove them.
 
     Each order of the elements is tried with each direction of the rotation.
     """
     if record.quaternion is None:
-        return None
+        return record, None
     size = max(round(BLOCK_S / record.step_s), 1)
     sensed = turns_of(integrated_attitude(record.time_s, record.rate, Rotation.identity())[::size])
     if len(sensed) < MIN_BLOCKS:
-        return None
+        return record, None
     stated = ("wxyz", "body-to-world")
-    residual = {}
+    off = {}
     for convention in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
         turned = turns_of(rotations(rearranged(record.quaternion[::size], *convention)))
-        residual[convention] = float(np.sum((turned - sensed) ** 2))
-    best = min(residual, key=lambda convention: residual[convention])
-    if residual[best] >= CLEAR_RATIO * residual[stated]:
-        return None
+        off[convention] = float(np.sum((turned - sensed) ** 2) / max(np.sum(sensed**2), 1e-300))
+    best = min(off, key=lambda convention: off[convention])
+    if off[best] >= CLEAR_RATIO * off[stated]:
+        return record, None
     keys = zip(("order", "direction"), best, stated, strict=True)
-    power = float(np.sum(sensed**2))
-    values = {
-        "as_is": 100 * residual[stated] / power,
-        "best": 100 * residual[best] / power,
-        "order": best[0],
-        "direction": best[1].replace("-", " "),
-        "line": ", ".join(f"{key}: {value}" for key, value, usual in keys if value != usual),
-    }
-    return Found("refuted", replace(record, quaternion=None), values=values)
+    line = ", ".join(f"{key}: {value}" for key, value, usual in keys if value != usual)
+    text = (
+        f"the quaternions contradict the gyroscope: as wxyz from body to world they differ by "
+        f"{100 * off[stated]:.0f} % of its turning, as {best[0]} from {best[1].replace('-', ' ')} by "
+        f"{100 * off[best]:.0f} %; they are not used. State their convention in a mapping (--map) with the "
+        f"line 'quaternion: {{{line}}}'"
+    )
+    return replace(record, quaternion=None), Finding("quaternions", "refuted", text)
 
 
-FAULTS = {
-    "clock reset": Fault(
-        find_clock_reset,
-        refused="time goes back at t = {time_s:g} s (sample {sample}) and counts on from there",
-        hint="was the clock reset or wrapped? cut the log there, one file for each piece",
+#: Tests in the order in which they run.
+TESTS: tuple[Test, ...] = (
+    find_stamps,
+    find_samples("wild readings", is_wild, MAX_MISSING, "exceed any motion (up to {largest:.4g})"),
+    find_samples("missing cells", lambda _, values: ~np.isfinite(values), MAX_MISSING, "are missing"),
+    find_samples(
+        "dead channel",
+        is_stuck,
+        MAX_STUCK,
+        "are stuck at one value",
+        "repair the sensor or its wiring: three accelerations and three turn rates are needed",
     ),
-    "repeated stamps": Fault(
-        find_stamps,
-        "{gone} samples without a time of their own left out, {late} out of order put in place",
-        refused="{gone} of {total} samples have no time of their own",
-        hint="the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping",
+    find_dead_magnetometer,
+    find_dead_quaternion,
+    find_samples("repeated samples", is_repeated, MAX_REPEATED, "repeat the ones before in every channel"),
+    find_samples(
+        "saturated channel",
+        is_clipped,
+        MAX_CLIPPED,
+        "are clipped at the end of the range, {largest:.4g}",
+        "use a sensor, or a setting, with a larger range",
     ),
-    "wild readings": Fault(
-        find_samples(_by_channel(is_wild), MAX_MISSING),
-        "{count} samples in {channels} that no motion causes (up to {largest:.4g}), interpolated",
-        refused="{percent:.0f} % of the samples are readings that no motion causes (up to {largest:.4g})",
-    ),
-    "missing cells": Fault(
-        find_samples(lambda record: ~np.isfinite(record.channels), MAX_MISSING),
-        "{count} samples with missing cells, interpolated",
-        refused="{percent:.0f} % of the samples are missing",
-    ),
-    "dead channel": Fault(
-        find_samples(_by_channel(is_stuck), MAX_STUCK),
-        "{count} samples stuck at one value in {channels}, interpolated",
-        refused="the channel is dead: one value for {percent:.0f} % of the time",
-        hint="three accelerations and three turn rates are needed; repair the sensor or its wiring",
-    ),
-    "dead magnetometer": Fault(find_dead_magnetometer, "the magnetometer is constant or has gaps, not used"),
-    "dead quaternions": Fault(
-        find_dead_quaternion,
-        "the quaternions are constant, have gaps or are not of length 1, not used",
-    ),
-    "repeated samples": Fault(
-        find_samples(is_repeated, MAX_REPEATED),
-        "{count} samples repeat the one before in every channel, interpolated",
-    ),
-    "saturated channel": Fault(
-        find_samples(_by_channel(is_clipped), MAX_CLIPPED),
-        "{count} samples clipped at the end of the range in {channels}, interpolated",
-        refused="{percent:.1f} % of the samples are clipped at {largest:.4g}",
-        hint="use a sensor, or a setting, with a larger range",
-    ),
-    "acceleration unit": Fault(
-        find_acceleration_unit,
-        "accelerations are in {unit} ({size:.4g} at rest), converted by {factor:.6g}",
-        refused="the typical size of the acceleration is {size:.4g} m/s2, where gravity alone makes 9.81",
-        hint="state the unit in a mapping (--map); gravity must not be subtracted from the readings",
-    ),
-    "dropped samples": Fault(
-        find_dropped,
-        "{count} samples missing in {places} places, the longest {longest:.3f} s; integrals span them",
-        refused="no samples for {longest:.2f} s after t = {time_s:.3f} s",
-        hint="the motion in between is unknown: cut the log there, one file for each piece",
-    ),
-    "clock jitter": Fault(
-        find_jitter,
-        "time steps vary by {percent:.0f} % (rms) of {step_ms:.3g} ms; the time stamps are used",
-    ),
-    "turn-rate unit": Fault(
-        find_rate_unit, "turn rates are in deg/s (judged by {judge}), converted to rad/s"
-    ),
-    "unconfirmed turn rates": Fault(
-        find_unconfirmed_rates,
-        "turn rates reach {fast:.0f} rad/s in the stated unit, which nothing else in the log confirms; state "
-        "another one in a mapping (--map)",
-    ),
-    "swapped or flipped axes": Fault(
-        find_swapped_axes,
-        "the gyroscope's axes contradict the accelerometer's: {axes} leaves {best:.0f} % of gravity's "
-        "turning unexplained, as logged {as_is:.0f} %; rearranged in this way",
-        "the body hardly tilts, so that the axes of gyroscope and accelerometer cannot be compared",
-        refused="axes are swapped or flipped, and the tilting does not show which ({axes} fits best)",
-        hint="put the axes right in a mapping (--map), with factor -1 for a flipped one",
-    ),
-    "quaternions": Fault(
-        find_wrong_quaternions,
-        refuted="the quaternions contradict the gyroscope: as wxyz from body to world they differ by "
-        "{as_is:.0f} % of its turning, as {order} from {direction} by {best:.0f} %; they are not used. State "
-        "their convention in a mapping (--map) with the line 'quaternion: {{{line}}}'",
-    ),
-}
+    find_acceleration_unit,
+    find_dropped,
+    find_jitter,
+    find_rate_unit,
+    find_swapped_axes,
+    find_wrong_quaternions,
+)

@@ -6,19 +6,18 @@ The poses in the other log are called fixes.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.inertial import aiding, alignment, alone, smoother
-from swimid.inertial.aiding import GATE, Fixes
+from swimid.inertial import alignment, alone, smoother
 from swimid.inertial.alignment import Alignment, Offset
-from swimid.inertial.alone import Estimate, class_findings, most_likely_class
-from swimid.inertial.record import Array, Finding, Flags, Poses
+from swimid.inertial.alone import GATE, Estimate, class_findings, most_likely_class
+from swimid.inertial.record import Array, Finding, Flags, Poses, resampled, turn_to_angles
 from swimid.inertial.setup import BAND, DEG, Sensor, Setup
-from swimid.inertial.smoother import FUSED, PARTS, Nominal, Observation, Prior, Smoothed, State
+from swimid.inertial.smoother import Nominal, Observation, Prior, Smoothed, State, jacobian
+from swimid.logs.rotation import angles
 from swimid.logs.sampling import white_noise_sd
 
 #: Standard deviations before any observation: lever, m; mounting from gravity and from rotations, rad; tilt
@@ -57,6 +56,117 @@ MEDIAN_SHARE = 0.6745
 
 
 @dataclass(frozen=True)
+class Fixes(Poses):
+    """Poses measured by another log (fixes), with their noise."""
+
+    #: Standard deviations of the three coordinates, m, and the three angles, rad, shape (6,).
+    noise: Array
+    #: Weights of position and attitude, shape (m, 2). A weight is 1, or less for an outlier. It divides the
+    #: variance.
+    weight: Array
+    #: Flags of the poses that are within the record for every candidate clock offset, shape (m,). Only these
+    #: poses contribute to the log-likelihood.
+    counted: Flags
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of coordinates and angles after weighting, shape (m, 6)."""
+        return np.asarray(self.noise / np.sqrt(np.repeat(self.weight, 3, axis=1)))
+
+    @property
+    def stray(self) -> Flags:
+        """Flags of positions and attitudes that are outliers, shape (m, 2)."""
+        return self.weight < 1
+
+    def take(self, rows: Flags) -> Fixes:
+        """Return the poses that are selected by ``rows``, flags of shape (m,)."""
+        each = ("time_s", "position", "angles", "weight", "counted")
+        return replace(self, **{name: getattr(self, name)[rows] for name in each})
+
+    def unweighted(self) -> Fixes:
+        """Return the poses with all weights reset to 1."""
+        return replace(self, weight=np.ones_like(self.weight))
+
+
+def observe_fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
+    """Return an observation for every pose within the time range of a path.
+
+    Parameters
+    ----------
+    gate : float
+        Maximum innovation, in standard deviations. Larger innovations are outliers.
+    """
+    t = path.time_s
+    clock_times = seen.time_s + path.clock_s
+    inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
+    when = clock_times[inside]
+    velocity, place = resampled(when, t, path.velocity), resampled(when, t, path.position)
+    row, node = _nearest(t, when), _nearest(path.node_s, when)
+    turn = Rotation.from_rotvec(path.rate[row] * (when - t[row])[:, None])
+    rotation = path.rotation[row] * turn
+    lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
+    matrices = rotation.as_matrix()
+    place_sd, turn_sd = np.hsplit(seen.sd[inside], 2)
+    by_place = jacobian(
+        path.states,
+        *place.shape,
+        position=np.eye(3),
+        velocity=np.eye(3) * (when - path.node_s[node])[:, None, None],
+        rotation=-smoother.cross_matrix(lever),
+        lever=matrices,
+        clock_s=(velocity + np.cross(spin, lever))[:, :, None],
+    )
+    away = seen.position[inside] - place - lever
+    kinds = [("position", away, np.isfinite(away), by_place, place_sd)]
+    turns = np.isfinite(seen.angles[inside])
+    if turns.any():
+        used = turns.any(axis=0)
+        off, by_turn = _turned(seen.rotation[inside], turns, rotation * path.mount)
+        off, by_turn = off[:, used], by_turn[:, used]
+        by_angle = jacobian(
+            path.states,
+            *off.shape,
+            rotation=by_turn,
+            mount=by_turn @ matrices,
+            clock_s=by_turn @ spin[:, :, None],
+        )
+        kinds.append(("orientation", off, turns[:, used], by_angle, turn_sd[:, used]))
+    observations = []
+    for k, index in enumerate(inside.tolist()):
+        for kind, off, measured, h, sd in kinds:
+            one = measured[k]
+            if one.any():
+                counted = bool(seen.counted[index])
+                values = off[k, one], h[k, one], sd[k, one]
+                observations.append(Observation(int(node[k]), kind, *values, gate, counted, index))
+    return observations
+
+
+def _nearest(times: Array, when: Array) -> np.ndarray:
+    """Return, for each time in ``when``, the index of the nearest element of ``times``."""
+    index = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
+    return index - ((when - times[index - 1]) < (times[index] - when))
+
+
+def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Array]:
+    """Return measured minus estimated attitude and its derivative with respect to a small rotation.
+
+    The difference has shape (k, 3), its derivative shape (k, 3, 3). If all three angles are measured, the
+    difference is a small rotation about world axes. A single measured angle is compared as an angle, because
+    the yaw of a tilted body differs from its rotation about the vertical.
+    """
+    if turns.all(axis=1).any():
+        return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(turns), 3, 3))
+    off = np.column_stack(angles(measured)) - np.column_stack(angles(body))
+    by_turn, pitch = turn_to_angles(body), angles(body)[1][:, None]
+    # at a pitch other than 0, a rotation about the heading direction changes roll by 1/cos(pitch), and also
+    # yaw
+    by_turn[:, 0] /= np.maximum(np.cos(pitch), 0.1)
+    by_turn[:, 2] -= np.sin(pitch) * by_turn[:, 0]
+    return np.angle(np.exp(1j * off)), by_turn
+
+
+@dataclass(frozen=True)
 class HeldOut:
     """Errors of held-out fixes that are predicted from the other fixes."""
 
@@ -72,15 +182,13 @@ class HeldOut:
 class Fused(Estimate):
     """Most likely motion, with the relation between the two logs."""
 
-    #: Alignment of the two logs before they were fused.
-    alignment: Alignment
     #: Clock offset estimated together with the motion.
     offset: Offset
     #: Whether both logs have equal clocks. This is decided by the Bayesian information criterion.
     agree: bool
     #: Fixes with their estimated noise and weights.
     fixes: Fixes
-    #: Number of fixes with a residual above :data:`swimid.inertial.aiding.GATE`.
+    #: Number of fixes with a residual above :data:`swimid.inertial.alone.GATE`.
     stray: int
     #: Factor by which correlated errors of the fixes widen every band; 1 if the errors are independent.
     lasting: float
@@ -106,8 +214,8 @@ class _Trial:
     setup: Setup
     prior: Prior
     fixes: Fixes
-    sensor: Sensor
-    smoothed: Smoothed
+    #: Result of the last smoothing; None before the first.
+    smoothed: Smoothed = None  # type: ignore[assignment]
 
     @property
     def likelihood(self) -> float:
@@ -138,8 +246,8 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     problem = _Problem(setup, poses, _first_fixes(setup, poses, alignments), mount, mount_sd)
     trial, offset, agree = _set_clocks(problem, alignments)
     wrong = _contradictions(trial)
-    if wrong and setup.still.rests:
-        fewer = replace(problem, setup=replace(setup, still=setup.still.without(setup.still.rests)))
+    if wrong and setup.rests:
+        fewer = replace(problem, setup=setup.without(setup.rests))
         again = _set_clocks(fewer, alignments)
         if not _contradictions(again[0]):
             (trial, offset, agree), problem = again, fewer
@@ -152,19 +260,13 @@ def estimate(setup: Setup, poses: Poses) -> Fused:
     errors, factor = trial.smoothed.errors, lasting
     if held_out is not None:
         factor *= max(held_out.deviations, 1.0)
+    low, high = (offset.value_s + factor * (end - offset.value_s) for end in (offset.low_s, offset.high_s))
     return Fused(
         smoothed=replace(trial.smoothed, errors=replace(errors, covariance=errors.covariance * factor**2)),
-        still=problem.setup.still,
-        sensor=trial.sensor,
-        findings=[*findings, *class_findings(setup.sensor, trial.sensor)],
+        setup=problem.setup,
+        findings=[*findings, *class_findings(trial.smoothed)],
         impossible=wrong,
-        alignment=first,
-        offset=replace(
-            offset,
-            stderr_s=factor * offset.stderr_s,
-            low_s=offset.value_s - factor * (offset.value_s - offset.low_s),
-            high_s=offset.value_s + factor * (offset.high_s - offset.value_s),
-        ),
+        offset=replace(offset, stderr_s=factor * offset.stderr_s, low_s=low, high_s=high),
         agree=agree,
         fixes=trial.fixes,
         stray=int(np.sum(trial.fixes.stray.any(axis=1))),
@@ -191,11 +293,11 @@ def _align(
     except NoTrustworthyResult as refusal:
         return poses, [alignment.align_at(setup.record, poses, 0.0)], [], refusal
     first = found[0]
-    if poses.full and first.by == "turn rates":
+    if first.mount is not None:
         flipped = replace(poses, angles=poses.angles * [1.0, -1.0, 1.0])
         others = alignment.align(setup.record, setup.source, flipped)
         gain = others[0].offset.explained - first.offset.explained
-        if others[0].by == first.by and gain > MIN_GAIN and others[0].handed >= 0:
+        if others[0].mount is not None and gain > MIN_GAIN and others[0].handed >= 0:
             text = "the pitch in the other log is positive nose down; its sign is changed"
             return flipped, others, [Finding("sign of pitch", "handled", text)], None
     return poses, found, [], None
@@ -248,39 +350,36 @@ def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fix
 
 def _set_clocks(problem: _Problem, alignments: list[Alignment]) -> tuple[_Trial, Offset, bool]:
     """Return the most likely result, its clock offset, and whether it assumes equal clocks."""
-    sensor, stated_s = problem.setup.sensor, problem.setup.options.clock_offset_s
-    first = alignments[0]
+    stated_s = problem.setup.options.clock_offset_s
     if stated_s is not None:
-        trial = _smooth(problem, stated_s, sensor, held=True)
-        return trial, _final_offset(trial.smoothed, first), False
+        trial = _smooth(problem, stated_s, held=True)
+        return trial, _final_offset(trial.smoothed), False
     starts: list[Offset] = []
     for one in (found.offset for found in alignments):
         if all(abs(one.value_s - s.value_s) / np.hypot(one.stderr_s, s.stderr_s) > BAND for s in starts):
             starts.append(one)
-    trials = [_smooth(problem, start.value_s, sensor, held=False) for start in starts]
+    trials = [_smooth(problem, start.value_s, held=False) for start in starts]
     free = max(trials, key=lambda trial: trial.likelihood)
     counted = problem.fixes.counted.sum()
     if not counted:
-        return free, _final_offset(free.smoothed, first), False
+        return free, _final_offset(free.smoothed), False
     # half of the penalty of the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136) for
     # one additional parameter, the offset
     price = 0.5 * float(np.log(counted))
     if abs(free.smoothed.path.clock_s) <= BAND * CLOCK_SD:
-        equal = _smooth(problem, 0.0, free.sensor, held=True, after=free)
+        equal = _smooth(problem, 0.0, held=True, after=free)
     else:
-        equal = _smooth(problem, 0.0, sensor, held=True)
+        equal = _smooth(problem, 0.0, held=True)
         if free.likelihood <= equal.likelihood + price:
-            free = _smooth(problem, 0.0, equal.sensor, held=False, after=equal)
-    offset = _final_offset(free.smoothed, first)
+            free = _smooth(problem, 0.0, held=False, after=equal)
+    offset = _final_offset(free.smoothed)
     if free.likelihood > equal.likelihood + price:
         return free, offset, False
     low, high = min(offset.low_s, 0.0), max(offset.high_s, 0.0)
     return equal, replace(offset, value_s=0.0, low_s=low, high_s=high), True
 
 
-def _smooth(
-    problem: _Problem, offset_s: float, sensor: Sensor, *, held: bool, after: _Trial | None = None
-) -> _Trial:
+def _smooth(problem: _Problem, offset_s: float, *, held: bool, after: _Trial | None = None) -> _Trial:
     """Smooth both logs, and estimate noise, weights and error class of the sensor from the residuals.
 
     Parameters
@@ -292,29 +391,27 @@ def _smooth(
     after : _Trial, optional
         Result from which the iteration continues.
     """
-    setup, prior = _start(problem, offset_s)
+    setup, prior = _start(problem, offset_s, held)
     if after is not None:
         path, origin = replace(after.smoothed.path, clock_s=offset_s), after.smoothed.origin
         smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
-        begun = _Trial(setup, prior, after.fixes.unweighted(), sensor, smoothed)
-        return _with_noise(begun, held=held, noise_known=True)
-
-    def first(gate: float) -> _Trial:
-        # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is
-        # known
-        smoothed = _fuse(setup, prior, sensor, problem.fixes, held=True, passes=2, gate=gate)
-        return _Trial(setup, prior, problem.fixes, sensor, smoothed)
-
-    begun = first(GATE)
-    gated = _with_noise(begun, held=held)
-    if begun.smoothed.errors.rejected <= MAX_STRAY * len(problem.fixes.time_s):
-        return gated
-    # with many outliers, either the fixes or the path can be wrong: compare both assumptions
-    return max(gated, _with_noise(first(np.inf), held=held), key=lambda trial: trial.likelihood)
+        return _with_noise(_Trial(setup, prior, after.fixes.unweighted(), smoothed), noise_known=True)
+    # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is known
+    fixed = replace(prior, sd={**prior.sd, "clock_s": HELD_CLOCK_SD})
+    begun = _Trial(setup, fixed, problem.fixes)
+    gated = replace(_fuse(begun, setup.sensor, 2, GATE), prior=prior)
+    trials = [_with_noise(gated)]
+    if gated.smoothed.errors.rejected > MAX_STRAY * len(problem.fixes.time_s):
+        # with many outliers, either the fixes or the path can be wrong: compare both assumptions
+        trials.append(_with_noise(replace(_fuse(begun, setup.sensor, 2), prior=prior)))
+    return max(trials, key=lambda trial: trial.likelihood)
 
 
-def _start(problem: _Problem, offset_s: float) -> tuple[Setup, Prior]:
-    """Return the setup in the world of the other log, and the prior of the smoother."""
+def _start(problem: _Problem, offset_s: float, held: bool) -> tuple[Setup, Prior]:
+    """Return the setup in the world of the other log, and the prior of the smoother.
+
+    If ``held``, the clock offset is fixed.
+    """
     setup, poses, mount = problem.setup, problem.poses, problem.mount
     on_record = replace(poses, time_s=poses.time_s + offset_s)
     guide = alignment.find_world_turn(setup.record, setup.source, on_record, mount) * setup.source.rotation
@@ -338,53 +435,38 @@ def _start(problem: _Problem, offset_s: float) -> tuple[Setup, Prior]:
         "lever": LEVER_SD if setup.options.lever_m is None else STATED_LEVER_SD,
         "mount": problem.mount_sd,
         "tilt": TILT_SD,
-        "clock_s": CLOCK_SD,
+        "clock_s": HELD_CLOCK_SD if held else CLOCK_SD,
     }
     source = replace(setup.source, rotation=guide, heading=False)
     return replace(setup, source=source), Prior(guide, state, sd)
 
 
-def _fuse(
-    setup: Setup,
-    prior: Prior,
-    sensor: Sensor,
-    fixes: Fixes,
-    *,
-    held: bool,
-    after: Smoothed | None = None,
-    passes: int = 1,
-    gate: float = np.inf,
-) -> Smoothed:
-    """Smooth both logs with known noise; ``held`` fixes the clock offset."""
-    if held:
-        prior = replace(prior, sd={**prior.sd, "clock_s": HELD_CLOCK_SD})
+def _fuse(trial: _Trial, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> _Trial:
+    """Smooth both logs with known noise; the sensor is by default that of the last smoothing."""
+    setup, last = trial.setup, trial.smoothed
+    given = setup.record, trial.prior, sensor or last.sensor, setup.noise
 
     def observe(path: Nominal) -> list[Observation]:
-        return [*aiding.observe_alone(setup, path), *aiding.observe_fixes(fixes, path, gate)]
+        return [*alone.observe_alone(setup, path), *observe_fixes(trial.fixes, path, gate)]
 
-    smoothed = smoother.smooth(
-        setup.record, prior, sensor, setup.still.noise, observe, states=FUSED, after=after, passes=passes
-    )
+    smoothed = smoother.smooth(*given, observe, states=smoother.FUSED, after=last, passes=passes)
     setup.advance()
-    return smoothed
+    return replace(trial, smoothed=smoothed)
 
 
-def _with_noise(begun: _Trial, *, held: bool, noise_known: bool = False) -> _Trial:
+def _with_noise(trial: _Trial, *, noise_known: bool = False) -> _Trial:
     """Iterate noise, weights, error class of the sensor and motion until the noise converges."""
-    setup, prior, fixes, shown = begun.setup, begun.prior, begun.fixes, begun.sensor
-    smoothed = begun.smoothed
     for step in range(NOISE_STEPS):
-        better = fixes
+        fixes = trial.fixes
         if step or not noise_known:
-            better = _estimate_noise(smoothed, fixes, setup.options.fix_sd_m)
-        if step > 1 and np.nanmax(np.abs(np.log(better.noise / fixes.noise))) < NOISE_TOL:
+            fixes = _estimate_noise(trial.smoothed, fixes, trial.setup.options.fix_sd_m)
+        if step > 1 and np.nanmax(np.abs(np.log(fixes.noise / trial.fixes.noise))) < NOISE_TOL:
             break
-        fixes = better
-        smoothed = _fuse(setup, prior, shown, fixes, held=held, after=smoothed)
+        trial = now = _fuse(replace(trial, fixes=fixes))
         if step == 1 and not noise_known:
-            attempt = partial(_fuse, setup, prior, fixes=fixes, held=held, after=smoothed)
-            smoothed, shown = most_likely_class(smoothed, begun.sensor, attempt)
-    return _Trial(setup, prior, fixes, shown, smoothed)
+            best = most_likely_class(now.smoothed, lambda sensor: _fuse(now, sensor).smoothed)  # noqa: B023
+            trial = replace(now, smoothed=best)
+    return trial
 
 
 def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
@@ -393,8 +475,8 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
     Elements are NaN where nothing was measured and for fixes outside of the record.
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
-    measured = np.hstack([np.isfinite(fixes.position), fixes.turns])
-    for seen in aiding.observe_fixes(fixes.unweighted(), smoothed.path):
+    measured = np.hstack([np.isfinite(fixes.position), np.isfinite(fixes.angles)])
+    for seen in observe_fixes(fixes.unweighted(), smoothed.path):
         half = slice(0, 3) if seen.kind == "position" else slice(3, 6)
         columns = np.flatnonzero(measured[seen.fix, half]) + half.start
         h = seen.sensitivity
@@ -438,30 +520,23 @@ def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Arra
 
     The standard deviation of a column without values is NaN.
     """
-    usual = np.full(3, np.nan)
-    for k, column in enumerate(residual.T):
-        known = column[np.isfinite(column)]
-        if len(known):
-            usual[k] = np.median(np.abs(known)) / MEDIAN_SHARE
+    usual = np.ma.median(np.ma.masked_invalid(np.abs(residual)), axis=0).filled(np.nan) / MEDIAN_SHARE
     far = np.abs(residual) / np.fmax(sd, usual)
     weight = np.minimum(1.0, (GATE / np.fmax(np.fmax.reduce(far, axis=1), 1e-12)) ** 2)
     squares = np.where(weight[:, None] == 1, residual**2 + variance, np.nan)
-    count = np.isfinite(squares).sum(axis=0)
-    mean = np.nansum(squares, axis=0) / np.maximum(count, 1)
-    return np.sqrt(np.where(count > 0, mean, np.nan)), weight
+    return np.sqrt(np.ma.masked_invalid(squares).mean(axis=0).filled(np.nan)), weight
 
 
-def _final_offset(smoothed: Smoothed, first: Alignment) -> Offset:
+def _final_offset(smoothed: Smoothed) -> Offset:
     """Return the final clock offset, with an interval that is widened if innovations are too large."""
     scores = smoothed.errors.scores
     seen = [score for kind in ("position", "orientation") for score in scores.get(kind, ())]
     widening = 1.0
     if seen:
         widening = max(float(np.sqrt(np.mean(np.concatenate(seen) ** 2))), 1.0)
-    value, place = float(smoothed.path.clock_s), PARTS["clock_s"].start
+    value, place = float(smoothed.path.clock_s), smoother.PARTS["clock_s"].start
     sd = widening * float(np.sqrt(smoothed.errors.covariance[-1, place, place]))
-    low, high = value - BAND * sd, value + BAND * sd
-    return replace(first.offset, value_s=value, stderr_s=sd, low_s=low, high_s=high)
+    return Offset(value, sd, value - BAND * sd, value + BAND * sd)
 
 
 # ---------------------------------------------------------------- tests of the result
@@ -486,11 +561,11 @@ def _hold_out(problem: _Problem, trial: _Trial, held: bool) -> HeldOut | None:
     if len(block) > 1 and np.median(np.diff(fixes.time_s)) > BLOCK_S:
         block = np.arange(len(block))
     out = block % 4 == 2
-    count = int(np.sum(out & (np.isfinite(fixes.position).any(axis=1) | fixes.turns.any(axis=1))))
+    count = int(np.sum(out & (np.isfinite(fixes.position).any(axis=1) | fixes.turned)))
     if count < MIN_HELD_OUT:
         return None
-    setup, prior = _start(problem, trial.smoothed.path.clock_s)
-    smoothed = _fuse(setup, prior, trial.sensor, fixes.take(~out), held=held, after=trial.smoothed)
+    setup, prior = _start(problem, trial.smoothed.path.clock_s, held)
+    smoothed = _fuse(_Trial(setup, prior, fixes.take(~out), trial.smoothed)).smoothed
     left_out = fixes.take(out)
     residual, variance = _residuals(left_out, smoothed)
     measured = _is_measured(left_out, residual)
@@ -524,11 +599,7 @@ def _lasting_factor(trial: _Trial) -> float:
         if rows.sum() < MIN_HELD_OUT:
             continue
         x = values[rows] - np.mean(values[rows])
-        power, total = float(x @ x), 1.0
-        for lag in range(1, len(x) // 4):
-            shared = float(x[lag:] @ x[:-lag])
-            if shared <= 0:
-                break
-            total += 2 * shared / power
-        longest = max(longest, total)
+        shared = np.correlate(x, x, "full")[len(x) - 1 :][: len(x) // 4]
+        end = int(np.argmax(np.append(shared, 0.0) <= 0))
+        longest = max(longest, float(2 * shared[:end].sum() / shared[0] - 1))
     return float(np.sqrt(longest))

@@ -9,10 +9,21 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import alone, fusion, paper
-from swimid.inertial.aiding import GATE, turn_to_angles
+from swimid.inertial import alone, fusion
+from swimid.inertial.alone import GATE
 from swimid.inertial.fusion import Fused
-from swimid.inertial.record import ACCELERATION, RATE, Array, Finding, Flags, Poses, resampled
+from swimid.inertial.options import TrackImuOptions
+from swimid.inertial.record import (
+    ACCELERATION,
+    RATE,
+    Array,
+    Finding,
+    Poses,
+    Record,
+    integral,
+    resampled,
+    turn_to_angles,
+)
 from swimid.inertial.setup import BAND, Setup
 from swimid.inertial.smoother import Nominal, Smoothed, cross_matrix, gravity, jacobian
 from swimid.logs import beat, rhythm
@@ -167,52 +178,66 @@ def _high_pass(time_s: Array, values: Array, cutoff_hz: float) -> Array:
     return resampled(time_s, even, fast)
 
 
+def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOptions) -> tuple[Motion, Array]:
+    """Compute the motion of a vehicle by the method of the long-fin paper.
+
+    Parameters
+    ----------
+    record : Record
+        Recording of n samples in body axes.
+    rotation : Rotation
+        Attitude from body to earth, shape (n,): the inverse of ``M_e^f`` of the paper.
+    options : TrackImuOptions
+        Thresholds ("discarded", sec. 5.2) and motion mode. In the modes ``marching`` and ``receding`` the
+        constant parts of all six channels are errors and gravity, and are subtracted. In the mode
+        ``rotating`` the mean yaw rate is motion, and is not subtracted.
+
+    Returns
+    -------
+    Motion
+        Motion without standard deviations.
+    ndarray, shape (6,)
+        Constant parts of the channels, m/s^2 and rad/s.
+
+    Notes
+    -----
+    The method is that of Shang, Wang, Tan and Cheng (2012, doi:10.1017/S0263574711001159), section 5. The
+    constant part of the readings is subtracted, small readings are set to zero, and accelerations are
+    converted to the earth's axes (Eq 10). Velocity and position follow by the trapezoidal rule (Eqs 12 and
+    13). The paper states neither its filter, nor the thresholds, nor an uncertainty. Because the mean
+    acceleration is subtracted, the final velocity always equals the initial one.
+    """
+    constant = record.channels.mean(axis=0)
+    if options.motion_mode == "rotating":
+        constant[5] = 0.0
+    readings = record.channels - constant
+    thresholds = np.repeat([options.threshold_m_s2, options.threshold_rad_s], 3)
+    readings[np.abs(readings) < thresholds] = 0.0
+    acceleration = rotation.apply(readings[:, :3])
+    velocity = integral(record.time_s, acceleration)
+    moved = attitude_only(record.time_s, rotation, readings[:, 3:], acceleration, np.nan)
+    body_velocity = rotation.inv().apply(velocity)
+    position = integral(record.time_s, velocity)
+    return replace(moved, position=position, velocity=velocity, body_velocity=body_velocity), constant
+
+
 # ---------------------------------------------------------------- limits of the motion
 
 
-def is_too_fast(velocity: Array, velocity_sd: Array, top_m_s: float) -> Flags:
-    """Return flags of samples in which the robot is faster than it can be, shape (n,).
+def find_trust(time_s: Array, position: Array, position_sd: Array) -> float | None:
+    """Return the time at which the horizontal 95 % band exceeds 0.1 m and 10 % of the distance travelled.
 
-    In these samples the speed exceeds the top speed by more than the 95 % band, or it exceeds :data:`GATE`
-    times the standard deviation that the smoother assumes for the speed (half of the top speed).
-    """
-    speed = np.linalg.norm(velocity, axis=1)
-    along = np.sqrt(np.sum((velocity * velocity_sd) ** 2, axis=1)) / np.maximum(speed, 1e-9)
-    return (speed - BAND * along > top_m_s) | (speed > GATE * 0.5 * top_m_s)
-
-
-@dataclass(frozen=True)
-class Trust:
-    """Time up to which an integrated position can be used."""
-
-    #: Time on the clock of the log, s; None if the whole position can be used.
-    until_s: float | None
-    #: Usable duration from the end of a rest at the start, or from the first sample, s; None as above.
-    seconds: float | None
-    #: Maximum half-width of the 95 % band of the horizontal position, m.
-    widest_m: float
-
-
-def find_trust(time_s: Array, position: Array, position_sd: Array, moving_from_s: float) -> Trust:
-    """Find the time at which the horizontal 95 % band exceeds both 0.1 m and 10 % of the distance travelled.
+    The time is on the clock of the log, s. It is None if the whole position can be used.
 
     Parameters
     ----------
     position, position_sd : ndarray, shape (n, 3)
         Position and standard deviation, m. A position of NaN cannot be used.
-    moving_from_s : float
-        End of the rest at the start.
     """
     half = BAND * np.max(position_sd[:, :2], axis=1)
     travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(position[:, :2], axis=0).T)))
     beyond = np.flatnonzero(~(half <= np.maximum(TRUSTED_WIDTH_M, TRUSTED_SHARE * travelled)))
-    widest = float(np.max(half[np.isfinite(half)], initial=-np.inf))
-    if widest < 0:
-        widest = np.inf
-    if not len(beyond):
-        return Trust(None, None, widest)
-    until = float(time_s[beyond[0]])
-    return Trust(until, max(until - moving_from_s, 0.0), widest)
+    return float(time_s[beyond[0]]) if len(beyond) else None
 
 
 # ---------------------------------------------------------------- result
@@ -233,7 +258,8 @@ class Run:
     surge_osc_sd: Array
     poses: Poses | None = None
     fused: Fused | None = None
-    trust: Trust | None = None
+    #: Time up to which the position can be used, s; None if it can be used throughout.
+    trusted_until_s: float | None = None
     #: Biases of accelerometer (m/s^2) and gyroscope (rad/s) at the end, shape (6,).
     bias: Array | None = None
     #: Root-mean-square innovation of the velocity at rests, in standard deviations.
@@ -243,18 +269,19 @@ class Run:
 
     @property
     def by_paper(self) -> bool:
-        """Whether the method is that of :mod:`swimid.inertial.paper`, which has no standard deviations."""
+        """Whether the method is that of :func:`compute_by_paper`, which has no standard deviations."""
         return self.setup.options.method == "paper"
 
     @property
-    def body_to_sensor(self) -> Rotation:
-        """Rotation from body to sensor axes: the fused mounting if available, otherwise that of the setup."""
-        return self.setup.mount.rotation if self.fused is None else self.fused.smoothed.path.mount
+    def alone(self) -> bool:
+        """Whether the motion was estimated from the inertial unit by itself."""
+        return self.fused is None and not self.by_paper
 
     @property
     def tilt(self) -> tuple[float, float]:
         """Roll and pitch of the body at rest, rad."""
-        up = self.body_to_sensor.inv().apply(self.setup.mount.up)
+        mount = self.setup.mount.rotation if self.fused is None else self.fused.smoothed.path.mount
+        up = mount.inv().apply(self.setup.mount.up)
         return float(np.arctan2(up[1], up[2])), float(np.arctan2(up[0], np.hypot(up[1], up[2])))
 
     @property
@@ -276,7 +303,7 @@ class Run:
     def columns(self) -> dict[str, Any]:
         """Return the columns of the log, in order."""
         m, record = self.motion, self.setup.record
-        known = {
+        columns = {
             "t_s": m.time_s,
             **_named("{}_m", m.position),
             **_named("{}_rad", np.column_stack(angles(m.rotation)), ANGLES),
@@ -287,9 +314,8 @@ class Run:
             **_named("q{}", m.rotation.as_quat(), "xyzw"),
         }
         if self.by_paper:
-            return known
-        return {
-            **known,
+            return columns
+        return columns | {
             "u_osc_m_s": self.surge_osc,
             **_named("{}_sd_m", m.position_sd),
             **_named("{}_sd_rad", m.angle_sd, ANGLES),
@@ -324,11 +350,10 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     known: dict[str, Any] = {"poses": poses, "stroke": stroke, "cutoff_hz": cutoff, "findings": findings}
     known |= {"surge_osc": empty, "surge_osc_sd": empty}
     if options.method == "paper":
-        parts, known["bias"] = paper.compute_motion(body, setup.attitude, options)
-        moved = attitude_only(t, setup.attitude, parts["rate"], parts["acceleration"], np.nan)
-        return Run(setup=setup, motion=replace(moved, **parts), **known)  # type: ignore[arg-type]
+        moved, known["bias"] = compute_by_paper(body, setup.attitude, options)
+        return Run(setup=setup, motion=moved, **known)
     found = alone.estimate(setup) if poses is None else fusion.estimate(setup, poses)
-    setup = replace(setup, sensor=found.sensor, still=found.still)
+    setup = replace(found.setup, sensor=found.smoothed.sensor)
     known["findings"] = [*findings, *found.findings]
     impossible = found.impossible
     if impossible:
@@ -344,17 +369,18 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     if isinstance(found, Fused):
         known["fused"] = found
     else:
-        fast = is_too_fast(moved.velocity, moved.velocity_sd, options.top_speed_m_s)
+        # too fast: beyond the top speed by more than the 95 % band, or by more than GATE times the standard
+        # deviation that the smoother assumes for the speed
+        speed, top_m_s = np.linalg.norm(moved.velocity, axis=1), options.top_speed_m_s
+        squares = np.sum((moved.velocity * moved.velocity_sd) ** 2, axis=1)
+        band = BAND * np.sqrt(squares) / np.maximum(speed, 1e-9)
+        fast = (speed - band > top_m_s) | (speed > GATE * 0.5 * top_m_s)
         if fast.any():
-            fastest = float(np.max(np.linalg.norm(moved.velocity, axis=1)))
             impossible = [
                 f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be, "
-                f"{options.top_speed_m_s:g} m/s (up to {fastest:.1f} m/s)"
+                f"{top_m_s:g} m/s (up to {speed.max():.1f} m/s)"
             ]
             hidden = np.where(fast[:, None], np.nan, 0.0)
             moved = replace(moved, **{name: getattr(moved, name) + hidden for name in EMPTIED})
-        rests, start = setup.still.rests, float(t[0])
-        if rests and rests[0].first == 0:
-            start = float(t[rests[0].last - 1])
-        known["trust"] = find_trust(t, moved.position, moved.position_sd, start)
+        known["trusted_until_s"] = find_trust(t, moved.position, moved.position_sd)
     return Run(setup=setup, motion=moved, impossible=tuple(impossible), **known)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
@@ -18,7 +18,7 @@ from swimid.files.provenance import path_of
 from swimid.files.tabular import missing_column
 from swimid.logs import log, mapping, tracks
 from swimid.logs.log import Log
-from swimid.logs.rotation import angles, from_angles
+from swimid.logs.rotation import angles, from_angles, with_angles
 from swimid.logs.sampling import usual_step
 from swimid.notices import warn
 from swimid.progress import Progress
@@ -80,11 +80,6 @@ class Record:
         """Accelerations and turn rates in the order of :data:`CHANNELS`, shape (n, 6)."""
         return np.hstack([self.acceleration, self.rate])
 
-    def with_channels(self, values: Array) -> Record:
-        """Return the record with accelerations and turn rates replaced by ``values``, shape (n, 6)."""
-        acceleration, rate = (np.ascontiguousarray(half) for half in np.hsplit(values, 2))
-        return replace(self, acceleration=acceleration, rate=rate)
-
     def take(self, rows: Any) -> Record:
         """Return the record with the rows selected by indices or flags."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
@@ -121,19 +116,18 @@ def turns_of(rotation: Rotation) -> Array:
     return np.asarray((rotation[:-1].inv() * rotation[1:]).as_rotvec())
 
 
-def level(up: Array) -> Rotation:
-    """Return the smallest rotation that turns the direction ``up``, shape (3,), into the z axis.
+def turn_to_angles(body: Rotation) -> Array:
+    """Return the derivatives of roll, pitch and yaw with respect to small rotations, shape (n, 3, 3).
 
-    >>> level(np.array([0.0, 2.0, 0.0])).apply([0.0, 1.0, 0.0]).round(9).tolist()
-    [0.0, 0.0, 1.0]
+    The rotations are about world axes, and the body is nearly level. Roll is then about the heading
+    direction, pitch about starboard (nose up), and yaw about the vertical.
     """
-    unit = np.asarray(up, dtype=float) / np.linalg.norm(up)
-    axis = np.cross(unit, [0.0, 0.0, 1.0])
-    size = float(np.linalg.norm(axis))
-    if size < 1e-12:
-        axis, size = np.array([1.0, 0.0, 0.0]), 1.0
-        return Rotation.from_rotvec(axis * np.pi * (unit[2] < 0))
-    return Rotation.from_rotvec(axis / size * np.arctan2(size, unit[2]))
+    yaw = angles(body)[2]
+    out = np.zeros((len(yaw), 3, 3))
+    out[:, 0, 0], out[:, 0, 1] = np.cos(yaw), np.sin(yaw)
+    out[:, 1, 0], out[:, 1, 1] = np.sin(yaw), -np.cos(yaw)
+    out[:, 2, 2] = 1.0
+    return out
 
 
 @dataclass(frozen=True)
@@ -144,7 +138,8 @@ class Poses:
     #: Position along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
     #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.rotation.angles`, shape (m, 3); NaN
-    #: where not measured. A log has all three, or only yaw, or only pitch, or none.
+    #: where not measured. A log has all three, or only yaw, or only pitch, or none, and a row has all of them
+    #: or none.
     angles: Array
 
     @property
@@ -153,25 +148,14 @@ class Poses:
         return np.asarray(np.isfinite(self.angles).any(axis=0))
 
     @property
-    def full(self) -> bool:
-        """Whether all three angles were measured."""
-        return bool(self.measured.all())
-
-    @property
     def rotation(self) -> Rotation:
         """Attitudes from body to world, with missing angles set to 0."""
         return from_angles(*np.nan_to_num(self.angles).T)
 
     @property
     def turned(self) -> Flags:
-        """Flags of the rows in which no measured angle is missing, shape (m,)."""
-        used = self.measured
-        return np.asarray(used.any() & np.isfinite(self.angles[:, used]).all(axis=1))
-
-    @property
-    def turns(self) -> Flags:
-        """Flags of the angles that can be compared, shape (m, 3): those in rows without a missing angle."""
-        return np.isfinite(self.angles) & self.turned[:, None]
+        """Flags of the rows in which all measured angles are known, shape (m,)."""
+        return np.asarray(np.isfinite(self.angles).any(axis=1))
 
 
 # ---------------------------------------------------------------- reading
@@ -229,20 +213,16 @@ def read_poses(read: Log) -> Poses:
         if name in read:
             bridged |= read[name] == value
 
+    columns = with_angles(read.columns)
+
     def channel(name: str, unit: str) -> Array:
         for column in (f"{name}_raw_{unit}", f"{name}_{unit}"):
-            if column in read:
-                return np.where(bridged, np.nan, read[column])
+            if column in columns:
+                return np.where(bridged, np.nan, columns[column])
         return np.full(len(read), np.nan)
 
     position = np.column_stack([channel(axis, "m") for axis in "xyz"])
     turn = np.column_stack([channel(name, "rad") for name in ("roll", "pitch", "yaw")])
-    if all(name in read for name in QUATERNION):
-        q = np.column_stack([read[name] for name in QUATERNION])
-        known = np.isfinite(q).all(axis=1) & (np.linalg.norm(q, axis=1) > 0.5) & ~bridged
-        turn[:] = np.nan
-        if known.any():
-            turn[known] = np.column_stack(angles(rotations(q[known])))
     if not np.isfinite(position).any() and not np.isfinite(turn).any():
         text = "holds neither a position (x_m, y_m, z_m) nor an angle (roll_rad, pitch_rad, yaw_rad)"
         raise InputError(text, file=read.path, hint="tracks in pixels need a scale in their setup")
@@ -252,6 +232,8 @@ def read_poses(read: Log) -> Poses:
     if not measured.any(axis=0).all():
         single = 2 if measured[:, 2].any() else 1
         turn[:, np.arange(3) != single] = np.nan
+    incomplete = np.isnan(turn) & np.isfinite(turn).any(axis=0)
+    turn[incomplete.any(axis=1)] = np.nan
     return Poses(read.time_s, position, turn)
 
 
@@ -274,27 +256,6 @@ def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
 # ---------------------------------------------------------------- dead reckoning
 
 
-@njit(cache=True)
-def _integrate(vectors, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Return the quaternions (x, y, z, w) after each of the rotation vectors, which are about body axes."""
-    n = len(vectors)
-    q = np.empty((n + 1, 4))
-    q[0] = start
-    for k in range(n):
-        x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
-        angle = np.sqrt(x * x + y * y + z * z)
-        s = 0.5 - angle * angle / 48.0 if angle < 1e-4 else np.sin(0.5 * angle) / angle
-        c = np.cos(0.5 * angle)
-        x, y, z = s * x, s * y, s * z
-        a, b, g, w = q[k, 0], q[k, 1], q[k, 2], q[k, 3]
-        q[k + 1, 0] = w * x + a * c + b * z - g * y
-        q[k + 1, 1] = w * y - a * z + b * c + g * x
-        q[k + 1, 2] = w * z + a * y - b * x + g * c
-        q[k + 1, 3] = w * c - a * x - b * y - g * z
-        q[k + 1] /= np.sqrt(np.sum(q[k + 1] ** 2))
-    return q
-
-
 def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation:
     """Return the attitude at every sample by integration of turn rates.
 
@@ -313,7 +274,8 @@ def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation
     """
     dt = np.diff(time_s)[:, None]
     turn = 0.5 * (rate[1:] + rate[:-1]) * dt + np.cross(rate[:-1], rate[1:]) * dt**2 / 12
-    return Rotation.from_quat(_integrate(turn, start.as_quat()))
+    steps = [start.as_matrix(), *Rotation.from_rotvec(turn).as_matrix()]
+    return Rotation.from_matrix(np.array(list(accumulate(steps, np.matmul))))
 
 
 def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.errors import InputError, extra_needed
+from swimid.errors import InputError, UsageError, extra_needed
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import GRAVITY_M_S2, Array, Finding, Record, level, resampled, rotations
+from swimid.inertial.record import GRAVITY_M_S2, Array, Finding, Record, resampled, rotations
 from swimid.logs.log import runs
 from swimid.logs.rotation import from_angles
 
@@ -39,32 +39,20 @@ class Sensor:
     #: Relative change of the scale over the range of motion (nonlinearity) of accelerometer and gyroscope.
     bending_sd: float = 0.002
 
-    def classes(self) -> dict[str, Sensor]:
-        """Return copies of this unit with the errors of other classes of sensors, by name of the class.
-
-        Errors stated by the user are unchanged.
-        """
-        usual = vars(Sensor())
-        free = {name for name, value in vars(self).items() if value == usual[name]}
-        return {
-            name: replace(self, **{key: value for key, value in errors.items() if key in free})
-            for name, errors in CLASSES.items()
-        }
-
 
 #: Errors of chips as soldered: limits of their data sheets divided by sqrt(3) (uniform distribution). The
 #: chips are InvenSense MPU-6050 (PS-MPU-6000A rev. 3.4, sec. 6.1 and 6.2: +-50 mg, +-20 deg/s, scale +-3 %,
 #: cross-axis +-2 %), ICM-20948 (DS-000189: +-50 mg on a board, +-5 deg/s, +-1.5 %), Bosch BMI160 (+-40 mg,
 #: +-3 deg/s), and ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, these chips have biases as constant as
 #: those of better units.
-CHIP: dict[str, float] = {"acceleration_bias_sd": 30 * MILLI_G, "rate_bias_sd": 5.0 * DEG, "scale_sd": 0.015}
-#: Change of the biases of these chips in 100 s while they warm up by ten degrees in five minutes, at 0.5 mg
-#: and 0.16 deg/s per degree (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125 degrees).
-WARMING: dict[str, float] = {"acceleration_drift": 1.7 * MILLI_G, "rate_drift": 0.5 * DEG}
+CHIP = Sensor(30 * MILLI_G, 5.0 * DEG, scale_sd=0.015)
+#: Classes of sensors that a recording can show, in addition to the default. A chip warms up by ten degrees in
+#: five minutes, and its biases change by 0.5 mg and 0.16 deg/s per degree (MPU-6050: +-35 mg over 70 degrees,
+#: +-20 deg/s over 125 degrees). The values are the changes in 100 s.
 CLASSES = {
     "a consumer's chip (biases of 30 mg, scales off by 1.5 %)": CHIP,
     "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)": (
-        CHIP | WARMING
+        replace(CHIP, acceleration_drift=1.7 * MILLI_G, rate_drift=0.5 * DEG)
     ),
 }
 #: Time over which the drift of a bias is stated, s.
@@ -163,11 +151,15 @@ def _declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Re
 
     Raises
     ------
+    UsageError
+        When a stated rest does not end after it begins.
     InputError
         When the sensor rotates in a stated rest.
     """
     rests = []
     for start, end in windows:
+        if not start < end:
+            raise UsageError(f"--still {start:g} {end:g}: the rest must end after it begins")
         first, last = (int(row) for row in np.searchsorted(record.time_s, [start, end]))
         if last - first < 4:
             continue
@@ -191,10 +183,9 @@ def _rest(record: Record, first: int, last: int) -> Rest:
 class Noise:
     """White noise of the sensor."""
 
-    #: Noise densities, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
-    acceleration: float
-    rate: float
-    #: Source of the noise densities: "still periods", "given" or "data sheet".
+    acceleration_m_s2_per_rt_hz: float
+    rate_rad_s_per_rt_hz: float
+    #: Source of the noise densities: "still periods" or "data sheet".
     source: str
 
 
@@ -239,9 +230,6 @@ QUATERNIONS = "quaternion columns"
 #: Standard deviations of the attitude, rad: of quaternions in a log (3DM-GX1, Table I of Shang et al.), and
 #: of an attitude filter.
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
-#: Correlation times of the attitude errors, s: minimum for quaternions, and value for a filter. Samples
-#: within this time count as one measurement.
-QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
 #: Maximum angle between the vertical and the z axis of an upright sensor, rad.
 UPRIGHT = 45 * DEG
 #: Positions of the still periods that are rests of the robot, for each value of the option ``--rest``.
@@ -262,20 +250,6 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Stillness:
-    """Still periods, the rests of the robot among them, and the noise of the sensor."""
-
-    stretches: list[Rest]
-    rests: list[Rest]
-    noise: Noise
-
-    def without(self, rests: list[Rest]) -> Stillness:
-        """Return the still periods without the given rests."""
-        stretches, kept = ([r for r in some if r not in rests] for some in (self.stretches, self.rests))
-        return replace(self, stretches=stretches, rests=kept)
-
-
-@dataclass(frozen=True)
 class Mount:
     """Mounting of the sensor on the body."""
 
@@ -293,24 +267,26 @@ class Setup:
 
     record: Record
     options: TrackImuOptions
-    sensor: Sensor
-    still: Stillness
+    #: Still periods, the rests of the robot among them, and the noise of the sensor.
+    still: list[Rest]
+    rests: list[Rest]
+    noise: Noise
     mount: Mount
     source: Source
+    #: Errors of the sensor.
+    sensor: Sensor = Sensor()
     #: Function that is called after each smoothing, to show the progress.
     advance: Callable[[], Any] = lambda: None
 
     @property
     def attitude_sd(self) -> float:
         """Standard deviation of the attitude before smoothing, rad."""
-        if self.options.attitude_sd_deg is not None:
-            return self.options.attitude_sd_deg * DEG
         return QUATERNION_SD if self.source.kind == QUATERNIONS else FILTER_SD
 
     @property
     def still_rate(self) -> Array:
         """Median turn rate shown by the sensor in its still periods, rad/s, shape (3,)."""
-        return mean_rate(self.record, self.still.stretches)
+        return mean_rate(self.record, self.still)
 
     @property
     def body(self) -> Record:
@@ -331,32 +307,29 @@ class Setup:
         mount : Rotation
             Mounting from body to sensor.
         """
-        if self.options.lever_m is None:
-            return np.zeros(3)
-        return np.asarray(mount.apply(-np.asarray(self.options.lever_m)))
+        return np.asarray(mount.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
 
     def without(self, rests: list[Rest]) -> Setup:
         """Return the setup without the given rests.
 
         An attitude that comes from a filter is estimated again.
         """
-        still, source = self.still.without(rests), self.source
-        if source.kind != QUATERNIONS:
-            source = _attitude(self.record, still.stretches)
-        return replace(self, still=still, source=source)
+        still, used = ([r for r in some if r not in rests] for some in (self.still, self.rests))
+        return replace(self, still=still, rests=used, source=_attitude(self.record, still))
 
 
 def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Finding]]:
     """Return the setup of a record (rests, mounting and attitude), and findings about its mounting."""
-    still = _stillness(record, options)
-    mount, findings = find_mount(record, still.stretches, options)
+    still, rests = _find_still(record, options)
+    mount, findings = find_mount(record, still, options)
     setup = Setup(
         record=record,
         options=options,
-        sensor=Sensor(options.accel_bias_mg * MILLI_G, options.gyro_bias_deg_s * DEG),
         still=still,
+        rests=rests,
+        noise=measure_noise(record, still),
         mount=mount,
-        source=_attitude(record, still.stretches),
+        source=_attitude(record, still),
     )
     return setup, findings
 
@@ -383,7 +356,7 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
         return Mount(Rotation.identity(), "quaternions", up), []
     if float(np.arccos(np.clip(up[2], -1, 1))) <= UPRIGHT:
         if options.level_at_rest:
-            return Mount(level(up).inv(), "level at rest", up), []
+            return Mount(_level(up), "level at rest", up), []
         return Mount(Rotation.identity(), "as the sensor's axes", up), []
     axis = int(np.argmax(np.abs(up)))
     nearest = np.sign(up[axis]) * np.eye(3)[axis]
@@ -400,23 +373,22 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
         f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest "
         "turn that puts this axis up; give --mount-deg if the body's forward axis comes out wrong"
     )
-    rotation = level(up if options.level_at_rest else nearest).inv()
+    rotation = _level(up if options.level_at_rest else nearest)
     return Mount(rotation, f"{name} axis up", up), [Finding("gravity axis", "handled", text)]
 
 
-def _stillness(record: Record, options: TrackImuOptions) -> Stillness:
-    """Find the still periods, and decide which of them are rests of the robot."""
+def _level(up: Array) -> Rotation:
+    """Return the inverse of the smallest rotation that turns the direction ``up`` into the z axis."""
+    return Rotation.align_vectors(up[None], [[0.0, 0.0, 1.0]])[0]
+
+
+def _find_still(record: Record, options: TrackImuOptions) -> tuple[list[Rest], list[Rest]]:
+    """Return the still periods, and those of them that are rests of the robot."""
     named = _declared(record, options.still)
     free = [r for r in find_rests(record) if not any(r.first < d.last and d.first < r.last for d in named)]
     places = REST_PLACES[options.rests]
     rests = sorted([*named, *(r for r in free if r.at in places)], key=lambda r: r.first)
-    still = sorted([*named, *free], key=lambda r: r.first)
-    noise = measure_noise(record, still)
-    given = {"acceleration": options.accel_noise, "rate": options.gyro_noise}
-    stated = {name: value for name, value in given.items() if value is not None}
-    if stated:
-        noise = replace(noise, source="given", **stated)  # type: ignore[arg-type]
-    return Stillness(still, rests, noise)
+    return sorted([*named, *free], key=lambda r: r.first), rests
 
 
 def _attitude(record: Record, rests: list[Rest]) -> Source:

@@ -202,9 +202,9 @@ def smooth_errors(
             mean, cov, score, likely = _update(mean, cov, seen)
             if score is None:
                 rejected += 1
-            else:
-                scores.setdefault(seen.kind, []).append(score)
-                likelihood += likely * seen.counted
+                continue
+            scores.setdefault(seen.kind, []).append(score)
+            likelihood += likely * seen.counted
         means[k], covs[k] = mean, cov
     gains = np.empty((nodes - 1, states, states))
     for k in range(nodes - 2, -1, -1):
@@ -343,6 +343,8 @@ class Smoothed:
     errors: Errors
     #: State at the first sample, with which another linearisation would start.
     origin: State
+    #: Sensor whose errors are assumed.
+    sensor: Sensor
 
     def score(self, kind: str) -> float | None:
         """Return the root-mean-square normalised innovation of a kind of observation; None if it has none."""
@@ -376,7 +378,7 @@ def smooth(
     sensor : Sensor
     noise : Noise
     observe : callable
-        Returns the observations of a path; see :mod:`swimid.inertial.aiding`.
+        Returns the observations of a path; see :mod:`swimid.inertial.alone`.
     states : int
         Number of errors: :data:`ALONE`, or :data:`FUSED` to estimate also lever, mounting, tilt of the world
         and clock.
@@ -401,22 +403,16 @@ def smooth(
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
         now, path = now.corrected(begin), _corrected(record, path, errors)
-    return Smoothed(path, errors, now)
-
-
-def _node_rows(time_s: Array) -> np.ndarray:
-    """Return the rows of a record at which the errors are estimated, shape (nodes,)."""
-    spacing = max(NODE_S, float(time_s[-1] - time_s[0]) / MAX_NODES)
-    if np.median(np.diff(time_s)) >= spacing:
-        return np.arange(len(time_s))
-    wanted = np.searchsorted(time_s, np.arange(time_s[0], time_s[-1], spacing))
-    return np.unique(np.append(wanted, len(time_s) - 1))
+    return Smoothed(path, errors, now, sensor)
 
 
 def _integrated(record: Record, prior: Prior, states: int) -> Nominal:
     """Return the path by integration of the accelerations along the attitude of the prior."""
-    t, start = record.time_s, prior.state
-    known = {**vars(start), "rotation": prior.guide, "nodes": _node_rows(t), "states": states}
+    t, start, nodes = record.time_s, prior.state, np.arange(len(record))
+    spacing = max(NODE_S, float(t[-1] - t[0]) / MAX_NODES)
+    if record.step_s < spacing:
+        nodes = np.unique(np.append(np.searchsorted(t, np.arange(t[0], t[-1], spacing)), len(t) - 1))
+    known = {**vars(start), "rotation": prior.guide, "nodes": nodes, "states": states}
     path = _about(record, start, Nominal(**known, time_s=t, force=record.acceleration, rate=record.rate))
     velocity = integral(t, path.acceleration, start.velocity)
     return replace(path, velocity=velocity, position=integral(t, velocity, start.position))
@@ -524,8 +520,10 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 
     moving = record.acceleration - np.median(record.acceleration, axis=0)
-    velocity = white(noise.acceleration, record.acceleration, moving, record.filled_acceleration)
-    angle = white(noise.rate, record.rate, record.rate, record.filled_rate)
+    velocity = white(
+        noise.acceleration_m_s2_per_rt_hz, record.acceleration, moving, record.filled_acceleration
+    )
+    angle = white(noise.rate_rad_s_per_rt_hz, record.rate, record.rate, record.filled_rate)
     dt_nodes = np.diff(path.node_s)
     q = np.zeros((len(dt_nodes), path.states, path.states))
     for i in range(3):

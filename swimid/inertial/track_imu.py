@@ -11,8 +11,8 @@ import numpy as np
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
-from swimid.inertial import faults, motion, paper
-from swimid.inertial.aiding import AXES, GATE
+from swimid.inertial import faults, motion
+from swimid.inertial.alone import GATE
 from swimid.inertial.fusion import MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Fused
 from swimid.inertial.motion import Run
 from swimid.inertial.options import TrackImuOptions
@@ -22,7 +22,6 @@ from swimid.inertial.smoother import PARTS
 from swimid.logs import log, mapping
 from swimid.logs.log import Log, LogLike
 from swimid.logs.logged import Logged
-from swimid.logs.rhythm import Rhythm
 from swimid.logs.rotation import angles
 from swimid.notices import Notice, recorded, warn
 from swimid.options import takes
@@ -131,23 +130,14 @@ def track_imu(
 # ---------------------------------------------------------------- log and evidence
 
 
-RAUCH = (
-    "Rauch, H. E., Tung, F., Striebel, C. T. (1965). Maximum likelihood estimates of linear dynamic systems. "
-    "AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166"
-)
-GROVES = (
-    "Groves, P. D. (2013). Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, "
-    "2nd ed. Artech House."
-)
-VQF = (
-    "Laidig, D., Seel, T. (2023). VQF: Highly accurate IMU orientation estimation with bias estimation and "
-    "magnetic disturbance rejection. Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
-)
+SHANG = "Shang, Wang, Tan, Cheng (2012). Robotica 30, 913-923. doi:10.1017/S0263574711001159"
+RAUCH = "Rauch, Tung, Striebel (1965). AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166"
+VQF = "Laidig, Seel (2023). Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
 #: Maximum root-mean-square innovation of the velocity at rests, in standard deviations. Two rests give at
 #: least six innovations. Their chi-square exceeds four times its degrees of freedom in 1 of 2000 cases.
 MAX_REST_SCORE = 2.0
-#: Maximum number of samples, and of poses in the other log, in a figure.
-N_DRAWN, N_DRAWN_POSES = 2000, 800
+#: Maximum number of samples of a trace in a figure.
+N_DRAWN = 2000
 #: Verdict of a check and code of its warning, for each verdict of a finding.
 GRADES: dict[str, tuple[Literal["info", "warn", "fail"], str]] = {
     "noted": ("info", ""),
@@ -177,19 +167,19 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
         "made_by": "swimid track imu",
         "method": options.method,
         "attitude_from": run.setup.source.kind,
-        "path_trusted_until_s": run.trust and run.trust.until_s,
+        "path_trusted_until_s": run.trusted_until_s,
         "clock_offset_s": run.fused and run.fused.offset.value_s,
         "stroke_hz": run.stroke and run.stroke.beat.frequency_hz,
     }
     metadata = {k: v for k, v in head.items() if v is not None}
-    references = [paper.REFERENCE] if run.by_paper else [RAUCH, GROVES]
+    references = [SHANG if run.by_paper else RAUCH]
     if record.quaternion is None:
         references.append(VQF)
     evidence = Evidence(
         command="track imu",
         title=f"Motion of {record.name}",
         verdict=judged(_answer(run), checks),
-        facts=_facts(run),
+        facts={"Attitude": run.setup.source.kind, "Mounting": run.setup.mount.by},
         checks=checks,
         tables=_tables(run),
         figures=_figures(run),
@@ -203,11 +193,13 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
     return Logged("track imu", "", data, evidence=evidence, document=document, table=columns)
 
 
-def _still_periods(run: Run) -> Iterator[tuple[float, float, str, bool]]:
-    """Yield start, end and position of each still period, and whether it is used as a rest."""
-    t, still = run.setup.record.time_s, run.setup.still
-    for rest in still.stretches:
-        yield float(t[rest.first]), float(t[rest.last - 1]), rest.at, rest in still.rests
+def _still_periods(run: Run) -> list[dict[str, Any]]:
+    """Return start, end and position of each still period, and whether it is used as a rest."""
+    t, setup = run.setup.record.time_s.tolist(), run.setup
+    return [
+        {"from_s": t[r.first], "to_s": t[r.last - 1], "at": r.at, "used_as_rest": r in setup.rests}
+        for r in setup.still
+    ]
 
 
 def _rms(values: Array) -> float | None:
@@ -224,27 +216,23 @@ def _largest(values: Any) -> float | None:
 
 
 def _data(run: Run) -> dict[str, Any]:
-    setup, moved = run.setup, run.motion
-    t, noise = setup.record.time_s, setup.still.noise
+    setup, stroke, fused = run.setup, run.stroke, run.fused
     roll, pitch = run.tilt
     out: dict[str, Any] = {
         "method": setup.options.method,
-        "samples": len(t),
-        "duration_s": float(t[-1] - t[0]),
-        "sample_time_s": setup.record.step_s,
         "attitude_from": setup.source.kind,
-        "still_periods": [
-            {"from_s": start, "to_s": end, "at": at, "used_as_rest": used}
-            for start, end, at, used in _still_periods(run)
-        ],
-        "noise": {
-            "acceleration_m_s2_per_rt_hz": noise.acceleration,
-            "rate_rad_s_per_rt_hz": noise.rate,
-            "source": noise.source,
-        },
+        "still_periods": _still_periods(run),
+        "noise": vars(setup.noise),
         "faults": [vars(finding) for finding in run.findings],
         "mounting": {"by": setup.mount.by, "roll_at_rest_rad": roll, "pitch_at_rest_rad": pitch},
-        "stroke": run.stroke and _stroke(run, run.stroke),
+        "stroke": stroke
+        and {
+            "channel": stroke.channel,
+            "frequency_hz": stroke.beat.frequency_hz,
+            "stderr_hz": stroke.beat.stderr_hz,
+            "stated_hz": run.stated_hz,
+            "contradicts": run.contradiction is not None,
+        },
     }
     if run.bias is not None:
         out["bias"] = {"acceleration_m_s2": run.bias[:3].tolist(), "rate_rad_s": run.bias[3:].tolist()}
@@ -253,58 +241,30 @@ def _data(run: Run) -> dict[str, Any]:
     out |= {
         "impossible": list(run.impossible),
         "rest_innovation_rms": run.rest_score,
-        "surge_oscillation": {
-            "rms_m_s": _rms(run.surge_osc),
-            "sd_m_s": _rms(run.surge_osc_sd),
-            "above_hz": run.cutoff_hz,
-        },
-        "largest_band_95": {
-            "position_m": _largest(BAND * moved.position_sd),
-            "velocity_m_s": _largest(BAND * moved.velocity_sd),
-            "yaw_rad": _largest(BAND * moved.angle_sd[:, 2]),
-        },
+        "surge_oscillation": {"rms_m_s": _rms(run.surge_osc), "above_hz": run.cutoff_hz},
+        "largest_band_95": {"position_m": _largest(BAND * run.motion.position_sd)},
     }
-    if run.trust is not None:
-        out["path_trusted"] = {"until_s": run.trust.until_s, "seconds": run.trust.seconds}
-    if run.fused is not None:
-        path, covariance = run.fused.smoothed.path, run.fused.smoothed.errors.covariance[-1]
+    if run.alone:
+        out["path_trusted"] = {"until_s": run.trusted_until_s}
+    if fused is not None:
+        path, covariance = fused.smoothed.path, fused.smoothed.errors.covariance[-1]
         out["mounting"] |= {
-            "body_to_sensor_rotation_vector_rad": run.body_to_sensor.as_rotvec().tolist(),
-            "lever_m": (-run.body_to_sensor.inv().apply(path.lever)).tolist(),
+            "body_to_sensor_rotation_vector_rad": path.mount.as_rotvec().tolist(),
+            "lever_m": (-path.mount.inv().apply(path.lever)).tolist(),
             "lever_sd_m": np.sqrt(np.diag(covariance)[PARTS["lever"]]).tolist(),
             "world_tilt_rad": path.tilt.tolist(),
         }
-        out["fusion"] = _fusion(run.fused)
+        out["fusion"] = {
+            "clock_offset_s": fused.offset.value_s,
+            "clock_offset_95_s": [fused.offset.low_s, fused.offset.high_s],
+            "clocks_agree": fused.agree,
+            "fix_sd_m": fused.fixes.noise[:3].tolist(),
+            "fixes_used": len(fused.smoothed.errors.scores.get("position", ())),
+            "fixes_stray": fused.stray,
+            "widened_by_lasting_errors": fused.lasting,
+            "held_out": fused.held_out and vars(fused.held_out),
+        }
     return out
-
-
-def _stroke(run: Run, stroke: Rhythm) -> dict[str, Any]:
-    beat = stroke.beat
-    return {
-        "channel": stroke.channel,
-        "frequency_hz": beat.frequency_hz,
-        "stderr_hz": beat.stderr_hz,
-        "stated_hz": run.stated_hz,
-        "contradicts": run.contradiction is not None,
-    }
-
-
-def _fusion(fused: Fused) -> dict[str, Any]:
-    fixes, scores = fused.fixes, fused.smoothed.errors.scores
-    return {
-        "clock_offset_s": fused.offset.value_s,
-        "clock_offset_95_s": [fused.offset.low_s, fused.offset.high_s],
-        "clocks_by": fused.alignment.by,
-        "clocks_explained": fused.alignment.offset.explained,
-        "clocks_agree": fused.agree,
-        "fix_sd_m": fixes.noise[:3].tolist(),
-        "fix_sd_rad": float(fixes.noise[3]) if fixes.turns.any() else None,
-        "innovation_rms": {kind: fused.smoothed.score(kind) for kind in scores},
-        "fixes_used": len(scores.get("position", ())),
-        "fixes_stray": fused.stray,
-        "widened_by_lasting_errors": fused.lasting,
-        "held_out": fused.held_out and vars(fused.held_out),
-    }
 
 
 # ---------------------------------------------------------------- checks
@@ -332,10 +292,10 @@ def _checks(run: Run) -> list[Check]:
 
 def _motion_tests(run: Run) -> Iterator[Test]:
     setup = run.setup
-    count = len(setup.still.stretches)
+    count = len(setup.still)
     reason = "no still period found; the biases are known to data-sheet accuracy only"
     yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
-    size = float(np.mean(np.linalg.norm(mean_accelerations(setup.record, setup.still.stretches), axis=1)))
+    size = float(np.mean(np.linalg.norm(mean_accelerations(setup.record, setup.still), axis=1)))
     # half-width of the 95 % band, relative to g, from bias and scale of the sensor's class
     share = BAND * float(np.hypot(setup.sensor.acceleration_bias_sd / GRAVITY_M_S2, setup.sensor.scale_sd))
     value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
@@ -344,11 +304,11 @@ def _motion_tests(run: Run) -> Iterator[Test]:
         yield "", "Uncertainty", "none", "a stated band", False, "this method states no uncertainty"
     if run.impossible:
         yield "SWM086", "Possible motion", "no", "else left empty", False, "; ".join(run.impossible)
-    if run.trust is not None:
-        used, limit = run.trust.seconds, "95 % band within 0.1 m or a tenth of the way"
-        value = "all of it" if used is None else f"{used:.1f} s of motion"
+    if run.alone:
+        until, limit = run.trusted_until_s, "95 % band within 0.1 m or a tenth of the way"
+        value = "its end" if until is None else f"t = {until:.1f} s"
         reason = f"the integrated position is not to be trusted after {value}"
-        yield "SWM081", "Path trusted for", value, limit, used is None, reason
+        yield "SWM081", "Path trusted until", value, limit, until is None, reason
     if run.rest_score is not None:
         value, passed = f"{run.rest_score:.2f} sd (rms)", run.rest_score <= MAX_REST_SCORE
         reason = f"the motion between rests does not close within its band ({value})"
@@ -370,7 +330,7 @@ def _fusion_tests(fused: Fused, options: TrackImuOptions) -> Iterator[Test]:
         f"the clocks differ: {value} to add to the other log (95 %: {1e3 * offset.low_s:.1f} ... "
         f"{1e3 * offset.high_s:.1f} ms); the output is on the inertial clock"
     )
-    agreed = not offset.excludes_zero or options.clock_offset_s is not None
+    agreed = offset.low_s <= 0.0 <= offset.high_s or options.clock_offset_s is not None
     yield "SWM083", "Clock offset", value, "0 within the 95 % interval", agreed, reason
     for kind, named in (("position", "positions"), ("orientation", "angles")):
         size = fused.smoothed.score(kind)
@@ -381,9 +341,8 @@ def _fusion_tests(fused: Fused, options: TrackImuOptions) -> Iterator[Test]:
     most = f"at most {100 * MAX_STRAY:.0f} %"
     yield "SWM087", "Stray fixes", f"{stray}", most, stray <= MAX_STRAY * count, reason
     reason = (
-        "many successive fixes of the other log have the same error (as fused they scatter by "
-        f"{np.max(fused.fixes.noise[:2]):.3g} m): the logs contradict each other, or its scale or marker is "
-        f"wrong; every band is widened by {fused.lasting:.1f}"
+        "many successive fixes of the other log have the same error: the logs contradict each other, or its "
+        f"scale or marker is wrong; every band is widened by {fused.lasting:.1f}"
     )
     value, passed = f"band widened by {fused.lasting:.2f}", fused.lasting <= MAX_LASTING
     yield "SWM087", "Lasting errors of fixes", value, f"below {MAX_LASTING:g}", passed, reason
@@ -406,21 +365,11 @@ def _answer(run: Run) -> str:
     if not np.isfinite(run.motion.position).any():
         return "Only the attitude is given: positions and velocities are empty."
     half = BAND * np.max(run.motion.position_sd[:, :2], axis=1)
-    if run.trust is None:
+    if not run.alone:
         return f"The position is known to ± {np.median(half):.4f} m (median of the 95 % band)."
-    if run.trust.seconds is None:
-        return f"The whole path can be used; its 95 % band reaches ± {run.trust.widest_m:.3f} m."
+    if run.trusted_until_s is None:
+        return f"The whole path can be used; its 95 % band reaches ± {_largest(half):.3f} m."
     return "Surge within a stroke (u_osc_m_s) and attitude can be used throughout."
-
-
-def _facts(run: Run) -> dict[str, str]:
-    setup, (roll, pitch) = run.setup, run.tilt
-    return {
-        "Method": setup.options.method,
-        "Attitude": setup.source.kind,
-        "Noise": f"from {setup.still.noise.source}",
-        "Mounting": f"{setup.mount.by}; roll {roll / DEG:.2f} deg, pitch {pitch / DEG:.2f} deg at rest",
-    }
 
 
 def _tables(run: Run) -> list[Table]:
@@ -435,7 +384,6 @@ def _tables(run: Run) -> list[Table]:
         band = _rms(BAND * run.surge_osc_sd)
         rows += [
             ["surge within a stroke, rms (m/s)", _rms(run.surge_osc), band],
-            ["position in the plane, median (m)", None, _largest(np.median(half))],
             ["position in the plane, maximum (m)", None, _largest(half)],
             ["heading at the end (deg)", float(yaw / DEG), float(BAND * yaw_sd / DEG)],
         ]
@@ -455,23 +403,23 @@ def _tables(run: Run) -> list[Table]:
 def _methods(run: Run) -> list[str]:
     options = run.setup.options
     if run.by_paper:
-        return [paper.describe(options)]
-    used, more = "an inertial unit", ""
-    if run.fused is not None:
-        used, more = f"{used} and a second log of the trial", ", mounting, lever arm and clock offset"
-    text = [
-        f"Motion was estimated from {used} by an error-state Kalman filter and Rauch-Tung-Striebel smoother "
-        f"over position, velocity, attitude and sensor biases{more}; attitude from {run.setup.source.kind}."
+        return [
+            "Velocity and position were computed from accelerations as by Shang et al. (2012): means "
+            f"subtracted for {options.motion_mode} mode, readings below {options.threshold_m_s2:g} m/s² and "
+            f"{options.threshold_rad_s:g} rad/s set to zero, rotation to earth axes (Eqs 10 and 11), "
+            "trapezoids (Eqs 12 and 13)."
+        ]
+    more = ", mounting, lever arm and clock offset against a second log of the trial"
+    return [
+        "Motion was estimated from an inertial unit by an error-state Kalman filter and Rauch-Tung-Striebel "
+        f"smoother over position, velocity, attitude and sensor biases{more * (run.fused is not None)}; "
+        f"attitude from {run.setup.source.kind}."
     ]
-    if options.zero_mean:
-        names = " and ".join(dict.fromkeys(options.zero_mean))
-        text.append(f"Declared: mean {names} of zero over {options.window_s:g} s.")
-    return text
 
 
 def _figures(run: Run) -> list[Figure]:
     moved = run.motion
-    velocity = _panels(run, AXES, "m/s", moved.body_velocity, moved.body_velocity_sd)
+    velocity = _panels(run, ["surge", "sway", "heave"], "m/s", moved.body_velocity, moved.body_velocity_sd)
     if not run.by_paper:
         surge, surge_sd = run.surge_osc[:, None], run.surge_osc_sd[:, None]
         velocity = [*_panels(run, ["surge within a stroke"], "m/s", surge, surge_sd), *velocity]
@@ -493,15 +441,15 @@ def _panels(
 ) -> list[Panel]:
     """Return a panel over time for each column, with its band; ``fixes`` adds positions in the other log."""
     t = run.setup.record.time_s
-    spans = [Span(start=start, end=end, label="rest") for start, end, _, used in _still_periods(run) if used]
+    rests = [period for period in _still_periods(run) if period["used_as_rest"]]
+    spans = [Span(start=rest["from_s"], end=rest["to_s"], label="rest") for rest in rests]
     every = slice(None, None, max(len(t) // N_DRAWN, 1))
     panels = []
     for k, name in enumerate(names):
         x, y = t[every], values[every, k]
         traces = [blocks.band(x, y, BAND * sds[every, k], label="estimate", group=0)]
         if fixes and run.poses is not None and run.fused is not None:
-            seen = np.flatnonzero(np.isfinite(run.poses.position[:, k]))
-            seen = seen[:: max(len(seen) // N_DRAWN_POSES, 1)]
+            seen = slice(None, None, max(len(run.poses.time_s) // N_DRAWN, 1))
             x, y = run.poses.time_s[seen] + run.fused.offset.value_s, run.poses.position[seen, k]
             traces.append(Trace(x=x, y=y, label="other log", style="points", group=1))
         panels.append(Panel(x_label="time (s)", y_label=f"{name} ({unit})", traces=traces, spans=spans))
