@@ -115,9 +115,9 @@ class Candidate:
         return bool(inside.all(axis=1).any())
 
 
-def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
+def sample(path: Path, *, step: Step) -> Samples:
     """Return about :data:`N_SAMPLES` frames, spread evenly over a film."""
-    video = Video(path, apply_rotation=apply_rotation)
+    video = Video(path)
     keeper = FrameKeeper(2 * N_SAMPLES, max(video.claimed // N_SAMPLES, 1), SAMPLE_WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         step()

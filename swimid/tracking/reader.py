@@ -41,17 +41,14 @@ def is_sequence(path: Path) -> bool:
     return path.is_dir() or (not path.exists() and _HOLDER.search(path.name) is not None)
 
 
-def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_Read]:
+def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
     """Yield pictures in the order of the numbers in their names.
 
     A missing picture leaves a gap in time.
     """
-    flags = cv2.IMREAD_COLOR
-    if not apply_rotation:
-        flags |= cv2.IMREAD_IGNORE_ORIENTATION
     bad, first = [], None
     for position, file in zip(_positions(path, files), files, strict=True):
-        frame = cv2.imread(str(file), flags)
+        frame = cv2.imread(str(file))
         if frame is None:
             bad.append(file.name)
             continue
@@ -67,7 +64,7 @@ def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_
         warn("SWM044", f"{path.name}: {text}; their time is left out")
 
 
-def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
+def _opened(path: Path) -> cv2.VideoCapture:
     """Open a film for decoding."""
     if not path.is_file():
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
@@ -80,7 +77,8 @@ def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
         text = "is not a video that can be decoded, or its index is missing (a recording cut short)"
         hint = "check that a player plays it; 'ffmpeg -i in.mp4 -c copy out.mkv' may repair a cut recording"
         raise InputError(text, file=path, hint=hint)
-    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
+    # the default of this setting depends on the version of OpenCV
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1.0)
     return capture
 
 
@@ -106,8 +104,6 @@ class Video:
     frame_rate_hz : float, optional
         True frame rate, if the stamps of the container are wrong. The time of frame i is then i /
         frame_rate_hz. Pictures need a frame rate because they have no stamps.
-    apply_rotation : bool
-        Whether the rotation tag is applied. The default of OpenCV depends on its version.
 
     Attributes
     ----------
@@ -126,9 +122,7 @@ class Video:
         The file does not exist, or no frame of it can be decoded.
     """
 
-    def __init__(
-        self, path: str | Path, *, frame_rate_hz: float | None = None, apply_rotation: bool = True
-    ) -> None:
+    def __init__(self, path: str | Path, *, frame_rate_hz: float | None = None) -> None:
         self.path = Path(path)
         # decoding uses all cores, and threads for small pictures only cost time
         cv2.setNumThreads(1)
@@ -138,10 +132,10 @@ class Video:
         if is_sequence(self.path):
             self.files = _listed(self.path)
             self.claimed_rate_hz, self.claimed = 0.0, len(self.files)
-            self._read = _pictures(self.path, self.files, apply_rotation)
+            self._read = _pictures(self.path, self.files)
         else:
             self.files = [self.path]
-            capture = _opened(self.path, apply_rotation)
+            capture = _opened(self.path)
             rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
             self.claimed_rate_hz, self.claimed = 0.0, 0
             if np.isfinite(rate) and rate > 0:
@@ -265,37 +259,22 @@ def check_output(path: Path, output: Path) -> None:
 
 
 def _listed(path: Path) -> list[Path]:
-    """Return the files of the pictures in order."""
-    if path.is_dir():
-        files = [f for f in path.iterdir() if f.suffix.lower() in ENDINGS and f.is_file()]
-        files = [f for f in files if not f.name.startswith(".")]
-        if not files:
-            hint = f"it may hold {', '.join(ENDINGS)}"
-            raise InputError("is a folder without pictures", file=path, hint=hint)
-        series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
-        if len(series) > 1:
-            found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
-            hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
-            raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
-        return sorted(files, key=lambda f: _numbers(f.name))
-    holders = _HOLDER.findall(path.name)
-    if len(holders) != 1:
-        raise InputError(f"has {len(holders)} place holders; a pattern has one", file=path)
-    if not path.parent.is_dir():
+    """Return the files of the pictures in the order of the numbers in their names."""
+    folder, name, text = path, r"[^.].*", "is a folder without pictures"
+    if not path.is_dir():
+        folder, text = path.parent, "no picture has a name like this"
+        name = r"\d+".join(map(re.escape, _HOLDER.split(path.name)))
+    if not folder.is_dir():
         raise InputError("cannot be read: no such folder", file=path, hint="check the path")
-    before, after = path.name.split(holders[0])
-    width = int(re.sub(r"\D", "", holders[0]) or 0)
-    # printf pads numbers up to the width, and does not shorten longer numbers
-    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})"
-    if not width:
-        digits = r"(\d+)"
-    name = re.compile(re.escape(before) + digits + re.escape(after))
-    matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
-    numbered = [(int(match.group(1)), file) for match, file in matches if match]
-    if not numbered:
-        hint = "check the pattern, and the folder"
-        raise InputError("no picture has a name like this", file=path, hint=hint)
-    return [file for _, file in sorted(numbered)]
+    files = [f for f in folder.iterdir() if re.fullmatch(name, f.name) and f.suffix.lower() in ENDINGS]
+    if not files:
+        raise InputError(text, file=path, hint=f"a picture is one of {', '.join(ENDINGS)}")
+    series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
+    if len(series) > 1:
+        found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
+        hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
+        raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
+    return sorted(files, key=lambda f: _numbers(f.name))
 
 
 def _numbers(name: str) -> list[int]:

@@ -168,10 +168,6 @@ class Setup(Document):
     frame_rate_hz: _Positive | None = None
     #: Maximum length of a gap that is interpolated, s.
     max_gap_s: Annotated[float, Field(ge=0)] = 1.0
-    #: Whether the rotation tag of the container is applied.
-    apply_rotation: bool = True
-    #: Box in which the centres of markers must be: [left, top, right, bottom], px.
-    region_px: Box | None = None
     #: Boxes in which no markers are searched for, each [left, top, right, bottom] in px.
     ignore_px: list[Box] = []
 
@@ -196,8 +192,8 @@ class Setup(Document):
             raise ValueError("reference_offset_m needs a head, a tail and a scale")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(f"facing: {self.facing} goes with plane: vertical")
-        for box in [self.region_px, *self.ignore_px]:
-            if box is not None and (box[2] <= box[0] or box[3] <= box[1]):
+        for box in self.ignore_px:
+            if box[2] <= box[0] or box[3] <= box[1]:
                 raise ValueError(f"box {list(box)} must be [left, top, right, bottom]")
         return self
 

@@ -578,7 +578,7 @@ class Painter:
         times, source = self.track.times, self.run.video
         width, height = source.width // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
-        again = Video(source.path, apply_rotation=self.run.setup.apply_rotation).frames()
+        again = Video(source.path).frames()
         with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
             writer = open_writer(temporary, rate, width, height)
             try:
