@@ -111,8 +111,8 @@ class Video:
         File of the film, or files of the pictures.
     width, height : int
         Size of the picture, px.
-    claimed_rate_hz, claimed : float, int
-        Mean rate and number of frames according to the container; 0 if the container does not state them.
+    claimed : int
+        Number of frames according to the container; 0 if the container does not state it.
     first_stamp_s : float
         Stamp of the first frame, which is t = 0; NaN for pictures.
 
@@ -131,15 +131,12 @@ class Video:
         self._positions: list[int] = []
         if is_sequence(self.path):
             self.files = _listed(self.path)
-            self.claimed_rate_hz, self.claimed = 0.0, len(self.files)
+            self.claimed = len(self.files)
             self._read = _pictures(self.path, self.files)
         else:
             self.files = [self.path]
             capture = _opened(self.path)
-            rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-            self.claimed_rate_hz, self.claimed = 0.0, 0
-            if np.isfinite(rate) and rate > 0:
-                self.claimed_rate_hz = rate
+            count, self.claimed = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
             if 0 < count < 1e9:
                 self.claimed = int(count)
             self._read = _decoded(capture)
@@ -179,23 +176,22 @@ class Video:
     def times(self) -> NDArray[np.float64]:
         """Return the times of the frames read so far, s, strictly increasing from 0.
 
-        Stamps that do not increase are replaced by even steps, with a warning.
+        Raises
+        ------
+        InputError
+            The stamps do not increase.
         """
         if self._rate:
             positions = np.array(self._positions, dtype=float)
             return (positions - positions[:1]) / self._rate
         stamps = np.array(self._stamps)
         stamps -= stamps[:1]
-        backwards, rate = np.diff(stamps) <= 0, self.claimed_rate_hz
-        if not backwards.any():
-            return stamps
-        bad = int(np.argmax(backwards)) + 1
-        if not rate:
-            hint = "give the true frame rate with --fps"
-            raise InputError("its frames carry no usable time stamps", file=self.path, frame=bad, hint=hint)
-        text = f"the stamp of frame {bad} does not follow the one before; even steps of 1/{rate:g} s are used"
-        warn("SWM043", f"{self.path.name}: {text}. Give --fps if that is not the camera's rate")
-        return np.arange(len(stamps)) / rate
+        backwards = np.diff(stamps) <= 0
+        if backwards.any():
+            frame, hint = int(np.argmax(backwards)) + 1, "give the true frame rate with --fps"
+            text = "the time stamp is not later than that of the frame before"
+            raise InputError(text, file=self.path, frame=frame, hint=hint)
+        return stamps
 
 
 def reduced(frame: Frame, width: int) -> Frame:

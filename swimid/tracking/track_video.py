@@ -229,7 +229,7 @@ def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
     if rules.plane == "vertical":
         head["facing"] = plane.faces
     if rules.places is None:
-        return head | {"reference": rules.head_name, "reference_offset_m": list(rules.reference_offset_m)}
+        return head | {"reference": rules.head_name}
     places = {name: list(place) for name, place in zip(rules.roles, rules.places, strict=True)}
     return head | {"reference": rules.robot or "robot", "markers_at_m": places}
 
