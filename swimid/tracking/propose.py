@@ -85,8 +85,6 @@ class Candidate:
     place: Array = field(default_factory=lambda: np.zeros((0, 2)))
     #: Minimum and maximum area of the patch, px.
     area_px: tuple[float, float] = (0.0, 0.0)
-    #: Median number of moving patches of similar size in a frame.
-    n_patches: int = 0
     #: Boxes of motionless patches of the colour.
     still: list[Box] = field(default_factory=list)
     #: Reason why the candidate is not a marker; empty if it may be a marker.
@@ -99,14 +97,6 @@ class Candidate:
     def presence(self) -> float:
         """Fraction of the evaluated frames in which the candidate is seen."""
         return float(np.mean(np.isfinite(self.place[:, 0])))
-
-    @property
-    def remark(self) -> str:
-        """Comment on the candidate for a reader of the setup file."""
-        text = f"score {self.score:.2f}, seen in {100 * self.presence:.0f} % of the samples"
-        if self.n_patches > 1:
-            text += f"; {self.n_patches} patches of this colour move together: the largest is followed"
-        return text
 
     def crosses(self, box: Box) -> bool:
         """Return whether the candidate was seen inside a box."""
@@ -224,7 +214,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
     model = ColourModel(colours)
     least = max(5.0, 2e-5 * samples.frames[0].shape[0] * samples.frames[0].shape[1])
     places = np.full((len(samples.frames), 2), np.nan)
-    areas, compact, counts, purity = [], [], [], []
+    areas, compact, purity = [], [], []
     in_range = moving_in_range = 0.0
     scenery = marker_mask(samples.background, model)
     still = _still(scenery, samples.factor, least)
@@ -239,7 +229,6 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         places[k] = samples.factor * (np.array([x, y]) + 0.5) - 0.5
         areas.append(area)
         compact.append(fill)
-        counts.append(sum(other[0] > 0.4 * area for other in patches))
         chroma = detect.chroma(frame)
         purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
     hue = _degrees(peak)
@@ -271,7 +260,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         return Candidate(name, hue, colours, reason=reason)
     low, high = np.percentile(sizes, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
-    return Candidate(name, hue, colours, float(score), places, sized, int(np.median(counts)), still)
+    return Candidate(name, hue, colours, float(score), places, sized, still)
 
 
 def _patches(

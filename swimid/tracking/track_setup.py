@@ -140,17 +140,25 @@ def track_setup(
         if output.exists() and not force:
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     video = Path(video)
-    common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
+    common: dict[str, Any] = {"plane": options.plane, "frame_rate_hz": options.fps}
+    if options.metres_per_pixel is not None:
+        common["scale"] = {"metres_per_pixel": options.metres_per_pixel}
     rejected: list[Candidate] = []
     if options.picks:
-        run, remarks = _from_picks(video, options, common, progress)
+        run = _from_picks(video, options, common, progress)
     elif options.background:
-        run, remarks = _from_background(video, common, progress)
+        run = _from_background(video, common, progress)
     else:
-        run, remarks, rejected = _from_film(video, common, progress)
+        run, rejected = _from_film(video, common, progress)
     setup = _with_areas(run)
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
-    ahead = _doubts(setup, run)
+    for name in run.track.names:
+        code, fault = quality.marker_fault(run.track, name)
+        if fault:
+            warn(code, f"marker '{name}' {fault}")
+    ahead = None
+    if setup.tail is not None:
+        ahead = quality.head_first(run.track, *setup.roles)
     lines = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     lines += [f"passed over: {one}" for one in rejected]
     lines.append(f"head {setup.head}, tail {setup.tail}")
@@ -173,7 +181,7 @@ def track_setup(
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in rejected],
     }
-    text, sheet = _text(setup, shares, remarks, rejected, video.name), _sheet(run)
+    text, sheet = _text(setup, shares, rejected, video.name), _sheet(run)
     return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet).saved(output)
 
 
@@ -189,20 +197,10 @@ def _try(video: Path, setup: Setup, progress: Progress) -> Run:
         return follow(video, setup, step=step)
 
 
-def _from_film(
-    video: Path, common: dict[str, Any], progress: Progress
-) -> tuple[Run, list[str], list[Candidate]]:
-    """Return a trial of the best moving candidate, with a second marker if possible.
+def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
+    """Return a trial of the best moving candidate, with a second marker if possible, and the other colours.
 
     The second marker must have a constant distance from the first one.
-
-    Returns
-    -------
-    run : Run
-    remarks : list of str
-        One remark for each marker.
-    rejected : list of Candidate
-        Colours that are not used.
     """
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
@@ -225,7 +223,7 @@ def _from_film(
                     run = replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
                 rest = [c for c in found if c not in pair]
                 rejected += [replace(c, reason=reasons.get(id(c)) or _why_weaker(c, pair)) for c in rest]
-                return run, [c.remark for c in pair], rejected
+                return run, rejected
             if any(pair[i] is first for i in faults):
                 break
     rejected = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + rejected
@@ -283,28 +281,24 @@ def _why_weaker(candidate: Candidate, pair: list[Candidate]) -> str:
     return f"less like a marker (score {candidate.score:.2f}, {best.name} {best.score:.2f})"
 
 
-def _from_picks(
-    video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress
-) -> tuple[Run, list[str]]:
-    """Return a trial of the picked markers, and a remark on each kind."""
+def _from_picks(video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress) -> Run:
+    """Return a trial of the picked markers."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for pick in options.picks:
         kinds.setdefault(pick.name, []).append((pick.x, pick.y))
     frame = _frame(video, options.frame)
     markers = propose.pick_markers(frame, kinds, path=video, index=options.frame)
-    run, remarks = _try(video, _setup(markers, common), progress), ["picked by hand"] * len(markers)
-    head, tail = run.setup.head, run.setup.tail
-    if head is not None and tail is not None and markers[0].number > 1:
+    run = _try(video, _setup(markers, common), progress)
+    if markers[0].number > 1:
         # equal markers may be on several bodies, and only a rigid pair gives a heading
-        separation = quality.distance_change(run.track, head, tail)
+        separation = quality.distance_change(run.track, *run.setup.roles)
         if separation is None or separation > quality.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
-            remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
-    return run, remarks
+    return run
 
 
-def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[str]]:
-    """Return a trial of the body that differs from the empty scene, and a remark on the body.
+def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> Run:
+    """Return a trial of the body that differs from the empty scene.
 
     Raises
     ------
@@ -315,35 +309,7 @@ def _from_background(video: Path, common: dict[str, Any], progress: Progress) ->
     if run.track.found[0].mean() < quality.MIN_SHARE:
         hint = "the scene is the film's median: the body must leave its place for more than half of it"
         raise NoTrustworthyResult(f"nothing in {video.name} differs from the empty scene", hint=hint)
-    return run, ["the whole body, by its difference from the empty scene"]
-
-
-def _doubts(setup: Setup, run: Run) -> float | None:
-    """Warn if markers are hardly found or do not move, or if a pair is not rigid or swims tail first.
-
-    Returns
-    -------
-    float or None
-        Fraction of the steps in which the pair moves towards its head.
-    """
-    for name in run.track.names:
-        code, fault = quality.marker_fault(run.track, name)
-        if fault:
-            warn(code, f"marker '{name}' {fault}")
-    if setup.head is None or setup.tail is None:
-        return None
-    ahead = quality.head_first(run.track, setup.head, setup.tail)
-    if ahead is not None and ahead < 0.5:
-        warn(
-            "SWM100",
-            f"the robot swims head first in {100 * ahead:.0f} % of the steps only: exchange head "
-            f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
-        )
-    separation = quality.distance_change(run.track, setup.head, setup.tail)
-    if separation is not None and separation > quality.MAX_DISTANCE_SD[0]:
-        text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} %"
-        warn("SWM042", f"{text} beyond what a camera askew explains: on one rigid part it would not")
-    return ahead
+    return run
 
 
 def _frame(video: Path, index: int) -> Frame:
@@ -369,11 +335,9 @@ def _with_areas(run: Run) -> Setup:
     return run.setup.model_copy(update={"markers": markers})
 
 
-def _text(
-    setup: Setup, shares: dict[str, float], remarks: list[str], rejected: list[Candidate], video: str
-) -> str:
+def _text(setup: Setup, shares: dict[str, float], rejected: list[Candidate], video: str) -> str:
     """Return the setup as commented YAML, with the fraction of frames in which each marker is found."""
-    markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
+    markers = [_marker_text(marker, shares) for marker in setup.markers]
     markers += [f"# Passed over: {one}\n" for one in rejected]
     scale, rate, facing = _NO_SCALE, "# frame_rate_hz: 240", ""
     if setup.plane == "vertical":
@@ -397,7 +361,7 @@ def _text(
     )
 
 
-def _marker_text(marker: Marker, shares: dict[str, float], remark: str) -> str:
+def _marker_text(marker: Marker, shares: dict[str, float]) -> str:
     found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
     keys: dict[str, Any] = {"method": marker.method}
     if marker.hsv is not None:
@@ -408,9 +372,7 @@ def _marker_text(marker: Marker, shares: dict[str, float], remark: str) -> str:
     if marker.start_px is not None:
         keys["start_px"] = marker.start_px
     lines = [f"    {key}: {_flow(value)}" for key, value in keys.items()]
-    return "\n".join(
-        [f"  - name: {marker.name}", f"    # Found in {found} of the frames; {remark}.", *lines, ""]
-    )
+    return "\n".join([f"  - name: {marker.name}", f"    # Found in {found} of the frames.", *lines, ""])
 
 
 def _flow(value: Any) -> str:
