@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -29,37 +30,18 @@ from swimid.tracking.tracker import Run, follow
 MAX_TRIALS = 3
 #: Number of pictures on the contact sheet, and their width, px.
 N_TILES, TILE_WIDTH = 4, 640
-_FACING = """\
-# Direction in which the robot faces and x increases: right, left, or auto (tail to head).
-facing: auto
-"""
-_NO_SCALE = """\
-# Without a scale positions are in pixels. One of:
+_HEAD = "# Drafted by swimid track setup from {}; correct it if needed. All keys: docs/tracking.md\n"
+#: Comment with the keys that a draft does not have.
+_MORE = """\
+# Without scale positions are in pixels. One of:
 # scale: {metres_per_pixel: 0.0015}
 # scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}
 # scale: {points_px: [four corners], points_m: [the same corners]}
-"""
-_TEXT = """\
-# Drafted by swimid track setup from {video}; correct it if needed. All keys: docs/tracking.md
-format: {format}
-markers:
-{markers}\
-# The head marker gives the position, head and tail together the heading.
-head: {head}
-{tail}
-# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.
-plane: {plane}
-{facing}\
+# True frame rate, if the stamps of the container are wrong:
+# frame_rate_hz: 240
 # The pose is that of the head marker. To get that of the reference point of the robot, give at_m of
-# head and tail, or the robot whose file has markers of these names.
+# head and tail, or the robot whose file has markers of these names:
 # robot: sealion
-{scale}\
-# True frame rate, if the stamps of the container are wrong.
-{rate}
-# Longest gap that is interpolated, s.
-max_gap_s: {gap}
-# Motionless things of the colour of a marker: [left, top, right, bottom].
-ignore_px: {ignored}
 """
 
 
@@ -222,7 +204,8 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
                 if tail is not None and (quality.head_first(run.track, head, tail) or 0.0) < 0.5:
                     run = replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
                 rest = [c for c in found if c not in pair]
-                rejected += [replace(c, reason=reasons.get(id(c)) or _why_weaker(c, pair)) for c in rest]
+                weaker = f"less like a marker than {pair[0].name}, or at no constant distance from it"
+                rejected += [replace(c, reason=reasons.get(id(c), weaker)) for c in rest]
                 return run, rejected
             if any(pair[i] is first for i in faults):
                 break
@@ -274,13 +257,6 @@ def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dic
     return faults
 
 
-def _why_weaker(candidate: Candidate, pair: list[Candidate]) -> str:
-    best = max(pair, key=lambda c: c.score)
-    if candidate.score >= propose.SECOND_SHARE * best.score and len(pair) == 1:
-        return f"not seen together with {best.name} at one distance"
-    return f"less like a marker (score {candidate.score:.2f}, {best.name} {best.score:.2f})"
-
-
 def _from_picks(video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress) -> Run:
     """Return a trial of the picked markers."""
     kinds: dict[str, list[tuple[float, float]]] = {}
@@ -314,11 +290,9 @@ def _from_background(video: Path, common: dict[str, Any], progress: Progress) ->
 
 def _frame(video: Path, index: int) -> Frame:
     """Return one frame of a film; raise an InputError if the frame does not exist."""
-    count = 0
-    for count, (_, frame) in enumerate(Video(video).frames(), start=1):
-        if count - 1 == index:
-            return frame
-    raise InputError(f"has {count} frames; frame {index} does not exist", file=video)
+    for _, frame in islice(Video(video).frames(), index, None):
+        return frame
+    raise InputError(f"has no frame {index}", file=video)
 
 
 def _with_areas(run: Run) -> Setup:
@@ -337,54 +311,10 @@ def _with_areas(run: Run) -> Setup:
 
 def _text(setup: Setup, shares: dict[str, float], rejected: list[Candidate], video: str) -> str:
     """Return the setup as commented YAML, with the fraction of frames in which each marker is found."""
-    markers = [_marker_text(marker, shares) for marker in setup.markers]
-    markers += [f"# Passed over: {one}\n" for one in rejected]
-    scale, rate, facing = _NO_SCALE, "# frame_rate_hz: 240", ""
-    if setup.plane == "vertical":
-        facing = _FACING
-    if setup.scale is not None:
-        scale = f"scale: {_flow(setup.scale.model_dump(mode='json', exclude_none=True))}\n"
-    if setup.frame_rate_hz:
-        rate = f"frame_rate_hz: {setup.frame_rate_hz:g}"
-    return _TEXT.format(
-        video=video,
-        format=setup.format,
-        markers="".join(markers),
-        head=setup.head_name,
-        tail=f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it",
-        plane=setup.plane,
-        facing=facing,
-        scale=scale,
-        rate=rate,
-        gap=f"{setup.max_gap_s:g}",
-        ignored=_flow(setup.ignore_px),
-    )
-
-
-def _marker_text(marker: Marker, shares: dict[str, float]) -> str:
-    found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
-    keys: dict[str, Any] = {"method": marker.method}
-    if marker.hsv is not None:
-        keys = {"hsv": marker.hsv.model_dump()}
-    keys["area_px"] = marker.area_px or (12.0, 1e5)
-    if marker.number > 1:
-        keys["number"] = marker.number
-    if marker.start_px is not None:
-        keys["start_px"] = marker.start_px
-    lines = [f"    {key}: {_flow(value)}" for key, value in keys.items()]
-    return "\n".join([f"  - name: {marker.name}", f"    # Found in {found} of the frames.", *lines, ""])
-
-
-def _flow(value: Any) -> str:
-    """Return a value as YAML on one line."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_flow, value)) + "]"
-    if isinstance(value, float):
-        short = f"{value:g}"
-        return short if float(short) == value else repr(value)
-    return str(value)
+    notes = [f"# {name}: found in {100 * share:.1f} % of the frames\n" for name, share in shares.items()]
+    notes += [f"# Passed over: {one}\n" for one in rejected]
+    data = setup.model_dump(mode="json", exclude_none=True)
+    return "".join([_HEAD.format(video), *notes, yamlio.dumps(data), _MORE])
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:
