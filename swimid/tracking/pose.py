@@ -646,11 +646,11 @@ def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
     if seen.any():
         usual = float(np.median(track.confidence[marker, seen]))
         weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
-    noise = max(_noise_px(track, marker), MIN_NOISE_PX)
+    noise = max(noise_px(track, marker), MIN_NOISE_PX)
     return np.asarray(weights + (hidden / TWO_SIDED / noise) ** 2)
 
 
-def _noise_px(track: RawTrack, marker: int) -> float:
+def noise_px(track: RawTrack, marker: int) -> float:
     """Return the standard deviation of the white noise of a centroid, from second differences, px."""
     second = np.diff(np.stack(track.centre(marker)), n=2, axis=1)
     known = second[np.isfinite(second)]

@@ -22,7 +22,7 @@ from swimid.progress import Step
 from swimid.tracking import detect
 from swimid.tracking.detect import SLACK, ColourModel, marker_mask
 from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel
-from swimid.tracking.setup import Box, HsvRange, Marker
+from swimid.tracking.setup import HsvRange, Marker
 
 Array = NDArray[np.float64]
 
@@ -85,8 +85,6 @@ class Candidate:
     place: Array = field(default_factory=lambda: np.zeros((0, 2)))
     #: Minimum and maximum area of the patch, px.
     area_px: tuple[float, float] = (0.0, 0.0)
-    #: Boxes of motionless patches of the colour.
-    still: list[Box] = field(default_factory=list)
     #: Reason why the candidate is not a marker; empty if it may be a marker.
     reason: str = ""
 
@@ -97,12 +95,6 @@ class Candidate:
     def presence(self) -> float:
         """Fraction of the evaluated frames in which the candidate is seen."""
         return float(np.mean(np.isfinite(self.place[:, 0])))
-
-    def crosses(self, box: Box) -> bool:
-        """Return whether the candidate was seen inside a box."""
-        margin = np.sqrt(self.area_px[1] / 3)
-        inside = (self.place > np.array(box[:2]) - margin) & (self.place < np.array(box[2:]) + margin)
-        return bool(inside.all(axis=1).any())
 
 
 def sample(path: Path, *, step: Step) -> Samples:
@@ -217,7 +209,6 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
     areas, compact, purity = [], [], []
     in_range = moving_in_range = 0.0
     scenery = marker_mask(samples.background, model)
-    still = _still(scenery, samples.factor, least)
     for k, (frame, moving) in enumerate(zip(samples.frames, samples.moving, strict=True)):
         mask = marker_mask(frame, model)
         in_range += float(np.count_nonzero(mask))
@@ -234,12 +225,9 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
     hue = _degrees(peak)
     name = detect.hue_name(hue)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
-        where = "; ".join("[" + ", ".join(f"{v:g}" for v in box) + "]" for box in still[:3])
-        reason = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"
-        if np.mean(scenery > 0) > 0.5:
-            reason = "the background's colour"
-        elif still:
-            reason = f"does not move (it lies at {where})"
+        reason = (
+            f"does not move (a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples)"
+        )
         return Candidate(name, hue, colours, reason=reason)
     sizes = samples.factor**2 * np.array(areas)
     spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))
@@ -260,7 +248,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         return Candidate(name, hue, colours, reason=reason)
     low, high = np.percentile(sizes, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
-    return Candidate(name, hue, colours, float(score), places, sized, still)
+    return Candidate(name, hue, colours, float(score), places, sized)
 
 
 def _patches(
@@ -285,19 +273,6 @@ def _patches(
             fill = min(area / (0.785 * max(width, height) ** 2), 1.0)
             found.append((float(area), float(centres[label][0]), float(centres[label][1]), float(fill)))
     return sorted(found, reverse=True)
-
-
-def _still(scenery: NDArray[np.uint8], factor: float, least: float) -> list[Box]:
-    """Return boxes about the largest patches of the colour in the empty scene."""
-    _, _, stats, _ = cv2.connectedComponentsWithStats(scenery, connectivity=8)
-    largest = sorted(stats[1:].tolist(), key=lambda s: -s[4])[:8]
-    boxes: list[Box] = []
-    for left, top, width, height, area in largest:
-        if area >= least:
-            sides = (left, top, left + width, top + height)
-            a, b, c, d = (float(round(factor * side)) for side in sides)
-            boxes.append((a, b, c, d))
-    return boxes
 
 
 def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:

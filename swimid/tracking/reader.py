@@ -127,8 +127,6 @@ class Video:
         # decoding uses all cores, and threads for small pictures only cost time
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
-        self._stamps: list[float] = []
-        self._positions: list[int] = []
         if is_sequence(self.path):
             self.files = _listed(self.path)
             self.claimed = len(self.files)
@@ -159,39 +157,17 @@ class Video:
 
         Pictures without a frame rate have the time NaN.
         """
+        count = 0
         for position, stamp, frame in itertools.chain([self._first], self._read):
-            self._stamps.append(stamp)
-            self._positions.append(position)
-            since = position - self._positions[0]
+            count += 1
             if self._rate:
-                yield since / self._rate, frame
+                yield (position - self._first[0]) / self._rate, frame
             else:
                 yield stamp - self.first_stamp_s, frame
-        count, claimed = len(self._stamps), self.claimed
         # some containers state one or two frames more than they contain
-        if len(self.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
-            text = f"{count} of {claimed} frames could be decoded"
+        if len(self.files) == 1 and count < self.claimed - max(2, 0.01 * self.claimed):
+            text = f"{count} of {self.claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
-
-    def times(self) -> NDArray[np.float64]:
-        """Return the times of the frames read so far, s, strictly increasing from 0.
-
-        Raises
-        ------
-        InputError
-            The stamps do not increase.
-        """
-        if self._rate:
-            positions = np.array(self._positions, dtype=float)
-            return (positions - positions[:1]) / self._rate
-        stamps = np.array(self._stamps)
-        stamps -= stamps[:1]
-        backwards = np.diff(stamps) <= 0
-        if backwards.any():
-            frame, hint = int(np.argmax(backwards)) + 1, "give the true frame rate with --fps"
-            text = "the time stamp is not later than that of the frame before"
-            raise InputError(text, file=self.path, frame=frame, hint=hint)
-        return stamps
 
 
 def reduced(frame: Frame, width: int) -> Frame:

@@ -114,13 +114,13 @@ class Silhouette:
         rest = (self._factor**2 * m["m00"], confidence, WINDOW, edge)
         return [(*centre, *rest), (*rear, *rest)]
 
-    def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
-        """Return the track so far; ``times`` replaces the times of the frames.
+    def track(self) -> RawTrack:
+        """Return the track so far.
 
         The direction of the main axis is chosen so that most steps agree with ``swims`` in the setup.
         """
         track = RawTrack.of_rows(
-            self._times if times is None else times,
+            self._times,
             self.setup.marker_names,
             self._rows,
             change=np.array(self._changes),

@@ -226,10 +226,7 @@ def _pair_setup(pair: list[Candidate], common: dict[str, Any]) -> Setup:
         Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
         for name, candidate in zip(names, pair, strict=True)
     ]
-    # a position at which a marker was seen must not be ignored
-    boxes = [box for candidate in pair for box in candidate.still]
-    still = [box for box in boxes if not any(candidate.crosses(box) for candidate in pair)]
-    return _setup(markers, common).model_copy(update={"ignore_px": still})
+    return _setup(markers, common)
 
 
 def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dict[int, str]:

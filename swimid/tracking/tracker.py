@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from swimid.errors import InputError
 from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.progress import Step
@@ -290,8 +291,9 @@ class Search:
             if patch.clipped:
                 continue
             blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self.size)
-            if blob is not None and self._is_allowed(blob) and not is_among(blob, group.scenery):
-                blobs.append(blob)
+            if blob is None or self._is_ignored(blob.x, blob.y) or is_among(blob, group.scenery):
+                continue
+            blobs.append(blob)
         if step > 1 and any(blob.at_edge for blob in blobs):
             # on a coarse mask a marker that ends just before the edge looks cut
             return self.in_window(group, frame, cx, cy, half)
@@ -322,24 +324,17 @@ class Search:
             return -patch.area if patch.area <= group.area_px[1] / COARSE_AREA_SHARE else patch.area
 
         boxes = [patch.box((0, 0), step) for patch in sorted(coarse, key=order)]
+        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
         blobs: list[Blob] = []
-        for box in [box for box in boxes if not self._is_ignored(box)][:MAX_PATCHES]:
-            cx, cy = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
-            size = max(box[2] - box[0], box[3] - box[1])
+        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
             half = 0.5 * size + 2 * step + detect.MARGIN
-            found, _ = self.in_window(group, frame, cx, cy, half, mask_step(size / 12))
+            found, _ = self.in_window(group, frame, x, y, half, mask_step(size / 12))
             blobs += [blob for blob in found if is_new(blob, blobs)]
         return blobs
 
-    def _is_ignored(self, box: Box) -> bool:
-        """Return whether a box is completely within an ignored box."""
-        left, top, right, bottom = box
-        return any(
-            b[0] <= left and b[1] <= top and right - 1 <= b[2] and bottom - 1 <= b[3] for b in self.ignored
-        )
-
-    def _is_allowed(self, blob: Blob) -> bool:
-        return not any(b[0] <= blob.x <= b[2] and b[1] <= blob.y <= b[3] for b in self.ignored)
+    def _is_ignored(self, x: float, y: float) -> bool:
+        """Return whether a point is in an ignored box."""
+        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self.ignored)
 
 
 def mask_step(length: float) -> int:
@@ -437,10 +432,10 @@ class Follower:
         self._times.append(time)
         self._frame += 1
 
-    def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
-        """Return the track so far; ``times`` replaces the times of the frames."""
+    def track(self) -> RawTrack:
+        """Return the track so far."""
         track = RawTrack.of_rows(
-            self._times if times is None else times,
+            self._times,
             self.setup.marker_names,
             self._rows,
             drift={g.marker.name: g.model.largest_drift for g in self.groups if g.model.drifted},
@@ -731,7 +726,7 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     boxes = list(still.values())
     setup = setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]})
     second = _follow_once(path, setup, step, file)
-    if any(quality.measure_range(second.track, name).radii < 3.0 for name in still):
+    if any(quality.measure_range(second.track, name)[1] < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{side:.0f}' for side in box)}]" for box in boxes)
     text = f"a thing of the marker's colour never moves and was left out (box {listed})"
@@ -752,14 +747,18 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
         follower = silhouette.Silhouette(setup, scene, video.width, video.height)
     else:
         follower = Follower(setup, video.width, video.height)
-    keeper = FrameKeeper(4 * REPORT_FRAMES - 1)
+    keeper, last = FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
     for index, (time, frame) in enumerate(video.frames()):
+        if time <= last:
+            text, hint = "its time stamp is not later than that before", "give the true frame rate with --fps"
+            raise InputError(text, file=path, frame=index, hint=hint)
+        last = time
         follower.step(time, frame)
         keeper.take(index, frame)
         step()
     frames = list(keeper.kept.items())
     chosen = np.unique(np.linspace(0, len(frames) - 1, REPORT_FRAMES).round().astype(int))
-    return Run(follower.track(video.times()), video, setup, dict(frames[k] for k in chosen))
+    return Run(follower.track(), video, setup, dict(frames[k] for k in chosen))
 
 
 def _motionless(run: Run) -> dict[str, Box]:
@@ -767,7 +766,8 @@ def _motionless(run: Run) -> dict[str, Box]:
     boxes: dict[str, Box] = {}
     for marker in run.setup.markers:
         name, track = marker.name, run.track
-        if marker.number > 1 or name not in track.rivals or quality.measure_range(track, name).moves:
+        moves = quality.measure_range(track, name)[1] >= quality.MIN_RADII
+        if marker.number > 1 or name not in track.rivals or moves:
             continue
         x, y, area = (float(np.nanmedian(v[track.row(name)])) for v in (track.x, track.y, track.area))
         half = 0.7 * math.sqrt(area) + 3
