@@ -95,11 +95,6 @@ class Plane:
     residual: float = 0.0
     variants: tuple[Array, ...] = ()
 
-    @property
-    def exact(self) -> bool:
-        """Whether a homography fits its points exactly, so that their error is unknown."""
-        return bool(self.matrix[2, :2].any()) and not self.variants
-
     def to_world(self, x: Array, y: Array) -> Array:
         """Return the world coordinates, shape (2, n), of points of the picture; NaN stays NaN."""
         return _map_known(self._forward, x, y)

@@ -225,9 +225,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
     hue = _degrees(peak)
     name = detect.hue_name(hue)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
-        reason = (
-            f"does not move (a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples)"
-        )
+        reason = f"does not move (but for {len(areas)} of {len(samples.frames)} samples)"
         return Candidate(name, hue, colours, reason=reason)
     sizes = samples.factor**2 * np.array(areas)
     spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))

@@ -27,7 +27,7 @@ from swimid.results import blocks, drawing, numbers
 from swimid.results import evidence as ev
 from swimid.tracking import pose, quality, reader
 from swimid.tracking import setup as setup_format
-from swimid.tracking.detect import CUT, LOST, STATUS, RawTrack, describe_colours
+from swimid.tracking.detect import LOST, RawTrack, describe_colours
 from swimid.tracking.options import TrackVideoOptions
 from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose
 from swimid.tracking.reader import MEASURED, Frame, Video, reduced, write_text
@@ -327,29 +327,24 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
 
 def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
     """Return the values of a track for ``--json``; None for a value that the window does not determine."""
-    seen, total, unit = np.flatnonzero(pose.measured), len(pose.times), pose.plane.unit
-    gaps = [end - start for start, end in pose.gaps]
+    count, total, unit = int(pose.measured.sum()), len(pose.times), pose.plane.unit
     noise = {unit: pose.path.measurement_sd}
     if pose.angle is not None:
         noise["rad"] = pose.angle.measurement_sd
     return {
         "frames": total,
-        "found": len(seen),
-        "found_share": len(seen) / total,
-        "first_seen_s": float(pose.times[seen[0]]),
-        "last_seen_s": float(pose.times[seen[-1]]),
+        "found": count,
+        "found_share": count / total,
         "duration_s": float(pose.times[-1]),
         "interpolated": int(pose.interpolated.sum()),
         "segments": int(pose.segment.max()),
-        "gaps": len(gaps),
-        "longest_gap_s": max(gaps, default=0.0),
+        "gaps_s": pose.gaps,
         "unit": unit,
         "markers": {
             name: {"found": int(track.found[i].sum()), "at_edge": int(track.at_edge[i].sum())}
             for i, name in enumerate(track.names)
         },
         "measurement_sd": noise,
-        "process_noise": {"order": pose.path.order, "value": pose.path.process_noise},
         "swimming": {
             "window": found.window,
             "from_s": found.begin_s,
@@ -366,11 +361,8 @@ def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict
 
 def _answer(pose: Pose, found: Swimming) -> str:
     """Return the sentence of the verdict: fraction of frames with markers, speed and stroke frequency."""
-    text, kind, speed = (
-        f"Markers found in {100 * pose.measured.mean():.1f} % of the frames",
-        "path",
-        found.path_speed,
-    )
+    text = f"Markers found in {100 * pose.measured.mean():.1f} % of the frames"
+    kind, speed = "path", found.path_speed
     if found.steady:
         kind, speed = "steady", found.advance
     if speed is not None:
@@ -388,13 +380,10 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
         noise += f", heading {pose.angle.measurement_sd:.2g} rad"
     facts = {
         "Found": f"{count} of {len(pose.times)} frames, {int(pose.interpolated.sum())} bridged",
-        "Segments": str(int(pose.segment.max())),
         "Measurement noise": noise,
     }
     if setup.plane == "vertical":
         facts["Faces"] = pose.plane.faces
-    if pose.plane.exact:
-        facts["Calibration"] = "four points, which do not tell their error"
     windows = {"given": "as given", "whole track": "the whole track: no part of it is steady"}
     window = windows.get(found.window, "the steady part")
     facts["Speeds over"] = f"{found.begin_s:.4g} to {found.end_s:.4g} s, {window}"
@@ -545,16 +534,8 @@ class Painter:
             place = tuple(np.round(here).astype(int))
             cv2.drawMarker(frame, place, colour, cv2.MARKER_CROSS, int(14 * size), line, cv2.LINE_AA)
         place = (int(8 * size), int(frame.shape[0] - 10 * size))
-        write_text(frame, f"{times[i]:.2f} s  frame {i}  {self._status(i)}", place, 0.55 * size, line)
+        write_text(frame, f"{times[i]:.2f} s  frame {i}", place, 0.55 * size, line)
         return frame
-
-    def _status(self, i: int) -> str:
-        if self.pose.measured[i]:
-            return STATUS[int(self.track.status[:, i].max())]
-        words = [CUT if self.track.at_edge[:, i].any() else STATUS[LOST]]
-        if self.pose.interpolated[i]:
-            words.append("interpolated")
-        return ", ".join(words)
 
     def images(self) -> list[ev.Image]:
         """Return the frames for the report, with the track drawn in."""
