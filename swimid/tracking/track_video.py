@@ -27,7 +27,7 @@ from swimid.results import blocks, drawing, numbers
 from swimid.results import evidence as ev
 from swimid.tracking import pose, quality, reader
 from swimid.tracking import setup as setup_format
-from swimid.tracking.detect import LOST, RawTrack, describe_colours
+from swimid.tracking.detect import LOST, describe_colours
 from swimid.tracking.options import TrackVideoOptions
 from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose
 from swimid.tracking.reader import MEASURED, Frame, Video, reduced, write_text
@@ -207,7 +207,7 @@ def _evaluate(
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
-    data = _data(track, made, rows, swum) | {
+    data = _data(made, rows, swum) | {
         "verdict": verdict.model_dump(),
         "checks": [check.model_dump() for check in checks],
     }
@@ -325,7 +325,7 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
     return rows
 
 
-def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
+def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
     """Return the values of a track for ``--json``; None for a value that the window does not determine."""
     count, total, unit = int(pose.measured.sum()), len(pose.times), pose.plane.unit
     noise = {unit: pose.path.measurement_sd}
@@ -340,10 +340,6 @@ def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict
         "segments": int(pose.segment.max()),
         "gaps_s": pose.gaps,
         "unit": unit,
-        "markers": {
-            name: {"found": int(track.found[i].sum()), "at_edge": int(track.at_edge[i].sum())}
-            for i, name in enumerate(track.names)
-        },
         "measurement_sd": noise,
         "swimming": {
             "window": found.window,
@@ -387,9 +383,6 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
     windows = {"given": "as given", "whole track": "the whole track: no part of it is steady"}
     window = windows.get(found.window, "the steady part")
     facts["Speeds over"] = f"{found.begin_s:.4g} to {found.end_s:.4g} s, {window}"
-    if found.advance is not None and found.change is not None and not found.steady:
-        change = 100 * found.change.value / max(found.advance.value, 1e-300)
-        facts["Speeds over"] += f"; the speed changes by {change:+.0f} % over it"
     if found.stroke is None:
         facts["Stroke"] = f"unknown: {found.unknown}"
     return facts

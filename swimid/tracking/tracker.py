@@ -305,15 +305,13 @@ class Search:
 
         ``area`` is the expected area in px, 0 if unknown.
         """
-        step = mask_step(math.sqrt(area or 4 * group.area_px[0]) / 3.5)
+        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self.size) / 2))
         blobs = self._in_picture(group, frame, area, step)
         if not blobs and not area and step > 1:
             blobs = self._in_picture(group, frame, area, 1)
         return blobs
 
     def _in_picture(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
-        if min(self.size) < 2 * step:
-            step = 1
         mask = detect.marker_mask(detect.thinned(frame, step), group.model)
         coarse = detect.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
 
