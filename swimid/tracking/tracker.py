@@ -764,8 +764,9 @@ def _motionless(run: Run) -> dict[str, Box]:
     boxes: dict[str, Box] = {}
     for marker in run.setup.markers:
         name, track = marker.name, run.track
-        moves = quality.measure_range(track, name)[1] >= quality.MIN_RADII
-        if marker.number > 1 or name not in track.rivals or moves:
+        if marker.number > 1 or name not in track.rivals:
+            continue
+        if quality.measure_range(track, name)[1] >= quality.MIN_RADII:
             continue
         x, y, area = (float(np.nanmedian(v[track.row(name)])) for v in (track.x, track.y, track.area))
         half = 0.7 * math.sqrt(area) + 3
