@@ -15,7 +15,7 @@ from swimid.notices import warn
 from swimid.results.evidence import Check, check
 from swimid.tracking.detect import RawTrack
 from swimid.tracking.pose import SYSTEMATIC_PX, Pose, noise_px
-from swimid.tracking.reader import Frame, irregular, reduced
+from swimid.tracking.reader import Frame, reduced
 from swimid.tracking.setup import Setup
 
 Array = NDArray[np.float64]
@@ -35,6 +35,8 @@ MAX_DISTANCE_SD, MAX_UNSEEN, MAX_LENGTH_ERROR = (0.02, 0.06), (0.05, 0.5), (0.02
 SCENE_WIDTH = 480
 #: Maximum shift of the scene for a camera at rest, px of the reduced picture.
 MAX_SHIFT_PX = 2.0
+#: Maximum deviation of a regular time step from the median step, relative to the median step.
+JITTER = 0.25
 #: Minimum normalised innovation of a measurement that counts as a jump.
 JUMP_SIGMA = 6.0
 #: Maximum fraction of frames in which a marker is partly hidden, or is cut by the edge of the picture.
@@ -402,7 +404,8 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
 
 
 def _timing(pose: Pose) -> Iterator[Check]:
-    share, largest = irregular(pose.times)
+    steps = np.diff(pose.times) / np.median(np.diff(pose.times))
+    share, largest = float(np.mean(np.abs(steps - 1) > JITTER)), float(steps.max())
     reason = f"{100 * share:.1f} % of the frames come at uneven steps (up to {largest:.1f} times the usual)"
     value = f"{100 * share:.1f} % uneven"
     yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)

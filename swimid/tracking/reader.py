@@ -30,15 +30,8 @@ ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".
 MEASURED = (0, 159, 230)
 #: Placeholder for a whole number in a format of the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
-#: Maximum deviation of a regular time step from the median step, relative to the median step.
-JITTER = 0.25
 #: A frame: position in the film, time stamp (s; NaN for pictures), and picture.
 _Read = tuple[int, float, Frame]
-
-
-def is_sequence(path: Path) -> bool:
-    """Return whether a path is a series of pictures: a folder, or a pattern that is not a file itself."""
-    return path.is_dir() or (not path.exists() and _HOLDER.search(path.name) is not None)
 
 
 def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
@@ -127,7 +120,8 @@ class Video:
         # decoding uses all cores, and threads for small pictures only cost time
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
-        if is_sequence(self.path):
+        # a folder, or a pattern that is not a file itself
+        if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
             self.files = _listed(self.path)
             self.claimed = len(self.files)
             self._read = _pictures(self.path, self.files)
@@ -145,12 +139,6 @@ class Video:
         self._first = first
         self.first_stamp_s = first[1]
         self.height, self.width = first[2].shape[:2]
-
-    def demand_clock(self) -> None:
-        """Raise if the times of the frames are unknown: pictures without a frame rate."""
-        if self._rate is None and np.isnan(self.first_stamp_s):
-            hint = "give their rate with --fps, or frame_rate_hz in the setup"
-            raise InputError("is a series of pictures, which carry no time stamps", file=self.path, hint=hint)
 
     def frames(self) -> Iterator[tuple[float, Frame]]:
         """Yield the time in s and the BGR picture of every frame. The next picture overwrites the array.
@@ -209,15 +197,6 @@ class FrameKeeper:
         if len(self.kept) > self._most:
             self._every *= 2
             self.kept = {k: f for k, f in self.kept.items() if k % self._every == 0}
-
-
-def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the fraction of irregular time steps, and the ratio of the longest step to the median."""
-    steps = np.diff(times)
-    if len(steps) < 2:
-        return 0.0, 1.0
-    middle = float(np.median(steps))
-    return float(np.mean(np.abs(steps - middle) > JITTER * middle)), float(steps.max() / middle)
 
 
 def check_output(path: Path, output: Path) -> None:

@@ -468,9 +468,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
         ev.Trace(x=x, y=y, label="smoothed", group=0),
     ]
-    curves = {
-        label: ev.Trace(**dict(zip("xy", ev.thinned(t, v), strict=True))) for label, v in speeds.items()
-    }
+    curves = {label: ev.Trace(x=t[every], y=v[every]) for label, v in speeds.items()}
     return [
         blocks.figure("path", "Path", "", f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
         blocks.panels(

@@ -734,7 +734,6 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
 
 def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
-    video.demand_clock()
     if setup.camera is not None:
         pose.camera_matrix(setup.camera, video.width, video.height, file)
     follower: Follower | Silhouette
@@ -747,8 +746,9 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
         follower = Follower(setup, video.width, video.height)
     keeper, last = FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
     for index, (time, frame) in enumerate(video.frames()):
-        if time <= last:
-            text, hint = "its time stamp is not later than that before", "give the true frame rate with --fps"
+        if not time > last:
+            text = "has no time stamp, or none later than that of the frame before"
+            hint = "give the true frame rate with --fps, or frame_rate_hz in the setup"
             raise InputError(text, file=path, frame=index, hint=hint)
         last = time
         follower.step(time, frame)
