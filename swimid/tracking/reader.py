@@ -53,7 +53,7 @@ def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
             raise InputError(text, file=file, hint=hint)
         yield position, math.nan, np.asarray(frame, np.uint8)
     if bad:
-        text = f"{len(bad)} of {len(files)} pictures could not be decoded ({_some(bad)})"
+        text = f"{len(bad)} of {len(files)} pictures could not be decoded ({', '.join(bad[:3])})"
         warn("SWM044", f"{path.name}: {text}; their time is left out")
 
 
@@ -252,11 +252,6 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
     missing = [f"after {files[k].name}" for k, step in enumerate(steps) if step != usual]
     if missing:
         count = sum(step // usual - 1 for step in steps)
-        text = f"{count} pictures are missing by their numbers ({_some(missing)})"
+        text = f"{count} pictures are missing by their numbers ({', '.join(missing[:3])})"
         warn("SWM044", f"{path.name}: {text}; their time is left out")
     return [(number - numbers[0]) // usual for number in numbers]
-
-
-def _some(names: list[str]) -> str:
-    shown = names if len(names) <= 3 else [*names[:3], "..."]
-    return ", ".join(shown)

@@ -340,15 +340,10 @@ def mask_step(length: float) -> int:
     return max(min(int(length), MAX_STEP), 1)
 
 
-def is_same_place(blob: Blob, other: Blob) -> bool:
-    """Return whether two blobs, seen at different times, are the same motionless object."""
-    near = blob.away(other.x, other.y) < 0.25 * other.radius + 1.5
-    return near and 0.4 < blob.area / other.area < 2.5
-
-
 def is_among(blob: Blob, others: Sequence[Blob]) -> bool:
     """Return whether a blob is one of the motionless objects seen at another time."""
-    return any(is_same_place(blob, other) for other in others)
+    near = [other for other in others if blob.away(other.x, other.y) < 0.25 * other.radius + 1.5]
+    return any(0.4 < blob.area / other.area < 2.5 for other in near)
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
