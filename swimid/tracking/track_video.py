@@ -338,7 +338,8 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
         "duration_s": float(pose.times[-1]),
         "interpolated": int(pose.interpolated.sum()),
         "segments": int(pose.segment.max()),
-        "gaps_s": pose.gaps,
+        "gaps": len(pose.gaps),
+        "longest_gap_s": max((end - start for start, end in pose.gaps), default=0.0),
         "unit": unit,
         "measurement_sd": noise,
         "swimming": {
