@@ -375,10 +375,11 @@ class Follower:
             for marker in setup.markers
         ]
         #: Distances between markers of different colours, if several markers have the same colour.
-        self._pairs: dict[tuple[str, str], list[float]] = {}
+        #: The value is the number of distances, their sum, and the sum of their squares.
+        self._pairs: dict[tuple[str, str], NDArray[np.float64]] = {}
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
-                self._pairs |= {pair: [] for pair in product(one.names, other.names)}
+                self._pairs |= {pair: np.zeros(3) for pair in product(one.names, other.names)}
         self._rows: list[list[Row]] = []
         #: Part of the last frame about each marker.
         self._last: list[tuple[tuple[slice, slice], Frame]] = []
@@ -417,10 +418,10 @@ class Follower:
             if not sights:
                 group.model.forget()
         targets = self._targets
-        for pair, distances in self._pairs.items():
+        for pair, sums in self._pairs.items():
             a, b = (targets[name] for name in pair)
             if a.time == time == b.time:
-                distances.append(math.hypot(a.x - b.x, a.y - b.y))
+                sums += math.hypot(a.x - b.x, a.y - b.y) ** np.arange(3)
         self._rows.append(row)
         self._times.append(time)
         self._frame += 1
@@ -516,12 +517,12 @@ class Follower:
     def _misfit(self, target: Target, blob: Blob, time: float) -> float:
         """Return the cost of the distances between a blob and the rigid partners of the target."""
         worst, targets = 0.0, self._targets
-        for pair, distances in self._pairs.items():
+        for pair, (count, total, squares) in self._pairs.items():
             partner = next(targets[name] for name in pair if name != target.name)
-            if target.name not in pair or len(distances) < MIN_RIGID_FRAMES or partner.missed:
+            if target.name not in pair or count < MIN_RIGID_FRAMES or partner.missed:
                 continue
-            mean, sd = np.mean(distances), np.std(distances, ddof=1)
-            if sd >= MAX_RIGID_SD * mean:
+            mean = float(total / count)
+            if (squares - total * mean) / (count - 1) >= (MAX_RIGID_SD * mean) ** 2:
                 continue
             error = abs(blob.away(*partner.predict(time)) / mean - 1)
             if error > MAX_RIGID_DEVIATION:
