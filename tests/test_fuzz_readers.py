@@ -108,9 +108,8 @@ markers:
 head: red
 tail: blue
 scale: {points_px: [[0, 0], [100, 0]], distance_m: 0.5}
-camera: {matrix: [[800, 0, 320], [0, 800, 240], [0, 0, 1]], distortion: [0, 0, 0, 0]}
+camera: {matrix: [[800, 0, 320], [0, 800, 240], [0, 0, 1]], distortion: [0, 0, 0, 0], size_px: [640, 480]}
 frame_rate_hz: 30
-region_px: [0, 0, 640, 480]
 """
 EVIDENCE = json.dumps(
     {

@@ -175,8 +175,8 @@ def test_two_markers_and_no_robot(port, tmp_path):
     film = folder / "side.mp4"
     marks = side_video.marks(View(flank=-1))
     run(
-        *("setup", film, "--plane", "vertical", "-o", tmp_path / "setup.yaml", "--scale-points"),
-        *(*marks[3], *marks[2], "--scale-distance-m", 3.0),
+        *("setup", film, "--plane", "vertical", "-o", tmp_path / "setup.yaml", "--metres-per-pixel"),
+        3.0 / math.dist(marks[3], marks[2]),
     )
     text = (tmp_path / "setup.yaml").read_text()
     assert re.search(r"head: red\ntail: yellow\n", text)
@@ -302,7 +302,6 @@ def test_exchanged_markers_and_a_wrong_scale_are_noticed():
     [
         ({"facing": "left", "plane": "horizontal"}, "facing: left goes with plane: vertical"),
         ({"facing": "down"}, "facing"),
-        ({"reference_offset_m": [0.1, 0]}, "keep one"),
         ({"scale": None}, "needs a head, a tail and a scale"),
         ({"tail": None}, "needs a head, a tail and a scale"),
         ({"at": [(0.1, 0.0), None]}, "marker 'rear' needs at_m, too"),

@@ -1,4 +1,4 @@
-"""Markers at the border of the region, at the edge of the picture, and in and out of the picture."""
+"""Markers at the edge of the picture, among other things of their colour, and in and out of the picture."""
 
 import numpy as np
 import pandas as pd
@@ -7,10 +7,9 @@ import yaml
 from click.testing import CliRunner
 
 from swimid.cli.main import track as track_command
-from swimid.errors import InputError
 from swimid.results import evidence
 from swimid.tracking.setup import Setup
-from swimid.tracking.tracker import Follower, inner_picture
+from swimid.tracking.tracker import Follower
 from tests.generators.disc_film import ONE_RED, RED_AND_YELLOW, WATER, YELLOW, Disc, Film, still, straight
 
 
@@ -53,10 +52,9 @@ CROWD = Film(
 )
 
 
-@pytest.mark.parametrize("only", ["region_px: [0, 60, 320, 240]", "ignore_px: [[0, 0, 320, 60]]"])
-def test_things_outside_the_region_do_not_hide_the_marker(only):
+def test_things_in_ignored_boxes_do_not_hide_the_marker():
     """Thirty things larger than the marker are where the setup does not allow a search."""
-    track = followed(CROWD, ONE_RED + only + "\n")
+    track = followed(CROWD, ONE_RED + "ignore_px: [[0, 0, 320, 60]]\n")
     assert track.found.all()
     assert np.nanmax(errors(track, CROWD)) < 0.3
 
@@ -73,21 +71,6 @@ def test_a_marker_lost_in_a_crowd_is_found_again_by_its_size():
     there = np.isfinite(film.places()[:, 0])
     assert track.found[0][there].all()
     assert np.nanmax(errors(track, film)) < 0.3
-
-
-def test_a_marker_at_the_border_of_the_region_is_measured_whole():
-    """The centre decides whether it is in the region, and the part outside is measured too."""
-    film = Film((Disc(straight(130, 120, 40), radius=12),), duration_s=2.0)
-    track = followed(film, ONE_RED + "region_px: [160, 60, 300, 200]\n")
-    inside = film.places()[:, 0] > 160
-    sure = np.abs(film.places()[:, 0] - 160) > 0.5
-    assert (track.found[0] == inside)[sure].all()
-    assert np.nanmax(errors(track, film)) < 0.3
-
-
-def test_a_region_outside_the_picture_is_refused():
-    with pytest.raises(InputError, match=r"region_px \[400.* lies outside the picture of 320 x 240"):
-        followed(CROWD, ONE_RED + "region_px: [400, 0, 600, 200]\n")
 
 
 def whole(film, disc=0):
@@ -229,30 +212,6 @@ def test_a_body_that_enters_late_is_reported(tmp_path):
     assert f"first seen at {log.t_s[first]:.2f} s" in output
     assert "last seen" not in output
     assert checked(tmp_path)["Frames found"].verdict == "warn"
-
-
-@pytest.mark.parametrize("speed", [-40, 40])
-def test_a_black_bar_counts_as_an_edge_of_the_picture(tmp_path, speed):
-    """A marker that swims behind a bar beside the picture is cut, not hidden."""
-    film = Film((Disc(straight(160, 120, speed, 4), radius=12),), duration_s=5.0, bars_px=(24, 0))
-    log, output = tracked(tmp_path, film)
-    found = (log.found == 1).to_numpy()
-    assert not found[film.cut()].any()
-    assert found[whole(film)].mean() > 0.9
-    assert np.hypot(log.red_x_px - film.places()[:, 0], log.red_y_px - film.places()[:, 1]).max() < 0.3
-    assert "SWM045" in output
-    assert "then it left the picture" in output
-
-
-def test_a_dark_scene_has_no_bars():
-    """A bar is black up to the edge and takes less than half of the picture."""
-    frame = np.full((100, 200, 3), 90, np.uint8)
-    assert inner_picture(frame) == (0, 0, 200, 100)
-    frame[:, :20] = 5
-    frame[90:] = 5
-    assert inner_picture(frame) == (20, 0, 200, 90)
-    frame[:] = 5
-    assert inner_picture(frame) == (0, 0, 200, 100)
 
 
 def behind(cover, speed, duration):

@@ -209,10 +209,3 @@ def test_the_output_must_not_be_an_input(tmp_path, film, setup):
     result = run("video", film, "--setup", setup, "-o", setup)
     assert result.exit_code == 2
     assert setup.read_text() == before
-
-
-def test_contradicting_scale_options_are_refused(tmp_path, film):
-    both = ["--metres-per-pixel", "0.01", "--scale-points", "0", "0", "9", "9", "--scale-distance-m", "1"]
-    result = run("setup", film, "-o", tmp_path / "s.yaml", *both)
-    assert result.exit_code == 2
-    assert "contradicting" in result.output

@@ -241,7 +241,7 @@ def test_lens_distortion_and_height_are_corrected():
         {
             "format": "swimid-setup/1",
             "markers": [{"name": "a", "hsv": {"hue_deg": [340, 20]}}],
-            "camera": {"matrix": matrix, "distortion": distortion},
+            "camera": {"matrix": matrix, "distortion": distortion, "size_px": [640, 480]},
             "scale": {"metres_per_pixel": 2.0 / 600, "heights": {"camera_m": 2.0, "marker_m": 0.05}},
         }
     )
@@ -258,17 +258,6 @@ def test_the_vertical_plane_has_z_and_pitch(tmp_path, plain, by_hand):
     run("video", plain[0], "--setup", by_hand, "-o", tmp_path / "run.parquet")
     names = pd.read_parquet(tmp_path / "run.parquet").columns
     assert list(names[:7]) == ["t_s", "x_m", "z_m", "pitch_rad", "u_m_s", "w_m_s", "pitch_rate_rad_s"]
-
-
-def test_a_reference_offset_moves_the_path(tmp_path, plain, by_hand):
-    """A reference point behind the nose is where the geometry of the body places it."""
-    video, truth = plain
-    by_hand.write_text(by_hand.read_text() + "reference_offset_m: [-0.08, 0.02]\n")
-    run("video", video, "--setup", by_hand, "-o", tmp_path / "run.csv")
-    log = pd.read_csv(tmp_path / "run.csv", comment="#")
-    x = truth.x_m - 0.08 * np.cos(truth.yaw_rad) - 0.02 * np.sin(truth.yaw_rad)
-    y = truth.y_m - 0.08 * np.sin(truth.yaw_rad) + 0.02 * np.cos(truth.yaw_rad)
-    assert np.sqrt(np.mean((log.x_m - x) ** 2 + (log.y_m - y) ** 2)) < 0.001
 
 
 def test_a_proposed_setup_tracks_as_accurately_as_one_by_hand(tmp_path, plain, by_hand):

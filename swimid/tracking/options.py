@@ -123,33 +123,11 @@ class TrackSetupOptions(
     background: bool = option(False, help="Follow a whole body by its difference from the empty scene.")
     frame: int = option(0, ge=0, help="Frame of the --marker pixels.")
     metres_per_pixel: float | None = option(None, gt=0, help="Scale: metres per pixel.")
-    scale_points: tuple[float, float, float, float] | None = option(
-        None, help="Scale: pixels X1 Y1 X2 Y2 of two points."
-    )
-    scale_distance_m: float | None = option(None, gt=0, help="Distance of these points in metres.")
     plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
     fps: float | None = _rate()
 
     @model_validator(mode="after")
-    def _one_scale(self) -> Self:
-        points, distance = self.scale_points, self.scale_distance_m
+    def _one_method(self) -> Self:
         if self.background and self.picks:
             raise UsageError("--background and --marker contradict each other: give one of them")
-        if self.metres_per_pixel is not None and (points is not None or distance is not None):
-            text = "contradicting scales: give --metres-per-pixel, or --scale-points with --scale-distance-m"
-            raise UsageError(text)
-        if (points is None) != (distance is None):
-            raise UsageError("--scale-points and --scale-distance-m go together")
-        if points is not None and points[:2] == points[2:]:
-            raise UsageError("the two --scale-points are the same")
         return self
-
-    @property
-    def scale(self) -> dict[str, Any] | None:
-        """Scale with the keys of a setup; None without one."""
-        if self.metres_per_pixel is not None:
-            return {"metres_per_pixel": self.metres_per_pixel}
-        if self.scale_points is None:
-            return None
-        points = [list(self.scale_points[:2]), list(self.scale_points[2:])]
-        return {"points_px": points, "distance_m": self.scale_distance_m}

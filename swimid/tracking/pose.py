@@ -28,13 +28,6 @@ from swimid.tracking.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]
 
-#: Maximum distance of the principal point from the middle of the picture, relative to the size of the
-#: picture, if the size of the calibration pictures is unknown. The distance is a few per cent for calibrated
-#: cameras. It is 17 % for a matrix that belongs to pictures 4/3 as large, the smallest ratio of common sizes.
-MAX_OFF_CENTRE = 0.12
-#: Maximum focal length in widths of the picture (a field of view of 19 degrees), if the size of the
-#: calibration pictures is unknown.
-MAX_FOCAL_WIDTHS = 3.0
 #: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes. The ratios
 #: differ because sizes are rounded to even pixels.
 MAX_SCALE_DIFFERENCE = 0.02
@@ -101,11 +94,6 @@ class Plane:
     residual_px: float = 0.0
     residual: float = 0.0
     variants: tuple[Array, ...] = ()
-
-    @property
-    def exact(self) -> bool:
-        """Whether a homography fits its points exactly, so that their error is unknown."""
-        return bool(self.matrix[2, :2].any()) and not self.variants
 
     def to_world(self, x: Array, y: Array) -> Array:
         """Return the world coordinates, shape (2, n), of points of the picture; NaN stays NaN."""
@@ -250,32 +238,18 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
     Raises
     ------
     InputError
-        The matrix is for pictures of other proportions. If their size is not given: the principal point is
-        far from the middle of the picture, or the focal length is many widths of the picture.
+        The matrix is for pictures of other proportions.
     """
-    matrix, film = np.array(camera.matrix), f"{width} x {height} pixels"
-    if camera.size_px is not None:
-        across, down = width / camera.size_px[0], height / camera.size_px[1]
-        if abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
-            size = " x ".join(f"{v:g}" for v in camera.size_px)
-            text = f"the matrix is for pictures of {size} pixels; the film has {film}, no scaled copy"
-            hint = "calibrate the camera in the mode in which it films"
-            raise InputError(text, file=file, column="camera.size_px", hint=hint)
-        # coordinates scale about the corner of the picture, half a pixel before the middle of the first pixel
-        half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
-        return np.asarray(np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half @ matrix)
-    off = float(np.abs(matrix[:2, 2] / (width, height) - 0.5).max())
-    focal = max(matrix[0, 0], matrix[1, 1]) / width
-    if off > MAX_OFF_CENTRE or focal > MAX_FOCAL_WIDTHS:
-        raise InputError(
-            f"the film has {film}: the principal point of the camera matrix is {100 * off:.0f} % of the "
-            f"picture from its middle (allowed {100 * MAX_OFF_CENTRE:g} %), its focal length {focal:.1f} "
-            f"widths of the picture (allowed {MAX_FOCAL_WIDTHS:g})",
-            file=file,
-            column="camera.matrix",
-            hint="give the size of the pictures that the matrix is for, size_px: [width, height]",
-        )
-    return matrix
+    across, down = width / camera.size_px[0], height / camera.size_px[1]
+    if abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
+        size = " x ".join(f"{v:g}" for v in camera.size_px)
+        text = f"the matrix is for pictures of {size} pixels; the film has {width} x {height}, no scaled copy"
+        hint = "calibrate the camera in the mode in which it films"
+        raise InputError(text, file=file, column="camera.size_px", hint=hint)
+    # coordinates scale about the corner of the picture, half a pixel before the middle of the first pixel
+    half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    scale = np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half
+    return np.asarray(scale @ np.array(camera.matrix))
 
 
 def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tuple[float, float]]:
@@ -414,8 +388,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
 
     If the positions of head and tail marker on the robot are known (``at_m``), the pose is that of a rigid
     body through both markers: its heading differs from the line of the markers by their angle on the robot,
-    and the mid-points of the markers coincide. Otherwise the position is that of the head marker, moved by
-    ``reference_offset_m``, and the heading is the direction of the line of the markers.
+    and the mid-points of the markers coincide. Otherwise the position is that of the head marker, and the
+    heading is the direction of the line of the markers.
 
     Raises
     ------
@@ -441,7 +415,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     trusted = ~np.any(hidden[rows] > 0, axis=0)
     weights = _weights(track, head, hidden[head])
     raw = np.where((segment > 0) & ~held.repeated, markers[head], np.nan)
-    lever, forward = np.array(setup.reference_offset_m), markers[head] - markers[tail]
+    lever, forward = np.zeros(2), markers[head] - markers[tail]
     white, lasting = MIN_NOISE_PX * pixel, SYSTEMATIC_PX * pixel
     angle = raw_angle = separation = None
     if tail != head:
@@ -667,11 +641,11 @@ def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
     if seen.any():
         usual = float(np.median(track.confidence[marker, seen]))
         weights[seen] = np.clip(usual / np.maximum(track.confidence[marker, seen], 1e-3), 1, 5) ** 2
-    noise = max(_noise_px(track, marker), MIN_NOISE_PX)
+    noise = max(noise_px(track, marker), MIN_NOISE_PX)
     return np.asarray(weights + (hidden / TWO_SIDED / noise) ** 2)
 
 
-def _noise_px(track: RawTrack, marker: int) -> float:
+def noise_px(track: RawTrack, marker: int) -> float:
     """Return the standard deviation of the white noise of a centroid, from second differences, px."""
     second = np.diff(np.stack(track.centre(marker)), n=2, axis=1)
     known = second[np.isfinite(second)]

@@ -22,7 +22,7 @@ from swimid.progress import Step
 from swimid.tracking import detect
 from swimid.tracking.detect import SLACK, ColourModel, marker_mask
 from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel
-from swimid.tracking.setup import Box, HsvRange, Marker
+from swimid.tracking.setup import HsvRange, Marker
 
 Array = NDArray[np.float64]
 
@@ -85,10 +85,6 @@ class Candidate:
     place: Array = field(default_factory=lambda: np.zeros((0, 2)))
     #: Minimum and maximum area of the patch, px.
     area_px: tuple[float, float] = (0.0, 0.0)
-    #: Median number of moving patches of similar size in a frame.
-    n_patches: int = 0
-    #: Boxes of motionless patches of the colour.
-    still: list[Box] = field(default_factory=list)
     #: Reason why the candidate is not a marker; empty if it may be a marker.
     reason: str = ""
 
@@ -100,24 +96,10 @@ class Candidate:
         """Fraction of the evaluated frames in which the candidate is seen."""
         return float(np.mean(np.isfinite(self.place[:, 0])))
 
-    @property
-    def remark(self) -> str:
-        """Comment on the candidate for a reader of the setup file."""
-        text = f"score {self.score:.2f}, seen in {100 * self.presence:.0f} % of the samples"
-        if self.n_patches > 1:
-            text += f"; {self.n_patches} patches of this colour move together: the largest is followed"
-        return text
 
-    def crosses(self, box: Box) -> bool:
-        """Return whether the candidate was seen inside a box."""
-        margin = np.sqrt(self.area_px[1] / 3)
-        inside = (self.place > np.array(box[:2]) - margin) & (self.place < np.array(box[2:]) + margin)
-        return bool(inside.all(axis=1).any())
-
-
-def sample(path: Path, *, apply_rotation: bool = True, step: Step) -> Samples:
+def sample(path: Path, *, step: Step) -> Samples:
     """Return about :data:`N_SAMPLES` frames, spread evenly over a film."""
-    video = Video(path, apply_rotation=apply_rotation)
+    video = Video(path)
     keeper = FrameKeeper(2 * N_SAMPLES, max(video.claimed // N_SAMPLES, 1), SAMPLE_WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         step()
@@ -224,10 +206,9 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
     model = ColourModel(colours)
     least = max(5.0, 2e-5 * samples.frames[0].shape[0] * samples.frames[0].shape[1])
     places = np.full((len(samples.frames), 2), np.nan)
-    areas, compact, counts, purity = [], [], [], []
+    areas, compact, purity = [], [], []
     in_range = moving_in_range = 0.0
     scenery = marker_mask(samples.background, model)
-    still = _still(scenery, samples.factor, least)
     for k, (frame, moving) in enumerate(zip(samples.frames, samples.moving, strict=True)):
         mask = marker_mask(frame, model)
         in_range += float(np.count_nonzero(mask))
@@ -239,18 +220,12 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         places[k] = samples.factor * (np.array([x, y]) + 0.5) - 0.5
         areas.append(area)
         compact.append(fill)
-        counts.append(sum(other[0] > 0.4 * area for other in patches))
         chroma = detect.chroma(frame)
         purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
     hue = _degrees(peak)
     name = detect.hue_name(hue)
     if len(areas) < max(3, 0.05 * len(samples.frames)):
-        where = "; ".join("[" + ", ".join(f"{v:g}" for v in box) + "]" for box in still[:3])
-        reason = f"a compact patch of it moves in {len(areas)} of {len(samples.frames)} samples only"
-        if np.mean(scenery > 0) > 0.5:
-            reason = "the background's colour"
-        elif still:
-            reason = f"does not move (it lies at {where})"
+        reason = f"does not move (but for {len(areas)} of {len(samples.frames)} samples)"
         return Candidate(name, hue, colours, reason=reason)
     sizes = samples.factor**2 * np.array(areas)
     spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))
@@ -271,7 +246,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         return Candidate(name, hue, colours, reason=reason)
     low, high = np.percentile(sizes, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
-    return Candidate(name, hue, colours, float(score), places, sized, int(np.median(counts)), still)
+    return Candidate(name, hue, colours, float(score), places, sized)
 
 
 def _patches(
@@ -296,19 +271,6 @@ def _patches(
             fill = min(area / (0.785 * max(width, height) ** 2), 1.0)
             found.append((float(area), float(centres[label][0]), float(centres[label][1]), float(fill)))
     return sorted(found, reverse=True)
-
-
-def _still(scenery: NDArray[np.uint8], factor: float, least: float) -> list[Box]:
-    """Return boxes about the largest patches of the colour in the empty scene."""
-    _, _, stats, _ = cv2.connectedComponentsWithStats(scenery, connectivity=8)
-    largest = sorted(stats[1:].tolist(), key=lambda s: -s[4])[:8]
-    boxes: list[Box] = []
-    for left, top, width, height, area in largest:
-        if area >= least:
-            sides = (left, top, left + width, top + height)
-            a, b, c, d = (float(round(factor * side)) for side in sides)
-            boxes.append((a, b, c, d))
-    return boxes
 
 
 def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,8 +14,8 @@ from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.results.evidence import Check, check
 from swimid.tracking.detect import RawTrack
-from swimid.tracking.pose import SYSTEMATIC_PX, Pose
-from swimid.tracking.reader import Frame, irregular, reduced
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose, noise_px
+from swimid.tracking.reader import Frame, reduced
 from swimid.tracking.setup import Setup
 
 Array = NDArray[np.float64]
@@ -36,43 +35,24 @@ MAX_DISTANCE_SD, MAX_UNSEEN, MAX_LENGTH_ERROR = (0.02, 0.06), (0.05, 0.5), (0.02
 SCENE_WIDTH = 480
 #: Maximum shift of the scene for a camera at rest, px of the reduced picture.
 MAX_SHIFT_PX = 2.0
+#: Maximum deviation of a regular time step from the median step, relative to the median step.
+JITTER = 0.25
 #: Minimum normalised innovation of a measurement that counts as a jump.
 JUMP_SIGMA = 6.0
 #: Maximum fraction of frames in which a marker is partly hidden, or is cut by the edge of the picture.
 MAX_HIDDEN_SHARE = 0.01
 
 
-@dataclass(frozen=True)
-class Range:
-    """Range of motion of a marker."""
+def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> tuple[float, float]:
+    """Return the range of motion of a marker, in px and in radii of the marker; 0 if it is hardly ever found.
 
-    #: 95th percentile of the distance from the median position, over detections of the whole marker, px.
-    away_px: float
-    #: Radius of a disc with the median area of the marker, px.
-    radius_px: float
-    #: Standard deviation of the noise of the centre along one axis, px.
-    noise_px: float
-
-    @property
-    def radii(self) -> float:
-        """Range of motion in radii of the marker."""
-        return self.away_px / self.radius_px
-
-    @property
-    def moves(self) -> bool:
-        """Whether the range of motion is at least ``MIN_RADII``."""
-        return self.radii >= MIN_RADII
-
-
-def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> Range:
-    """Return the range of motion of a marker, 0 px if it is hardly ever found.
-
-    ``scene``, shape (2, n), is the shift of the whole scene in each frame, px.
+    The range is the 95th percentile of the distance from the median position, over detections of the whole
+    marker. ``scene``, shape (2, n), is the shift of the whole scene in each frame, px.
     """
     i = track.row(name)
     seen = track.found[i]
     if seen.mean() < MIN_SHARE:
-        return Range(0.0, 1.0, math.nan)
+        return 0.0, 0.0
     area = track.area[i]
     usual = float(np.median(area[seen]))
     # Detections with another area show only a part of the marker. The centre of this part moves if the
@@ -80,21 +60,12 @@ def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> Ran
     # 0.6 radii if objects pass in front of it.
     whole = seen & (np.abs(area - usual) <= 0.15 * usual)
     part = whole if whole.sum() >= MIN_DETECTIONS else seen
-    x, y = track.x[i], track.y[i]
+    place = np.stack([track.x[i], track.y[i]])
     if scene is not None:
-        x, y = x - scene[0], y - scene[1]
-    away = np.hypot(x - np.median(x[part]), y - np.median(y[part]))[part]
-    noise = math.sqrt(0.5 * sum(white_noise_sd(row[seen]) ** 2 for row in (x, y)))
-    radius = max(math.sqrt(usual / math.pi), 1.0)
-    return Range(float(np.percentile(away, 95)), radius, noise)
-
-
-def white_noise_sd(values: Array) -> float:
-    """Return the standard deviation of white noise, from second differences; NaN for fewer than 5 samples."""
-    if len(values) < 5:
-        return math.nan
-    second = np.diff(values, n=2)
-    return 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6)
+        place = place - scene
+    away = np.hypot(*(place[:, part] - np.median(place[:, part], axis=1, keepdims=True)))
+    reach = float(np.percentile(away, 95))
+    return reach, reach / max(math.sqrt(usual / math.pi), 1.0)
 
 
 def marker_fault(
@@ -104,11 +75,11 @@ def marker_fault(
 
     Code and text are empty otherwise. ``scene`` is that of :func:`measure_range`.
     """
-    share, extent = float(track.found[track.row(name)].mean()), measure_range(track, name, scene)
+    share, (_, radii) = float(track.found[track.row(name)].mean()), measure_range(track, name, scene)
     if share < min_share:
         return "SWM040", f"cannot be followed (found in {100 * share:.1f} % of the frames)"
-    if not extent.moves:
-        return "SWM067", f"does not move (stays within {extent.radii:.2g} of its radius of one place)"
+    if radii < MIN_RADII:
+        return "SWM067", f"does not move (stays within {radii:.2g} of its radius of one place)"
     return "", ""
 
 
@@ -330,17 +301,17 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[Check]:
 def _motion(track: RawTrack, setup: Setup) -> Check:
     """Check that the marker with the largest range moves. A motionless object passes all other checks."""
     reaches = {name: measure_range(track, name) for name in setup.roles}
-    name, farthest = max(reaches.items(), key=lambda item: item[1].radii)
+    name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
     # distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh distribution)
-    noise = math.sqrt(-2 * math.log(0.003)) * math.hypot(farthest.noise_px, SYSTEMATIC_PX)
-    still = farthest.away_px <= noise
-    extent = f"{farthest.away_px:.2g} px of one place, {farthest.radii:.2g} of its radius"
+    noise = math.sqrt(-2 * math.log(0.003)) * math.hypot(noise_px(track, track.row(name)), SYSTEMATIC_PX)
+    still = away <= noise
+    extent = f"{away:.2g} px of one place, {radii:.2g} of its radius"
     reason = f"marker '{name}' stays within {extent}"
     if still:
         reason += ", which is its noise"
     reason += ": is it the marker, or a motionless thing of its colour?"
-    value, limit = f"{farthest.radii:.2g} radii", f">= {MIN_RADII:g} radius and {noise:.2g} px of noise"
-    passed = farthest.moves and not still
+    value, limit = f"{radii:.2g} radii", f">= {MIN_RADII:g} radius and {noise:.2g} px of noise"
+    passed = radii >= MIN_RADII and not still
     return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
 
 
@@ -364,7 +335,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[Check]:
     value = f"{worst} in {100 * shares[worst]:.1f} %"
     reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
     yield _graded("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
-    still = [n for n in shares if shares[n] > 0 and not measure_range(track, n).moves]
+    still = [n for n in shares if shares[n] > 0 and measure_range(track, n)[1] < MIN_RADII]
     reason = f"markers never left the radius of one place: {', '.join(still)}. Are they still things?"
     value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {MIN_RADII:g} radius"
     yield _judged("SWM067", "Other markers move", value, limit, not still, reason)
@@ -433,7 +404,8 @@ def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[Check]:
 
 
 def _timing(pose: Pose) -> Iterator[Check]:
-    share, largest = irregular(pose.times)
+    steps = np.diff(pose.times) / np.median(np.diff(pose.times))
+    share, largest = float(np.mean(np.abs(steps - 1) > JITTER)), float(steps.max())
     reason = f"{100 * share:.1f} % of the frames come at uneven steps (up to {largest:.1f} times the usual)"
     value = f"{100 * share:.1f} % uneven"
     yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)

@@ -30,28 +30,18 @@ ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".
 MEASURED = (0, 159, 230)
 #: Placeholder for a whole number in a format of the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
-#: Maximum deviation of a regular time step from the median step, relative to the median step.
-JITTER = 0.25
 #: A frame: position in the film, time stamp (s; NaN for pictures), and picture.
 _Read = tuple[int, float, Frame]
 
 
-def is_sequence(path: Path) -> bool:
-    """Return whether a path is a series of pictures: a folder, or a pattern that is not a file itself."""
-    return path.is_dir() or (not path.exists() and _HOLDER.search(path.name) is not None)
-
-
-def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_Read]:
+def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
     """Yield pictures in the order of the numbers in their names.
 
     A missing picture leaves a gap in time.
     """
-    flags = cv2.IMREAD_COLOR
-    if not apply_rotation:
-        flags |= cv2.IMREAD_IGNORE_ORIENTATION
     bad, first = [], None
     for position, file in zip(_positions(path, files), files, strict=True):
-        frame = cv2.imread(str(file), flags)
+        frame = cv2.imread(str(file))
         if frame is None:
             bad.append(file.name)
             continue
@@ -63,11 +53,11 @@ def _pictures(path: Path, files: list[Path], apply_rotation: bool) -> Iterator[_
             raise InputError(text, file=file, hint=hint)
         yield position, math.nan, np.asarray(frame, np.uint8)
     if bad:
-        text = f"{len(bad)} of {len(files)} pictures could not be decoded ({_some(bad)})"
+        text = f"{len(bad)} of {len(files)} pictures could not be decoded ({', '.join(bad[:3])})"
         warn("SWM044", f"{path.name}: {text}; their time is left out")
 
 
-def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
+def _opened(path: Path) -> cv2.VideoCapture:
     """Open a film for decoding."""
     if not path.is_file():
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
@@ -80,7 +70,8 @@ def _opened(path: Path, apply_rotation: bool) -> cv2.VideoCapture:
         text = "is not a video that can be decoded, or its index is missing (a recording cut short)"
         hint = "check that a player plays it; 'ffmpeg -i in.mp4 -c copy out.mkv' may repair a cut recording"
         raise InputError(text, file=path, hint=hint)
-    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(apply_rotation))
+    # the default of this setting depends on the version of OpenCV
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1.0)
     return capture
 
 
@@ -106,8 +97,6 @@ class Video:
     frame_rate_hz : float, optional
         True frame rate, if the stamps of the container are wrong. The time of frame i is then i /
         frame_rate_hz. Pictures need a frame rate because they have no stamps.
-    apply_rotation : bool
-        Whether the rotation tag is applied. The default of OpenCV depends on its version.
 
     Attributes
     ----------
@@ -115,8 +104,8 @@ class Video:
         File of the film, or files of the pictures.
     width, height : int
         Size of the picture, px.
-    claimed_rate_hz, claimed : float, int
-        Mean rate and number of frames according to the container; 0 if the container does not state them.
+    claimed : int
+        Number of frames according to the container; 0 if the container does not state it.
     first_stamp_s : float
         Stamp of the first frame, which is t = 0; NaN for pictures.
 
@@ -126,26 +115,20 @@ class Video:
         The file does not exist, or no frame of it can be decoded.
     """
 
-    def __init__(
-        self, path: str | Path, *, frame_rate_hz: float | None = None, apply_rotation: bool = True
-    ) -> None:
+    def __init__(self, path: str | Path, *, frame_rate_hz: float | None = None) -> None:
         self.path = Path(path)
         # decoding uses all cores, and threads for small pictures only cost time
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
-        self._stamps: list[float] = []
-        self._positions: list[int] = []
-        if is_sequence(self.path):
+        # a folder, or a pattern that is not a file itself
+        if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
             self.files = _listed(self.path)
-            self.claimed_rate_hz, self.claimed = 0.0, len(self.files)
-            self._read = _pictures(self.path, self.files, apply_rotation)
+            self.claimed = len(self.files)
+            self._read = _pictures(self.path, self.files)
         else:
             self.files = [self.path]
-            capture = _opened(self.path, apply_rotation)
-            rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-            self.claimed_rate_hz, self.claimed = 0.0, 0
-            if np.isfinite(rate) and rate > 0:
-                self.claimed_rate_hz = rate
+            capture = _opened(self.path)
+            count, self.claimed = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
             if 0 < count < 1e9:
                 self.claimed = int(count)
             self._read = _decoded(capture)
@@ -157,51 +140,22 @@ class Video:
         self.first_stamp_s = first[1]
         self.height, self.width = first[2].shape[:2]
 
-    def demand_clock(self) -> None:
-        """Raise if the times of the frames are unknown: pictures without a frame rate."""
-        if self._rate is None and np.isnan(self.first_stamp_s):
-            hint = "give their rate with --fps, or frame_rate_hz in the setup"
-            raise InputError("is a series of pictures, which carry no time stamps", file=self.path, hint=hint)
-
     def frames(self) -> Iterator[tuple[float, Frame]]:
         """Yield the time in s and the BGR picture of every frame. The next picture overwrites the array.
 
         Pictures without a frame rate have the time NaN.
         """
+        count = 0
         for position, stamp, frame in itertools.chain([self._first], self._read):
-            self._stamps.append(stamp)
-            self._positions.append(position)
-            since = position - self._positions[0]
+            count += 1
             if self._rate:
-                yield since / self._rate, frame
+                yield (position - self._first[0]) / self._rate, frame
             else:
                 yield stamp - self.first_stamp_s, frame
-        count, claimed = len(self._stamps), self.claimed
         # some containers state one or two frames more than they contain
-        if len(self.files) == 1 and claimed and count < claimed - max(2, 0.01 * claimed):
-            text = f"{count} of {claimed} frames could be decoded"
+        if len(self.files) == 1 and count < self.claimed - max(2, 0.01 * self.claimed):
+            text = f"{count} of {self.claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
-
-    def times(self) -> NDArray[np.float64]:
-        """Return the times of the frames read so far, s, strictly increasing from 0.
-
-        Stamps that do not increase are replaced by even steps, with a warning.
-        """
-        if self._rate:
-            positions = np.array(self._positions, dtype=float)
-            return (positions - positions[:1]) / self._rate
-        stamps = np.array(self._stamps)
-        stamps -= stamps[:1]
-        backwards, rate = np.diff(stamps) <= 0, self.claimed_rate_hz
-        if not backwards.any():
-            return stamps
-        bad = int(np.argmax(backwards)) + 1
-        if not rate:
-            hint = "give the true frame rate with --fps"
-            raise InputError("its frames carry no usable time stamps", file=self.path, frame=bad, hint=hint)
-        text = f"the stamp of frame {bad} does not follow the one before; even steps of 1/{rate:g} s are used"
-        warn("SWM043", f"{self.path.name}: {text}. Give --fps if that is not the camera's rate")
-        return np.arange(len(stamps)) / rate
 
 
 def reduced(frame: Frame, width: int) -> Frame:
@@ -245,15 +199,6 @@ class FrameKeeper:
             self.kept = {k: f for k, f in self.kept.items() if k % self._every == 0}
 
 
-def irregular(times: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the fraction of irregular time steps, and the ratio of the longest step to the median."""
-    steps = np.diff(times)
-    if len(steps) < 2:
-        return 0.0, 1.0
-    middle = float(np.median(steps))
-    return float(np.mean(np.abs(steps - middle) > JITTER * middle)), float(steps.max() / middle)
-
-
 def check_output(path: Path, output: Path) -> None:
     """Raise if the output is in the folder of the pictures.
 
@@ -265,37 +210,22 @@ def check_output(path: Path, output: Path) -> None:
 
 
 def _listed(path: Path) -> list[Path]:
-    """Return the files of the pictures in order."""
-    if path.is_dir():
-        files = [f for f in path.iterdir() if f.suffix.lower() in ENDINGS and f.is_file()]
-        files = [f for f in files if not f.name.startswith(".")]
-        if not files:
-            hint = f"it may hold {', '.join(ENDINGS)}"
-            raise InputError("is a folder without pictures", file=path, hint=hint)
-        series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
-        if len(series) > 1:
-            found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
-            hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
-            raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
-        return sorted(files, key=lambda f: _numbers(f.name))
-    holders = _HOLDER.findall(path.name)
-    if len(holders) != 1:
-        raise InputError(f"has {len(holders)} place holders; a pattern has one", file=path)
-    if not path.parent.is_dir():
+    """Return the files of the pictures in the order of the numbers in their names."""
+    folder, name, text = path, r"[^.].*", "is a folder without pictures"
+    if not path.is_dir():
+        folder, text = path.parent, "no picture has a name like this"
+        name = r"\d+".join(map(re.escape, _HOLDER.split(path.name)))
+    if not folder.is_dir():
         raise InputError("cannot be read: no such folder", file=path, hint="check the path")
-    before, after = path.name.split(holders[0])
-    width = int(re.sub(r"\D", "", holders[0]) or 0)
-    # printf pads numbers up to the width, and does not shorten longer numbers
-    digits = rf"(\d{{{width}}}|[1-9]\d{{{width},}})"
-    if not width:
-        digits = r"(\d+)"
-    name = re.compile(re.escape(before) + digits + re.escape(after))
-    matches = [(name.fullmatch(f.name), f) for f in path.parent.iterdir()]
-    numbered = [(int(match.group(1)), file) for match, file in matches if match]
-    if not numbered:
-        hint = "check the pattern, and the folder"
-        raise InputError("no picture has a name like this", file=path, hint=hint)
-    return [file for _, file in sorted(numbered)]
+    files = [f for f in folder.iterdir() if re.fullmatch(name, f.name) and f.suffix.lower() in ENDINGS]
+    if not files:
+        raise InputError(text, file=path, hint=f"a picture is one of {', '.join(ENDINGS)}")
+    series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
+    if len(series) > 1:
+        found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
+        hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
+        raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
+    return sorted(files, key=lambda f: _numbers(f.name))
 
 
 def _numbers(name: str) -> list[int]:
@@ -322,11 +252,6 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
     missing = [f"after {files[k].name}" for k, step in enumerate(steps) if step != usual]
     if missing:
         count = sum(step // usual - 1 for step in steps)
-        text = f"{count} pictures are missing by their numbers ({_some(missing)})"
+        text = f"{count} pictures are missing by their numbers ({', '.join(missing[:3])})"
         warn("SWM044", f"{path.name}: {text}; their time is left out")
     return [(number - numbers[0]) // usual for number in numbers]
-
-
-def _some(names: list[str]) -> str:
-    shown = names if len(names) <= 3 else [*names[:3], "..."]
-    return ", ".join(shown)

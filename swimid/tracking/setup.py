@@ -6,7 +6,6 @@ file from a film, and ``docs/tracking.md`` explains each key with an example.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,6 +21,7 @@ FORMAT = "swimid-setup/1"
 _Positive = Annotated[float, Field(gt=0)]
 _Point = tuple[float, float]
 _Points = tuple[_Point, ...]
+_Row = tuple[float, float, float]
 #: Left, top, right and bottom side of a box, px.
 Box = tuple[float, float, float, float]
 
@@ -49,7 +49,7 @@ class HsvRange(Document):
 class Marker(Document):
     """One kind of marker: colour, number and size in the picture."""
 
-    name: Annotated[str, Field(min_length=1, max_length=40)]
+    name: Annotated[str, Field(max_length=40, pattern="^[A-Za-z][A-Za-z0-9_-]*$")]
     #: ``background`` means the whole body, found by its difference from the empty scene; it needs no colour.
     method: Literal["colour", "background"] = "colour"
     hsv: HsvRange | None = None
@@ -64,8 +64,6 @@ class Marker(Document):
 
     @model_validator(mode="after")
     def _has_colour(self) -> Marker:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
-            raise ValueError(f"marker name '{self.name}' must be letters, digits, - and _, a letter first")
         if self.method == "background" and (self.hsv is not None or self.number > 1):
             raise ValueError(f"marker '{self.name}' has method: background; it takes no hsv, and number 1")
         if self.method == "colour" and self.hsv is None:
@@ -128,15 +126,13 @@ class Scale(Document):
 class Camera(Document):
     """Calibration of the camera and its lens, with the conventions of OpenCV."""
 
-    matrix: tuple[tuple[float, float, float], ...]
+    matrix: tuple[_Row, _Row, _Row]
     #: Width and height of the calibration pictures. The matrix is scaled to the pictures of the film.
-    size_px: tuple[_Positive, _Positive] | None = None
+    size_px: tuple[_Positive, _Positive]
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _shapes(self) -> Camera:
-        if len(self.matrix) != 3:
-            raise ValueError(f"matrix has {len(self.matrix)} rows; a camera matrix is 3 x 3")
         if self.matrix[0][0] <= 0 or self.matrix[1][1] <= 0 or self.matrix[2] != (0.0, 0.0, 1.0):
             raise ValueError("matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] with fx, fy above 0")
         if len(self.distortion) not in (4, 5, 8, 12, 14):
@@ -160,18 +156,12 @@ class Setup(Document):
     swims: Literal["head-first", "tail-first"] = "head-first"
     #: Robot whose file gives the positions of the markers without ``at_m``, by their names.
     robot: str | None = None
-    #: Reference point relative to the head marker: forward, and to port (up in the vertical plane), m.
-    reference_offset_m: _Point = (0.0, 0.0)
     scale: Scale | None = None
     camera: Camera | None = None
     #: Frame rate that replaces the stamps of the container, Hz.
     frame_rate_hz: _Positive | None = None
     #: Maximum length of a gap that is interpolated, s.
     max_gap_s: Annotated[float, Field(ge=0)] = 1.0
-    #: Whether the rotation tag of the container is applied.
-    apply_rotation: bool = True
-    #: Box in which the centres of markers must be: [left, top, right, bottom], px.
-    region_px: Box | None = None
     #: Boxes in which no markers are searched for, each [left, top, right, bottom] in px.
     ignore_px: list[Box] = []
 
@@ -184,20 +174,16 @@ class Setup(Document):
         for role, chosen in (("head", self.head), ("tail", self.tail)):
             if chosen is not None and chosen not in names:
                 raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
-        if self.head is None and self.tail is not None:
-            raise ValueError("tail is given without head")
-        if self.head is not None and self.head == self.tail:
-            raise ValueError(f"head and tail are both '{self.head}'")
+        if self.tail is not None and self.head in (None, self.tail):
+            raise ValueError(f"tail '{self.tail}' needs another marker as head")
         if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
             raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
-        if self.reference_offset_m != (0.0, 0.0) and (self.tail is None or self.scale is None):
-            raise ValueError("reference_offset_m needs a head, a tail and a scale")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(f"facing: {self.facing} goes with plane: vertical")
-        for box in [self.region_px, *self.ignore_px]:
-            if box is not None and (box[2] <= box[0] or box[3] <= box[1]):
+        for box in self.ignore_px:
+            if box[2] <= box[0] or box[3] <= box[1]:
                 raise ValueError(f"box {list(box)} must be [left, top, right, bottom]")
         return self
 
@@ -207,8 +193,6 @@ class Setup(Document):
             return self
         if self.tail is None or self.scale is None:
             raise ValueError("at_m of the markers (or robot) needs a head, a tail and a scale")
-        if self.reference_offset_m != (0.0, 0.0):
-            raise ValueError("reference_offset_m and at_m both say where the reference point lies; keep one")
         head, tail = (self.marker(name) for name in self.roles)
         for marker in (head, tail):
             if marker.at_m is None and self.robot is None:

@@ -24,9 +24,9 @@ AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
 
 
-def empty_scene(path: Path, setup: Setup) -> Frame:
+def empty_scene(path: Path) -> Frame:
     """Return the median of frames spread over a film, in which moving objects are absent."""
-    video = Video(path, apply_rotation=setup.apply_rotation)
+    video = Video(path)
     keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
         keeper.take(index, frame)
@@ -60,11 +60,10 @@ class Silhouette:
         self._changes: list[float] = []
         self._times: list[float] = []
         self._last: tuple[tuple[slice, slice], Frame] | None = None
-        left, top, right, bottom = setup.region_px or (0, 0, width, height)
-        self._allowed = np.zeros(scene.shape[:2], np.uint8)
-        for box, value in [((left, top, right, bottom), 255), *((box, 0) for box in setup.ignore_px)]:
-            a, b, c, d = (max(round(v / self._factor), 0) for v in box)
-            self._allowed[b:d, a:c] = value
+        self._allowed = np.full(scene.shape[:2], 255, np.uint8)
+        for box in setup.ignore_px:
+            left, top, right, bottom = (max(round(side / self._factor), 0) for side in box)
+            self._allowed[top:bottom, left:right] = 0
 
     def step(self, time: float, frame: Frame) -> None:
         """Find the body in the next frame."""
@@ -115,13 +114,13 @@ class Silhouette:
         rest = (self._factor**2 * m["m00"], confidence, WINDOW, edge)
         return [(*centre, *rest), (*rear, *rest)]
 
-    def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
-        """Return the track so far; ``times`` replaces the times of the frames.
+    def track(self) -> RawTrack:
+        """Return the track so far.
 
         The direction of the main axis is chosen so that most steps agree with ``swims`` in the setup.
         """
         track = RawTrack.of_rows(
-            self._times if times is None else times,
+            self._times,
             self.setup.marker_names,
             self._rows,
             change=np.array(self._changes),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -29,37 +30,18 @@ from swimid.tracking.tracker import Run, follow
 MAX_TRIALS = 3
 #: Number of pictures on the contact sheet, and their width, px.
 N_TILES, TILE_WIDTH = 4, 640
-_FACING = """\
-# Direction in which the robot faces and x increases: right, left, or auto (tail to head).
-facing: auto
-"""
-_NO_SCALE = """\
-# Without a scale positions are in pixels. One of:
+_HEAD = "# Drafted by swimid track setup from {}; correct it if needed. All keys: docs/tracking.md\n"
+#: Comment with the keys that a draft does not have.
+_MORE = """\
+# Without scale positions are in pixels. One of:
 # scale: {metres_per_pixel: 0.0015}
 # scale: {points_px: [[x1, y1], [x2, y2]], distance_m: 1.0}
 # scale: {points_px: [four corners], points_m: [the same corners]}
-"""
-_TEXT = """\
-# Drafted by swimid track setup from {video}; correct it if needed. All keys: docs/tracking.md
-format: {format}
-markers:
-{markers}\
-# The head marker gives the position, head and tail together the heading.
-head: {head}
-{tail}
-# horizontal: camera above, x, y and yaw. vertical: camera at the side, x, z and pitch.
-plane: {plane}
-{facing}\
+# True frame rate, if the stamps of the container are wrong:
+# frame_rate_hz: 240
 # The pose is that of the head marker. To get that of the reference point of the robot, give at_m of
-# head and tail, or the robot whose file has markers of these names.
+# head and tail, or the robot whose file has markers of these names:
 # robot: sealion
-{scale}\
-# True frame rate, if the stamps of the container are wrong.
-{rate}
-# Longest gap that is interpolated, s.
-max_gap_s: {gap}
-# Motionless things of the colour of a marker: [left, top, right, bottom].
-ignore_px: {ignored}
 """
 
 
@@ -140,17 +122,25 @@ def track_setup(
         if output.exists() and not force:
             raise UsageError(f"{output} exists", hint="name another file, or give --force to replace it")
     video = Path(video)
-    common = {"scale": options.scale, "plane": options.plane, "frame_rate_hz": options.fps}
+    common: dict[str, Any] = {"plane": options.plane, "frame_rate_hz": options.fps}
+    if options.metres_per_pixel is not None:
+        common["scale"] = {"metres_per_pixel": options.metres_per_pixel}
     rejected: list[Candidate] = []
     if options.picks:
-        run, remarks = _from_picks(video, options, common, progress)
+        run = _from_picks(video, options, common, progress)
     elif options.background:
-        run, remarks = _from_background(video, common, progress)
+        run = _from_background(video, common, progress)
     else:
-        run, remarks, rejected = _from_film(video, common, progress)
+        run, rejected = _from_film(video, common, progress)
     setup = _with_areas(run)
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
-    ahead = _doubts(setup, run)
+    for name in run.track.names:
+        code, fault = quality.marker_fault(run.track, name)
+        if fault:
+            warn(code, f"marker '{name}' {fault}")
+    ahead = None
+    if setup.tail is not None:
+        ahead = quality.head_first(run.track, *setup.roles)
     lines = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     lines += [f"passed over: {one}" for one in rejected]
     lines.append(f"head {setup.head}, tail {setup.tail}")
@@ -173,7 +163,7 @@ def track_setup(
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in rejected],
     }
-    text, sheet = _text(setup, shares, remarks, rejected, video.name), _sheet(run)
+    text, sheet = _text(setup, shares, rejected, video.name), _sheet(run)
     return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet).saved(output)
 
 
@@ -189,20 +179,10 @@ def _try(video: Path, setup: Setup, progress: Progress) -> Run:
         return follow(video, setup, step=step)
 
 
-def _from_film(
-    video: Path, common: dict[str, Any], progress: Progress
-) -> tuple[Run, list[str], list[Candidate]]:
-    """Return a trial of the best moving candidate, with a second marker if possible.
+def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
+    """Return a trial of the best moving candidate, with a second marker if possible, and the other colours.
 
     The second marker must have a constant distance from the first one.
-
-    Returns
-    -------
-    run : Run
-    remarks : list of str
-        One remark for each marker.
-    rejected : list of Candidate
-        Colours that are not used.
     """
     with progress(f"looking at {video.name}") as step:
         samples = propose.sample(video, step=step)
@@ -224,8 +204,9 @@ def _from_film(
                 if tail is not None and (quality.head_first(run.track, head, tail) or 0.0) < 0.5:
                     run = replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
                 rest = [c for c in found if c not in pair]
-                rejected += [replace(c, reason=reasons.get(id(c)) or _why_weaker(c, pair)) for c in rest]
-                return run, [c.remark for c in pair], rejected
+                weaker = f"less like a marker than {pair[0].name}, or at no constant distance from it"
+                rejected += [replace(c, reason=reasons.get(id(c), weaker)) for c in rest]
+                return run, rejected
             if any(pair[i] is first for i in faults):
                 break
     rejected = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + rejected
@@ -245,10 +226,7 @@ def _pair_setup(pair: list[Candidate], common: dict[str, Any]) -> Setup:
         Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
         for name, candidate in zip(names, pair, strict=True)
     ]
-    # a position at which a marker was seen must not be ignored
-    boxes = [box for candidate in pair for box in candidate.still]
-    still = [box for box in boxes if not any(candidate.crosses(box) for candidate in pair)]
-    return _setup(markers, common).model_copy(update={"ignore_px": still})
+    return _setup(markers, common)
 
 
 def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dict[int, str]:
@@ -276,35 +254,24 @@ def _faults(run: Run, pair: list[Candidate], scene: quality.Array | None) -> dic
     return faults
 
 
-def _why_weaker(candidate: Candidate, pair: list[Candidate]) -> str:
-    best = max(pair, key=lambda c: c.score)
-    if candidate.score >= propose.SECOND_SHARE * best.score and len(pair) == 1:
-        return f"not seen together with {best.name} at one distance"
-    return f"less like a marker (score {candidate.score:.2f}, {best.name} {best.score:.2f})"
-
-
-def _from_picks(
-    video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress
-) -> tuple[Run, list[str]]:
-    """Return a trial of the picked markers, and a remark on each kind."""
+def _from_picks(video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress) -> Run:
+    """Return a trial of the picked markers."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for pick in options.picks:
         kinds.setdefault(pick.name, []).append((pick.x, pick.y))
     frame = _frame(video, options.frame)
     markers = propose.pick_markers(frame, kinds, path=video, index=options.frame)
-    run, remarks = _try(video, _setup(markers, common), progress), ["picked by hand"] * len(markers)
-    head, tail = run.setup.head, run.setup.tail
-    if head is not None and tail is not None and markers[0].number > 1:
+    run = _try(video, _setup(markers, common), progress)
+    if markers[0].number > 1:
         # equal markers may be on several bodies, and only a rigid pair gives a heading
-        separation = quality.distance_change(run.track, head, tail)
+        separation = quality.distance_change(run.track, *run.setup.roles)
         if separation is None or separation > quality.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
-            remarks[0] += f"; {head} and {tail} keep no distance, so there is no tail"
-    return run, remarks
+    return run
 
 
-def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[str]]:
-    """Return a trial of the body that differs from the empty scene, and a remark on the body.
+def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> Run:
+    """Return a trial of the body that differs from the empty scene.
 
     Raises
     ------
@@ -315,44 +282,14 @@ def _from_background(video: Path, common: dict[str, Any], progress: Progress) ->
     if run.track.found[0].mean() < quality.MIN_SHARE:
         hint = "the scene is the film's median: the body must leave its place for more than half of it"
         raise NoTrustworthyResult(f"nothing in {video.name} differs from the empty scene", hint=hint)
-    return run, ["the whole body, by its difference from the empty scene"]
-
-
-def _doubts(setup: Setup, run: Run) -> float | None:
-    """Warn if markers are hardly found or do not move, or if a pair is not rigid or swims tail first.
-
-    Returns
-    -------
-    float or None
-        Fraction of the steps in which the pair moves towards its head.
-    """
-    for name in run.track.names:
-        code, fault = quality.marker_fault(run.track, name)
-        if fault:
-            warn(code, f"marker '{name}' {fault}")
-    if setup.head is None or setup.tail is None:
-        return None
-    ahead = quality.head_first(run.track, setup.head, setup.tail)
-    if ahead is not None and ahead < 0.5:
-        warn(
-            "SWM100",
-            f"the robot swims head first in {100 * ahead:.0f} % of the steps only: exchange head "
-            f"'{setup.head}' and tail '{setup.tail}' in the setup, or say there 'swims: tail-first'",
-        )
-    separation = quality.distance_change(run.track, setup.head, setup.tail)
-    if separation is not None and separation > quality.MAX_DISTANCE_SD[0]:
-        text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * separation:.1f} %"
-        warn("SWM042", f"{text} beyond what a camera askew explains: on one rigid part it would not")
-    return ahead
+    return run
 
 
 def _frame(video: Path, index: int) -> Frame:
     """Return one frame of a film; raise an InputError if the frame does not exist."""
-    count = 0
-    for count, (_, frame) in enumerate(Video(video).frames(), start=1):
-        if count - 1 == index:
-            return frame
-    raise InputError(f"has {count} frames; frame {index} does not exist", file=video)
+    for _, frame in islice(Video(video).frames(), index, None):
+        return frame
+    raise InputError(f"has no frame {index}", file=video)
 
 
 def _with_areas(run: Run) -> Setup:
@@ -369,60 +306,12 @@ def _with_areas(run: Run) -> Setup:
     return run.setup.model_copy(update={"markers": markers})
 
 
-def _text(
-    setup: Setup, shares: dict[str, float], remarks: list[str], rejected: list[Candidate], video: str
-) -> str:
+def _text(setup: Setup, shares: dict[str, float], rejected: list[Candidate], video: str) -> str:
     """Return the setup as commented YAML, with the fraction of frames in which each marker is found."""
-    markers = [_marker_text(m, shares, remark) for m, remark in zip(setup.markers, remarks, strict=True)]
-    markers += [f"# Passed over: {one}\n" for one in rejected]
-    scale, rate, facing = _NO_SCALE, "# frame_rate_hz: 240", ""
-    if setup.plane == "vertical":
-        facing = _FACING
-    if setup.scale is not None:
-        scale = f"scale: {_flow(setup.scale.model_dump(mode='json', exclude_none=True))}\n"
-    if setup.frame_rate_hz:
-        rate = f"frame_rate_hz: {setup.frame_rate_hz:g}"
-    return _TEXT.format(
-        video=video,
-        format=setup.format,
-        markers="".join(markers),
-        head=setup.head_name,
-        tail=f"tail: {setup.tail}" if setup.tail else "# tail: name of the marker behind it",
-        plane=setup.plane,
-        facing=facing,
-        scale=scale,
-        rate=rate,
-        gap=f"{setup.max_gap_s:g}",
-        ignored=_flow(setup.ignore_px),
-    )
-
-
-def _marker_text(marker: Marker, shares: dict[str, float], remark: str) -> str:
-    found = ", ".join(f"{100 * shares[name]:.1f} %" for name in marker.names)
-    keys: dict[str, Any] = {"method": marker.method}
-    if marker.hsv is not None:
-        keys = {"hsv": marker.hsv.model_dump()}
-    keys["area_px"] = marker.area_px or (12.0, 1e5)
-    if marker.number > 1:
-        keys["number"] = marker.number
-    if marker.start_px is not None:
-        keys["start_px"] = marker.start_px
-    lines = [f"    {key}: {_flow(value)}" for key, value in keys.items()]
-    return "\n".join(
-        [f"  - name: {marker.name}", f"    # Found in {found} of the frames; {remark}.", *lines, ""]
-    )
-
-
-def _flow(value: Any) -> str:
-    """Return a value as YAML on one line."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_flow, value)) + "]"
-    if isinstance(value, float):
-        short = f"{value:g}"
-        return short if float(short) == value else repr(value)
-    return str(value)
+    notes = [f"# {name}: found in {100 * share:.1f} % of the frames\n" for name, share in shares.items()]
+    notes += [f"# Passed over: {one}\n" for one in rejected]
+    data = setup.model_dump(mode="json", exclude_none=True)
+    return "".join([_HEAD.format(video), *notes, yamlio.dumps(data), _MORE])
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:

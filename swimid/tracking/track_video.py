@@ -27,7 +27,7 @@ from swimid.results import blocks, drawing, numbers
 from swimid.results import evidence as ev
 from swimid.tracking import pose, quality, reader
 from swimid.tracking import setup as setup_format
-from swimid.tracking.detect import CUT, LOST, STATUS, RawTrack, describe_colours
+from swimid.tracking.detect import LOST, describe_colours
 from swimid.tracking.options import TrackVideoOptions
 from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose
 from swimid.tracking.reader import MEASURED, Frame, Video, reduced, write_text
@@ -207,7 +207,7 @@ def _evaluate(
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
-    data = _data(track, made, rows, swum) | {
+    data = _data(made, rows, swum) | {
         "verdict": verdict.model_dump(),
         "checks": [check.model_dump() for check in checks],
     }
@@ -229,7 +229,7 @@ def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
     if rules.plane == "vertical":
         head["facing"] = plane.faces
     if rules.places is None:
-        return head | {"reference": rules.head_name, "reference_offset_m": list(rules.reference_offset_m)}
+        return head | {"reference": rules.head_name}
     places = {name: list(place) for name, place in zip(rules.roles, rules.places, strict=True)}
     return head | {"reference": rules.robot or "robot", "markers_at_m": places}
 
@@ -325,31 +325,23 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
     return rows
 
 
-def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
+def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
     """Return the values of a track for ``--json``; None for a value that the window does not determine."""
-    seen, total, unit = np.flatnonzero(pose.measured), len(pose.times), pose.plane.unit
-    gaps = [end - start for start, end in pose.gaps]
+    count, total, unit = int(pose.measured.sum()), len(pose.times), pose.plane.unit
     noise = {unit: pose.path.measurement_sd}
     if pose.angle is not None:
         noise["rad"] = pose.angle.measurement_sd
     return {
         "frames": total,
-        "found": len(seen),
-        "found_share": len(seen) / total,
-        "first_seen_s": float(pose.times[seen[0]]),
-        "last_seen_s": float(pose.times[seen[-1]]),
+        "found": count,
+        "found_share": count / total,
         "duration_s": float(pose.times[-1]),
         "interpolated": int(pose.interpolated.sum()),
         "segments": int(pose.segment.max()),
-        "gaps": len(gaps),
-        "longest_gap_s": max(gaps, default=0.0),
+        "gaps": len(pose.gaps),
+        "longest_gap_s": max((end - start for start, end in pose.gaps), default=0.0),
         "unit": unit,
-        "markers": {
-            name: {"found": int(track.found[i].sum()), "at_edge": int(track.at_edge[i].sum())}
-            for i, name in enumerate(track.names)
-        },
         "measurement_sd": noise,
-        "process_noise": {"order": pose.path.order, "value": pose.path.process_noise},
         "swimming": {
             "window": found.window,
             "from_s": found.begin_s,
@@ -366,11 +358,8 @@ def _data(track: RawTrack, pose: Pose, rows: list[Row], found: Swimming) -> dict
 
 def _answer(pose: Pose, found: Swimming) -> str:
     """Return the sentence of the verdict: fraction of frames with markers, speed and stroke frequency."""
-    text, kind, speed = (
-        f"Markers found in {100 * pose.measured.mean():.1f} % of the frames",
-        "path",
-        found.path_speed,
-    )
+    text = f"Markers found in {100 * pose.measured.mean():.1f} % of the frames"
+    kind, speed = "path", found.path_speed
     if found.steady:
         kind, speed = "steady", found.advance
     if speed is not None:
@@ -388,19 +377,13 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
         noise += f", heading {pose.angle.measurement_sd:.2g} rad"
     facts = {
         "Found": f"{count} of {len(pose.times)} frames, {int(pose.interpolated.sum())} bridged",
-        "Segments": str(int(pose.segment.max())),
         "Measurement noise": noise,
     }
     if setup.plane == "vertical":
         facts["Faces"] = pose.plane.faces
-    if pose.plane.exact:
-        facts["Calibration"] = "four points, which do not tell their error"
     windows = {"given": "as given", "whole track": "the whole track: no part of it is steady"}
     window = windows.get(found.window, "the steady part")
     facts["Speeds over"] = f"{found.begin_s:.4g} to {found.end_s:.4g} s, {window}"
-    if found.advance is not None and found.change is not None and not found.steady:
-        change = 100 * found.change.value / max(found.advance.value, 1e-300)
-        facts["Speeds over"] += f"; the speed changes by {change:+.0f} % over it"
     if found.stroke is None:
         facts["Stroke"] = f"unknown: {found.unknown}"
     return facts
@@ -486,9 +469,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
         ev.Trace(x=x, y=y, label="smoothed", group=0),
     ]
-    curves = {
-        label: ev.Trace(**dict(zip("xy", ev.thinned(t, v), strict=True))) for label, v in speeds.items()
-    }
+    curves = {label: ev.Trace(x=t[every], y=v[every]) for label, v in speeds.items()}
     return [
         blocks.figure("path", "Path", "", f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
         blocks.panels(
@@ -545,16 +526,8 @@ class Painter:
             place = tuple(np.round(here).astype(int))
             cv2.drawMarker(frame, place, colour, cv2.MARKER_CROSS, int(14 * size), line, cv2.LINE_AA)
         place = (int(8 * size), int(frame.shape[0] - 10 * size))
-        write_text(frame, f"{times[i]:.2f} s  frame {i}  {self._status(i)}", place, 0.55 * size, line)
+        write_text(frame, f"{times[i]:.2f} s  frame {i}", place, 0.55 * size, line)
         return frame
-
-    def _status(self, i: int) -> str:
-        if self.pose.measured[i]:
-            return STATUS[int(self.track.status[:, i].max())]
-        words = [CUT if self.track.at_edge[:, i].any() else STATUS[LOST]]
-        if self.pose.interpolated[i]:
-            words.append("interpolated")
-        return ", ".join(words)
 
     def images(self) -> list[ev.Image]:
         """Return the frames for the report, with the track drawn in."""
@@ -578,7 +551,7 @@ class Painter:
         times, source = self.track.times, self.run.video
         width, height = source.width // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
-        again = Video(source.path, apply_rotation=self.run.setup.apply_rotation).frames()
+        again = Video(source.path).frames()
         with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
             writer = open_writer(temporary, rate, width, height)
             try:

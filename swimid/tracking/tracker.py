@@ -9,10 +9,9 @@ motionless object was taken for a marker.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,14 +49,10 @@ COARSE_AREA_SHARE = 0.4
 #: Maximum number of patches of one picture that are measured. It limits the time for a frame full of the
 #: colour.
 MAX_PATCHES = 24
-#: Maximum grey level of a black pixel (video black is 16 if its range is misread), minimum fraction of black
-#: pixels in a row or column of a black bar, and minimum width of a bar, px.
-BLACK, BLACK_SHARE, MIN_BAR_PX = 24, 0.98, 4
-#: Number of earlier frames that are stored, and number of frames between them. They show whether an object
-#: was present before.
-N_MEMORIES, MEMORY_FRAMES = 2, 120
-#: Maximum deviation of the distance from a rigid partner, relative to the mean distance.
-MAX_RIGID_DEVIATION = 0.3
+#: Criteria for a rigid partner of a marker: minimum number of frames that show both, and maximum standard
+#: deviation of their distance. MAX_RIGID_DEVIATION is the maximum deviation of the distance in one frame. The
+#: deviations are relative to the mean distance.
+MIN_RIGID_FRAMES, MAX_RIGID_SD, MAX_RIGID_DEVIATION = 20, 0.06, 0.3
 #: Cost of an impossible assignment.
 IMPOSSIBLE = 1e6
 
@@ -180,28 +175,6 @@ class Challenger:
 
 
 @dataclass
-class PairDistance:
-    """Mean and variance of the distance between two markers, by Welford's method."""
-
-    count: int = 0
-    mean: float = 0.0
-    squares: float = 0.0
-
-    def add(self, distance: float) -> None:
-        """Add the distance in one frame, px."""
-        self.count += 1
-        delta = distance - self.mean
-        self.mean += delta / self.count
-        self.squares += delta * (distance - self.mean)
-
-    @property
-    def rigid(self) -> bool:
-        """Whether the distance is constant within 6 % over at least 20 frames."""
-        sd = math.sqrt(self.squares / max(self.count - 1, 1))
-        return self.count >= 20 and sd < 0.06 * self.mean
-
-
-@dataclass
 class Group:
     """Markers of one colour."""
 
@@ -287,39 +260,14 @@ class Group:
         self.pause = min(2 * self.pause, 180)
 
 
+@dataclass(frozen=True)
 class Search:
-    """Search for patches of a colour in pictures of one size.
+    """Search for patches of a colour in pictures of one size."""
 
-    Parameters
-    ----------
-    setup : Setup
-        Setup whose ``region_px`` and ``ignore_px`` limit where the centre of a marker may be.
-    width, height : int
-        Size of the picture, px.
-
-    Raises
-    ------
-    InputError
-        The region is outside the picture.
-    """
-
-    def __init__(self, setup: Setup, width: int, height: int) -> None:
-        self.size = (width, height)
-        self._ignored = setup.ignore_px
-        #: Picture without black bars. The bars are determined when the first marker is seen, since a film may
-        #: fade in.
-        self._inner: tuple[int, int, int, int] | None = None
-        self._region = left, top, right, bottom = setup.region_px or (0, 0, width, height)
-        #: Pixels that may contain a centre: left, top, right, bottom. Right and bottom are exclusive.
-        self._view = (
-            max(math.floor(left), 0),
-            max(math.floor(top), 0),
-            min(math.ceil(right) + 1, width),
-            min(math.ceil(bottom) + 1, height),
-        )
-        if self._view[0] >= self._view[2] or self._view[1] >= self._view[3]:
-            text = f"region_px {list(self._region)} lies outside the picture of {width} x {height} pixels"
-            raise InputError(text, hint="it is [left, top, right, bottom] in pixels of the picture")
+    #: Width and height of the picture, px.
+    size: tuple[int, int]
+    #: Boxes that contain no centre of a marker.
+    ignored: list[Box]
 
     def in_window(
         self, group: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
@@ -343,9 +291,9 @@ class Search:
             if patch.clipped:
                 continue
             blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self.size)
-            if blob is not None and self._is_allowed(blob) and not is_among(blob, group.scenery):
-                blob.at_edge = self._is_at_bar(blob, frame) or blob.at_edge
-                blobs.append(blob)
+            if blob is None or self._is_ignored(blob.x, blob.y) or is_among(blob, group.scenery):
+                continue
+            blobs.append(blob)
         if step > 1 and any(blob.at_edge for blob in blobs):
             # on a coarse mask a marker that ends just before the edge looks cut
             return self.in_window(group, frame, cx, cy, half)
@@ -357,17 +305,14 @@ class Search:
 
         ``area`` is the expected area in px, 0 if unknown.
         """
-        step = mask_step(math.sqrt(area or 4 * group.area_px[0]) / 3.5)
+        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self.size) / 2))
         blobs = self._in_picture(group, frame, area, step)
         if not blobs and not area and step > 1:
             blobs = self._in_picture(group, frame, area, 1)
         return blobs
 
     def _in_picture(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
-        x0, y0, x1, y1 = self._view
-        if x1 - x0 < 2 * step or y1 - y0 < 2 * step:
-            step = 1
-        mask = detect.marker_mask(detect.thinned(frame[y0:y1, x0:x1], step), group.model)
+        mask = detect.marker_mask(detect.thinned(frame, step), group.model)
         coarse = detect.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
 
         def order(patch: Patch) -> float:
@@ -376,75 +321,18 @@ class Search:
                 return abs(math.log(patch.area / area))
             return -patch.area if patch.area <= group.area_px[1] / COARSE_AREA_SHARE else patch.area
 
-        boxes = [patch.box((x0, y0), step) for patch in sorted(coarse, key=order)]
+        boxes = [patch.box((0, 0), step) for patch in sorted(coarse, key=order)]
+        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
         blobs: list[Blob] = []
-        for box in [box for box in boxes if not self._is_ignored(box)][:MAX_PATCHES]:
-            blobs += [blob for blob in self._in_box(group, frame, box, step) if is_new(blob, blobs)]
+        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
+            half = 0.5 * size + 2 * step + detect.MARGIN
+            found, _ = self.in_window(group, frame, x, y, half, mask_step(size / 12))
+            blobs += [blob for blob in found if is_new(blob, blobs)]
         return blobs
 
-    def _in_box(self, group: Group, frame: Frame, box: Box, step: int) -> list[Blob]:
-        """Return the blobs in a box, measured as a whole even if they extend beyond the region."""
-        cx, cy = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
-        size = max(box[2] - box[0], box[3] - box[1])
-        half, fine = 0.5 * size + 2 * step + detect.MARGIN, mask_step(size / 12)
-        found, cut = self.in_window(group, frame, cx, cy, half, fine)
-        x0, y0, x1, y1 = self._view
-        if not found and cut and (box[0] <= x0 or box[1] <= y0 or box[2] >= x1 - step or box[3] >= y1 - step):
-            # if the centre is in the region, at least half of the marker is seen there: a window of twice the
-            # size contains the whole marker
-            found, _ = self.in_window(group, frame, cx, cy, half + size, fine)
-        return found
-
-    def _is_ignored(self, box: Box) -> bool:
-        """Return whether a box is completely within an ignored box."""
-        left, top, right, bottom = box
-        return any(
-            b[0] <= left and b[1] <= top and right - 1 <= b[2] and bottom - 1 <= b[3] for b in self._ignored
-        )
-
-    def _is_at_bar(self, blob: Blob, frame: Frame) -> bool:
-        """Return whether a black bar cuts the blob as the edge of the picture would.
-
-        The colour resolution of films is halved, and codecs work in blocks. Therefore the colour of a marker
-        may extend up to 3 px into the bar.
-        """
-        if self._inner is None:
-            self._inner = inner_picture(frame)
-        ends = (0, 0, *self.size)
-        return any(
-            bar != end and abs(side - bar) <= 3
-            for side, bar, end in zip(blob.box, self._inner, ends, strict=True)
-        )
-
-    def _is_allowed(self, blob: Blob) -> bool:
-        return _is_within(blob, self._region) and not any(_is_within(blob, box) for box in self._ignored)
-
-
-def inner_picture(frame: Frame) -> tuple[int, int, int, int]:
-    """Return the picture without black bars: left, top, right, bottom; right and bottom exclusive.
-
-    A dark scene is not a bar: if more than half of the width or height were black, nothing is removed.
-    """
-    black = frame.max(axis=2) < BLACK
-
-    def ends(dark: NDArray[np.bool_]) -> tuple[int, int]:
-        lit = np.flatnonzero(~dark)
-        if not len(lit) or lit[-1] + 1 - lit[0] < len(dark) / 2:
-            return 0, len(dark)
-        first, last = int(lit[0]), int(lit[-1]) + 1
-        if first < MIN_BAR_PX:
-            first = 0
-        if len(dark) - last < MIN_BAR_PX:
-            last = len(dark)
-        return first, last
-
-    left, right = ends(black.mean(axis=0) >= BLACK_SHARE)
-    top, bottom = ends(black.mean(axis=1) >= BLACK_SHARE)
-    return left, top, right, bottom
-
-
-def _is_within(blob: Blob, box: Box) -> bool:
-    return box[0] <= blob.x <= box[2] and box[1] <= blob.y <= box[3]
+    def _is_ignored(self, x: float, y: float) -> bool:
+        """Return whether a point is in an ignored box."""
+        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self.ignored)
 
 
 def mask_step(length: float) -> int:
@@ -452,15 +340,10 @@ def mask_step(length: float) -> int:
     return max(min(int(length), MAX_STEP), 1)
 
 
-def is_same_place(blob: Blob, other: Blob) -> bool:
-    """Return whether two blobs, seen at different times, are the same motionless object."""
-    near = blob.away(other.x, other.y) < 0.25 * other.radius + 1.5
-    return near and 0.4 < blob.area / other.area < 2.5
-
-
 def is_among(blob: Blob, others: Sequence[Blob]) -> bool:
     """Return whether a blob is one of the motionless objects seen at another time."""
-    return any(is_same_place(blob, other) for other in others)
+    near = [other for other in others if blob.away(other.x, other.y) < 0.25 * other.radius + 1.5]
+    return any(0.4 < blob.area / other.area < 2.5 for other in near)
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
@@ -480,7 +363,7 @@ class Follower:
 
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.setup = setup
-        self._search = Search(setup, width, height)
+        self._search = Search((width, height), setup.ignore_px)
         # the default area is from 12 px to 5 % of the picture
         self.groups = [
             Group(
@@ -492,12 +375,11 @@ class Follower:
             for marker in setup.markers
         ]
         #: Distances between markers of different colours, if several markers have the same colour.
-        self._pairs: dict[tuple[str, str], PairDistance] = {}
+        #: The value is the number of distances, their sum, and the sum of their squares.
+        self._pairs: dict[tuple[str, str], NDArray[np.float64]] = {}
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
-                self._pairs |= {(a, b): PairDistance() for a in one.names for b in other.names}
-        #: Earlier frames, and positions of the markers in them.
-        self._memory: deque[tuple[Frame, dict[str, tuple[float, float]]]] = deque(maxlen=N_MEMORIES)
+                self._pairs |= {pair: np.zeros(3) for pair in product(one.names, other.names)}
         self._rows: list[list[Row]] = []
         #: Part of the last frame about each marker.
         self._last: list[tuple[tuple[slice, slice], Frame]] = []
@@ -536,29 +418,18 @@ class Follower:
             if not sights:
                 group.model.forget()
         targets = self._targets
-        for pair, pair_distance in self._pairs.items():
+        for pair, sums in self._pairs.items():
             a, b = (targets[name] for name in pair)
             if a.time == time == b.time:
-                pair_distance.add(math.hypot(a.x - b.x, a.y - b.y))
-        if self._frame % MEMORY_FRAMES == MEMORY_FRAMES // 6:
-            self._remember(frame, targets)
+                sums += math.hypot(a.x - b.x, a.y - b.y) ** np.arange(3)
         self._rows.append(row)
         self._times.append(time)
         self._frame += 1
 
-    def _remember(self, frame: Frame, targets: dict[str, Target]) -> None:
-        """Store a copy of the frame with the positions of the markers that are seen in it."""
-        places = {name: (t.x, t.y) for name, t in targets.items() if t.sights and not t.missed}
-        if places:
-            # the memory of the oldest frame is used again: allocation costs more than the copy
-            old = self._memory.popleft()[0] if len(self._memory) == N_MEMORIES else np.empty_like(frame)
-            np.copyto(old, frame)
-            self._memory.append((old, places))
-
-    def track(self, times: NDArray[np.float64] | None = None) -> RawTrack:
-        """Return the track so far; ``times`` replaces the times of the frames."""
+    def track(self) -> RawTrack:
+        """Return the track so far."""
         track = RawTrack.of_rows(
-            self._times if times is None else times,
+            self._times,
             self.setup.marker_names,
             self._rows,
             drift={g.marker.name: g.model.largest_drift for g in self.groups if g.model.drifted},
@@ -588,9 +459,6 @@ class Follower:
                 if winner is not None:
                     sights[target.name] = winner
                     blobs = [b for b in blobs if b is not winner]
-        for target in [t for t in group.targets if t.sights and t.missed and t.name in sights]:
-            if self._was_there(group, target, sights[target.name]):
-                group.scenery.append(sights.pop(target.name))
         if not lost and not unsure and self._frame >= group.next_look:
             group.note_rivals(self._others(group, frame, group.targets, sights), self._frame)
         return sights
@@ -649,13 +517,14 @@ class Follower:
     def _misfit(self, target: Target, blob: Blob, time: float) -> float:
         """Return the cost of the distances between a blob and the rigid partners of the target."""
         worst, targets = 0.0, self._targets
-        for pair, pair_distance in self._pairs.items():
-            if target.name not in pair or not pair_distance.rigid:
-                continue
+        for pair, (count, total, squares) in self._pairs.items():
             partner = next(targets[name] for name in pair if name != target.name)
-            if partner.missed:
+            if target.name not in pair or count < MIN_RIGID_FRAMES or partner.missed:
                 continue
-            error = abs(blob.away(*partner.predict(time)) / pair_distance.mean - 1)
+            mean = float(total / count)
+            if (squares - total * mean) / (count - 1) >= (MAX_RIGID_SD * mean) ** 2:
+                continue
+            error = abs(blob.away(*partner.predict(time)) / mean - 1)
             if error > MAX_RIGID_DEVIATION:
                 return IMPOSSIBLE
             worst = max(worst, (error / MAX_RIGID_DEVIATION) ** 2)
@@ -670,20 +539,6 @@ class Follower:
             return False
         others = [t for t in known if t is not target and t.name not in sights]
         return any(_meet(target, other, sights, time) for other in others)
-
-    def _was_there(self, group: Group, target: Target, blob: Blob) -> bool:
-        """Return whether the blob was already present while the target was seen elsewhere."""
-        half = 1.3 * blob.radius + detect.MARGIN
-        for frame, places in self._memory:
-            if target.name not in places:
-                continue
-            if blob.away(*places[target.name]) < 2 * max(target.radius, blob.radius) + 4:
-                continue
-            old, _ = self._search.in_window(group, frame, blob.x, blob.y, half)
-            taken = [place for name, place in places.items() if name != target.name]
-            if any(is_same_place(blob, b) and all(b.away(*at) > b.radius for at in taken) for b in old):
-                return True
-        return False
 
     def _find_lost(
         self, group: Group, lost: list[Target], blobs: list[Blob], time: float
@@ -865,7 +720,7 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     boxes = list(still.values())
     setup = setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]})
     second = _follow_once(path, setup, step, file)
-    if any(quality.measure_range(second.track, name).radii < 3.0 for name in still):
+    if any(quality.measure_range(second.track, name)[1] < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{side:.0f}' for side in box)}]" for box in boxes)
     text = f"a thing of the marker's colour never moves and was left out (box {listed})"
@@ -874,26 +729,30 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
 
 
 def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
-    video = Video(path, frame_rate_hz=setup.frame_rate_hz, apply_rotation=setup.apply_rotation)
-    video.demand_clock()
+    video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
         pose.camera_matrix(setup.camera, video.width, video.height, file)
     follower: Follower | Silhouette
     if setup.markers[0].method == "background":
         from swimid.tracking import silhouette
 
-        scene = silhouette.empty_scene(path, setup)
+        scene = silhouette.empty_scene(path)
         follower = silhouette.Silhouette(setup, scene, video.width, video.height)
     else:
         follower = Follower(setup, video.width, video.height)
-    keeper = FrameKeeper(4 * REPORT_FRAMES - 1)
+    keeper, last = FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
     for index, (time, frame) in enumerate(video.frames()):
+        if not time > last:
+            text = "has no time stamp, or none later than that of the frame before"
+            hint = "give the true frame rate with --fps, or frame_rate_hz in the setup"
+            raise InputError(text, file=path, frame=index, hint=hint)
+        last = time
         follower.step(time, frame)
         keeper.take(index, frame)
         step()
     frames = list(keeper.kept.items())
     chosen = np.unique(np.linspace(0, len(frames) - 1, REPORT_FRAMES).round().astype(int))
-    return Run(follower.track(video.times()), video, setup, dict(frames[k] for k in chosen))
+    return Run(follower.track(), video, setup, dict(frames[k] for k in chosen))
 
 
 def _motionless(run: Run) -> dict[str, Box]:
@@ -901,7 +760,9 @@ def _motionless(run: Run) -> dict[str, Box]:
     boxes: dict[str, Box] = {}
     for marker in run.setup.markers:
         name, track = marker.name, run.track
-        if marker.number > 1 or name not in track.rivals or quality.measure_range(track, name).moves:
+        if marker.number > 1 or name not in track.rivals:
+            continue
+        if quality.measure_range(track, name)[1] >= quality.MIN_RADII:
             continue
         x, y, area = (float(np.nanmedian(v[track.row(name)])) for v in (track.x, track.y, track.area))
         half = 0.7 * math.sqrt(area) + 3

@@ -67,8 +67,6 @@ class Film:
     noise: float = 3.0
     #: Width of a disc's rim, px.
     softness_px: float = 2.4
-    #: Black bars at the left and right, and at the top and bottom, px.
-    bars_px: tuple[int, int] = (0, 0)
     seed: int = 1
 
     def times(self) -> np.ndarray:
@@ -81,14 +79,12 @@ class Film:
         return np.array([self.discs[disc].place(t) or nowhere for t in self.times()])
 
     def cut(self, disc: int = 0) -> np.ndarray:
-        """Where a disc's outline crosses the edge of what is seen, shape (n,)."""
+        """Where a disc's outline crosses the edge of the picture, shape (n,)."""
         x, y = self.places(disc).T
         # Not there: not cut.
         x, y = np.where(np.isnan(x), self.width / 2, x), np.where(np.isnan(y), self.height / 2, y)
-        radius, (aside, above) = self.discs[disc].radius, self.bars_px
-        left, top = x - (aside - 0.5), y - (above - 0.5)
-        right, bottom = self.width - aside - 0.5 - x, self.height - above - 0.5 - y
-        return np.min([left, top, right, bottom], axis=0) < radius
+        right, bottom = self.width - 0.5 - x, self.height - 0.5 - y
+        return np.min([x + 0.5, y + 0.5, right, bottom], axis=0) < self.discs[disc].radius
 
     def frames(self) -> Iterator[np.ndarray]:
         """The pictures, uint8 BGR."""
@@ -96,8 +92,6 @@ class Film:
         x, y = np.meshgrid(np.arange(self.width, dtype=float), np.arange(self.height, dtype=float))
         water = np.array(WATER) * (0.9 + 0.15 * np.sin(x / 47) * np.cos(y / 31))[..., None]
         noise = rng.normal(0, self.noise, (self.height + _SHIFT, self.width + _SHIFT, 3))
-        aside, above = self.bars_px
-        seen = (x >= aside) & (x < self.width - aside) & (y >= above) & (y < self.height - above)
         for time in self.times():
             image = water.copy()
             for disc in self.discs:
@@ -114,7 +108,6 @@ class Film:
             # One tile of noise, shifted at random for every frame.
             dx, dy = rng.integers(0, _SHIFT, 2)
             image += noise[dy : dy + self.height, dx : dx + self.width]
-            image[~seen] = 0
             yield np.clip(image + 0.5, 0, 255).astype(np.uint8)
 
     def write(self, path: Path) -> Path:
