@@ -37,7 +37,7 @@ import numpy as np
 from swimid.effects.affected import Affected
 
 from benchmarks.bench_diagnose import settings
-from swimid.diagnosis.generic import ResidualForce
+from swimid.diagnosis.remainder import ResidualForce
 from swimid.effects import catalogue
 from swimid.fitting.drives import Beat, Cycle, SwimInput
 from swimid.fitting.hooks import NONE

@@ -149,16 +149,13 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
             variant="joint 2" if name == "joint-locked" else "",
             gain=gain,
             stderr=0.3 * abs(gain) + 5,
-            won=(5, 9),
             absorbed=0.3,
-            screened=gain,
             probability=0.01,
         )
         for (name, stage), gain in zip(names.items(), rng.uniform(-40, 400, len(names)), strict=True)
     ]
     scores = [
-        replace(s, gain=3062.4, stderr=410.0, won=(9, 9), probability=0.94) if s.effect == first else s
-        for s in scores
+        replace(s, gain=3062.4, stderr=410.0, probability=0.94) if s.effect == first else s for s in scores
     ]
     weak = Score(
         effect="wall",
@@ -166,8 +163,6 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
         variant="+x",
         gain=None,
         absorbed=0.97,
-        screened=1.2,
-        refitted=False,
         probability=0.0,
     )
     return [weak, *scores]
@@ -227,7 +222,6 @@ EXPLAINED = GapFile(
     held_out="trials",
     floor_from="repeats of one setting, and residuals of a saturated description",
     forces={"surge force": 40.0, "yaw moment": 2.0},
-    rounds=["Round 1: servo-backlash gains 3062.", "Round 2: no other effect gains more than noise would."],
     reasons=["One effect gains far more than noise and than any other."],
     provenance={"command": "swimid diagnose trials.yaml", "version": "0", "created": "2026-01-02"},
 )
@@ -252,7 +246,6 @@ NONE = replace(
         replace(s, gain=None if s.gain is None else min(s.gain, 30.0), probability=None)
         for s in EXPLAINED.scores
     ],
-    rounds=[],
     reasons=[],
     no_gap=0.91,
 )

@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis import words
-from swimid.diagnosis.diagnosed import Diagnosis
-from swimid.diagnosis.gap_file import GapFile, HeldOut, Value
+from swimid.diagnosis.gap_file import Diagnosis, GapFile, HeldOut, Value
 from swimid.effects import catalogue
 from swimid.effects.base import Affected
 from swimid.fitting.hooks import Hooks
@@ -76,7 +74,7 @@ def test_the_summary_fits_one_screen(name: str) -> None:
 def test_at_most_five_notes_and_advice_first() -> None:
     gap = replace(cases.EXPLAINED, reasons=[f"reason {k}" for k in range(9)])
     notes = cases.evidence(gap).notes
-    assert len(notes) == words.MAX_NOTES
+    assert len(notes) == diagnose_evidence.MAX_NOTES
     assert notes[0].startswith("Next experiment: Swim at 1.0 Hz")
 
 
@@ -371,14 +369,14 @@ def test_the_command_passes_its_options_to_the_function(
     monkeypatch.setitem(sys.modules, "swimid.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
     ran = swimid(
         "diagnose", "t.yaml", "--params", "p.yaml", "--effects", "servo-lag, current", "--effects", "waves",
-        "--effect", "mine.py", "--max-causes", 2, "--jobs", 2, "--budget-s", 60, "--seed", 7,
+        "--effect", "mine.py", "--max-causes", 2, "--jobs", 2, "--seed", 7,
         "--reading", "a=b", "-o", tmp_path / "gap.yaml",
     )  # fmt: skip
     assert ran.status == 0, ran.err
     assert ran.out.startswith("what is printed")
     assert seen["effects"] == ("servo-lag", "current", "waves")
     assert seen["own_effects"] == (Path("mine.py"),)
-    assert (seen["max_causes"], seen["jobs"], seen["budget_s"], seen["seed"]) == (2, 2, 60.0, 7)
+    assert (seen["max_causes"], seen["jobs"], seen["seed"]) == (2, 2, 7)
     assert seen["readings"] == {"a": "b"}
     assert seen["params"] == Path("p.yaml")
     assert seen["dt"] == 0.005

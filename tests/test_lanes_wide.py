@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from swimid.diagnosis.generic import AXES, ResidualForce
+from swimid.diagnosis.remainder import AXES, ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
 from swimid.files.checkpoint import Checkpoint

@@ -197,7 +197,7 @@ RECORDED = {
     "max_step_s method",
     "compare": "channels refit_start start_state set readings dt buoyancy_band",
     "sensitivity": "samples range coefficients set readings seed dt",
-    "diagnose": "effects own_effects seed budget_s max_causes readings max_step_s",
+    "diagnose": "effects own_effects seed max_causes readings max_step_s",
     "import": "",
     "track video": "setup fps max_gap_s from_s to_s",
 }

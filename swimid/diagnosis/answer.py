@@ -6,7 +6,6 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 from scipy import special
@@ -14,19 +13,17 @@ from scipy import special
 from swimid.diagnosis import (
     advice,
     crossval,
-    dropout_cause,
+    dropouts,
     evidence,
     judgement,
     places,
     remainder,
     settings,
     shrinkage,
-    words,
 )
-from swimid.diagnosis.candidates import Tried
+from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
 from swimid.diagnosis.floor import by_channel, excess, floors, repeats, rms, split
-from swimid.diagnosis.folds import Folds
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -44,9 +41,10 @@ from swimid.diagnosis.gap_file import (
 )
 from swimid.diagnosis.judgement import Judgement, Named
 from swimid.diagnosis.noise_model import NoiseModel, coloured
-from swimid.diagnosis.refutation import Misfit, compared
+from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.search import State
-from swimid.diagnosis.shrinkage import Piece
+from swimid.diagnosis.settings import Folds
+from swimid.diagnosis.shrinkage import Misfit, Piece, compared
 from swimid.effects.base import STAGES
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -68,10 +66,9 @@ REPEAT = "repeat one setting three times: what repeats is physics, what does not
 def answer(
     state: State,
     validation: Sequence[Trial],
-    given: Mapping[str, Estimate],
+    begun: Begun,
     raw: Sequence[Trial],
     *,
-    unweighed: Mapping[str, Estimate] = MappingProxyType({}),
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[GapFile, list[Piece]]:
@@ -81,13 +78,10 @@ def answer(
     ----------
     validation : sequence of Trial
         Trials that no fit uses.
-    given : mapping of name to Estimate
-        Parameters of the parameter file.
+    begun : Begun
+        Parameters of the parameter file, and those whose change is not a hypothesis.
     raw : sequence of Trial
         The fitted trials, failed samples included.
-    unweighed : mapping of name to Estimate
-        Parameters of the parameter file that were estimated from other trials, and whose change is not a
-        hypothesis of the diagnosis.
 
     Returns
     -------
@@ -115,7 +109,7 @@ def answer(
         drifts
     )
     floor = noise.inside
-    failed = dropout_cause.misfit(state, raw, floor)
+    failed = dropouts.misfit(state, raw, floor)
     # A random effect may absorb a cause, and a cause may absorb between-trial variation. Each model is
     # therefore fitted with and without random effects, and the fits that predict held-out data better are
     # used.
@@ -158,9 +152,9 @@ def answer(
         how = "all that the model leaves: noise, and what differs from trial to trial"
     rows = _scores(state)
     stages: dict[Stage, float | None] = {**_stages(rows, gap=bool(told.causes))}
-    causes = _causes(state, told, given, closing)
+    causes = _causes(state, told, begun.given, closing)
     if failed:
-        causes = dropout_cause.among(state, causes, raw, floor, failed, ranges)
+        causes = dropouts.among(state, causes, raw, floor, failed, ranges)
         if causes[0].effect == MarkerDropout.name:
             stages = {k: float(k == "sensing") for k in stages}
     units = {c.name: c.unit for c in context.model.channels}
@@ -186,7 +180,7 @@ def answer(
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
         at_bound=stuck,
-        moved=_moved(state, told.base, unweighed),
+        moved=_moved(state, told.base, begun.unweighed),
         unreproduced=told.unreproduced,
         hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
@@ -197,7 +191,6 @@ def answer(
         repeats=bool(repeats(context)),
         scores=rows,
         forces={**state.left.places} if state.left is not None else {},
-        rounds=state.told,
         reasons=[*told.reasons, *_reasons(state)],
         unsure=list(told.unsure),
         left_out=dict(state.screen.left_out),
@@ -243,14 +236,11 @@ def _alone(state: State, fit: Fit) -> Fit:
 
 
 def _reasons(state: State) -> list[str]:
-    said = ["the time budget ran out before every effect was refitted"] if state.out_of_time else []
     differing = []
     for kind in (kind for kind in state.random_effects if kind.sd > 0.02):
         chance = f", {kind.most:.2g} of it by chance" if kind.sd > kind.most else ""
         differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
-    if differing:
-        said.append(f"trials differ in {words.listed(differing)}, which is part of the noise")
-    return said
+    return [f"trials differ in {evidence.listed(differing)}, which is part of the noise"] if differing else []
 
 
 def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
@@ -306,7 +296,7 @@ def _causes(
             equivalent=list(c.equivalent),
             parameters=parameters,
             stage=c.best.tried.effect.stage,
-            meaning=words.changes_text(parameters) or c.best.tried.effect.meaning,
+            meaning=evidence.changes_text(parameters) or c.best.tried.effect.meaning,
             sources=list(c.best.tried.effect.sources),
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
@@ -480,29 +470,21 @@ def _repeat(left: str) -> list[Advice]:
 def _scores(state: State) -> list[Score]:
     """Return the score of each effect, from the fit with this effect alone or else from the screen."""
     rows: dict[str, Score] = {}
-    for r in state.singles:
-        name = r.tried.effect.name
-        if name not in rows:
-            rows[name] = _score(r.tried, r.gains, r.stderr, state.posterior.having(name), refitted=True)
-    for t in state.screen.tried:
-        if t.effect.name not in rows:
-            rows[t.effect.name] = _score(t, t.gains, None, 0.0, refitted=False)
+    for one in (*state.singles, *state.screen.tried):
+        tried, gains = one, {}
+        if isinstance(one, Refitted):
+            tried = one.tried
+            probability = state.posterior.having(tried.effect.name)
+            gains = {"gain": one.gain, "stderr": one.stderr, "probability": probability}
+        row = Score(
+            effect=tried.effect.name,
+            stage=tried.effect.stage,
+            variant=", ".join(p.name for p in tried.parameters),
+            absorbed=tried.absorbed,
+            **gains,
+        )
+        rows.setdefault(row.effect, row)
     return list(rows.values())
-
-
-def _score(tried: Tried, gains: Array, stderr: float | None, probability: float, *, refitted: bool) -> Score:
-    return Score(
-        effect=tried.effect.name,
-        stage=tried.effect.stage,
-        variant=", ".join(p.name for p in tried.parameters),
-        gain=float(gains.sum()),
-        stderr=stderr,
-        won=(int(np.sum(gains > 0)), len(gains)),
-        absorbed=tried.absorbed,
-        screened=tried.gain,
-        refitted=refitted,
-        probability=probability,
-    )
 
 
 def _hypotheses(state: State) -> list[Hypothesis]:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
+from swimid.diagnosis.settings import Folds, folds, stretches
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import map_in_processes
@@ -129,8 +129,6 @@ class Fit:
     rows : list of ndarray, each shape (n_k, p)
         Derivatives of the simulated samples, divided by the noise standard deviation. The derivatives of the
         residuals have the opposite sign.
-    scale : ndarray, shape (p,)
-        Typical scales of the parameters.
     problem : Mixed
         The residual problem that was solved.
     """
@@ -142,7 +140,6 @@ class Fit:
     cost: float
     residuals: list[Array]
     rows: list[Array]
-    scale: Array
     problem: Mixed
 
     @property
@@ -166,7 +163,7 @@ class Fit:
         The derivatives are multiplied by the typical scales of the m parameters.
         """
         mine = self.problem.begun(k)
-        return np.asarray(self.rows[k][:, mine] * self.scale[mine])
+        return np.asarray(self.rows[k][:, mine] * self.problem.scale[mine])
 
     def centre(self, without: Collection[str] = ()) -> dict[str, float]:
         """Return the mean of each random effect over trials, by parameter name.
@@ -459,12 +456,11 @@ class FitContext:
             Fit whose derivatives are used first. If the optimum is near this fit, the search is five times as
             fast.
         """
-        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
-        noise_model.install(problem)
+        problem = self.posed(effects, noise_model, jobs)
         if warm is not None:
             problem.hold_derivatives(warm.labels, warm.rows)
         best = self.search(problem, noise_model, starts, tolerance, iterations)
-        return self._at(problem, effects, best.x, best.cost)
+        return self.at(effects, noise_model, best.x, best.cost, problem)
 
     def multistart(
         self,
@@ -495,8 +491,7 @@ class FitContext:
         .. [1] K. Jamieson, A. Talwalkar, "Non-stochastic best arm identification and hyperparameter
            optimization", AISTATS 2016.
         """
-        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
-        noise_model.install(problem)
+        problem = self.posed(effects, noise_model, jobs)
 
         def one(start: Array, tolerance: float, steps: int) -> Solution:
             return self.search(problem, noise_model, [start], tolerance, steps)
@@ -526,7 +521,7 @@ class FitContext:
         found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
         found.append(one(found[0].x if found else starts[0], FINE, STEPS))
         best = min(found, key=cost)
-        return self._at(problem, effects, best.x, best.cost)
+        return self.at(effects, noise_model, best.x, best.cost, problem)
 
     def search(
         self,
@@ -584,29 +579,37 @@ class FitContext:
         self._without.append((fit, noise_model, found))
         return found
 
-    def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
+    def at(
+        self,
+        effects: Sequence[Effect],
+        noise_model: NoiseModel,
+        theta: Array,
+        cost: float = math.nan,
+        problem: Mixed | None = None,
+    ) -> Fit:
         """Return a fit with given parameters, without a search."""
-        problem = self.problem(effects, noise_model.random_effects)
-        noise_model.install(problem)
-        return self._at(problem, effects, theta, math.nan)
-
-    def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
+        problem = problem or self.posed(effects, noise_model)
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
-        return self._fit(problem, effects, Optimum(theta, cost, residuals, rows))
+        return self.fitted(effects, noise_model, Optimum(theta, cost, residuals, rows), problem)
 
-    def _fit(self, problem: Mixed, effects: Sequence[Effect], found: Optimum) -> Fit:
+    def fitted(
+        self,
+        effects: Sequence[Effect],
+        noise_model: NoiseModel,
+        found: Optimum,
+        problem: Mixed | None = None,
+    ) -> Fit:
+        """Return the fit that belongs to an optimum, for example of an earlier search."""
+        problem = problem or self.posed(effects, noise_model)
         acting = _acting(effects, problem.random_effects)
-        theta, cost, residuals, rows = found
-        return Fit(
-            tuple(effects), acting, problem.labels, theta, cost, residuals, rows, problem.scale, problem
-        )
+        return Fit(tuple(effects), acting, problem.labels, *found, problem)
 
-    def fitted(self, effects: Sequence[Effect], noise_model: NoiseModel, found: Optimum) -> Fit:
-        """Return the fit that belongs to an optimum of an earlier search."""
-        problem = self.problem(effects, noise_model.random_effects)
+    def posed(self, effects: Sequence[Effect], noise_model: NoiseModel, jobs: int | None = None) -> Mixed:
+        """Return the residual problem with the random effects and the weights of a noise model."""
+        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
         noise_model.install(problem)
-        return self._fit(problem, effects, found)
+        return problem
 
     def start(
         self,

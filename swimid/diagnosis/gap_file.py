@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
 from swimid.results.parameters import Status
+from swimid.results.result import FileResult
 from swimid.simulation.compare_series import ChannelScore
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from swimid.results.evidence import Evidence
 
 FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
@@ -25,6 +32,9 @@ HELD_OUT: dict[HeldOut | None, str] = {
 }
 #: Value of ``params`` in a diagnosis without a parameter file.
 ROBOT_FILE = "the robot file"
+#: Prefix of the names of other interpretations of the robot. The rest of such a name is a value of the option
+#: ``--reading``.
+READING = "reading:"
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 
 
@@ -186,18 +196,13 @@ class Score(yamlio.Document):
     effect: str
     stage: Stage | None = None
     variant: str = ""
-    gain: Number
+    #: Decrease of the squared held-out residuals; unknown for an effect that was screened only.
+    gain: Number = None
     stderr: Number = None
-    #: Number of folds in which the effect decreases the squared residuals, and number of folds.
-    won: tuple[int, int] = (0, 0)
     #: Fraction of the squared change by the effect that the coefficients can imitate.
     absorbed: Number = None
-    #: Decrease of the squared held-out residuals that the screen predicted, and whether the effect was also
-    #: fitted.
-    screened: Number = None
-    refitted: bool = True
     #: Probability that the effect is among the causes.
-    probability: Number = None
+    probability: Number = 0.0
 
 
 class Hypothesis(yamlio.Document):
@@ -271,8 +276,6 @@ class GapFile(yamlio.ResultFile):
     unreproduced: dict[str, Number] = {}
     #: Coefficients that are at a bound in the refit without effects, with the value of the bound.
     at_bound: dict[str, float] = {}
-    #: Reasons why larger sets of effects were accepted or rejected.
-    rounds: list[str] = []
     #: Reasons for the verdict, and reasons why the causes are not certain. Each reason is a clause.
     reasons: list[str] = []
     unsure: list[str] = []
@@ -292,8 +295,7 @@ class GapFile(yamlio.ResultFile):
     def _largest_first(self) -> GapFile:
         """Sort every list by size, largest first; unknown values come last.
 
-        Scores of refitted effects come first, sorted by gain. The other scores are sorted by the gain that
-        the screen predicted.
+        Scores without a gain keep the order of the screen.
         """
         where = self.where
         where.channels.sort(key=lambda c: -_size(c.share))
@@ -304,7 +306,7 @@ class GapFile(yamlio.ResultFile):
         order = {c.channel: place for place, c in enumerate(where.channels)}
         for cause in self.causes:
             cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
-        self.scores.sort(key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))
+        self.scores.sort(key=lambda s: -_size(s.gain))
         return self
 
     @property
@@ -329,3 +331,81 @@ class GapFile(yamlio.ResultFile):
 
 def _size(value: float | None) -> float:
     return -math.inf if value is None else value
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(FileResult[GapFile]):
+    """Result of ``diagnose``: the gap between trials and a model, and the causes of the gap.
+
+    Attributes
+    ----------
+    answer : str
+        Verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
+    causes : DataFrame
+        One row for each parameter of each cause, the most probable cause first. Columns: ``effect``,
+        ``probability`` (that this effect or an equivalent one is among the causes), ``parameter``, ``value``
+        and ``stderr`` (in ``unit``), ``status``.
+    shrinkage : DataFrame
+        One row for each cause and channel. Columns: error on held-out data ``before`` and ``after`` the
+        causes are added, noise ``floor`` (all divided by the measured range), fraction ``closed`` of the
+        error above the floor, and its 95 % interval ``ci95``.
+    where : DataFrame
+        One row for each channel. Columns: error ``nrmse`` of the refitted model, noise ``floor``, error
+        ``within`` trials without between-trial variation (all divided by the measured range), ``share``
+        (fraction of the squared gap), ``rmse`` (in ``unit``).
+    file : GapFile
+        Content of the file that :meth:`save` writes. It also has rival causes, remaining residuals, proposed
+        experiments and the scores of all effects.
+    """
+
+    file_type = GapFile
+
+    @property
+    def answer(self) -> str:
+        """Return the verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
+        return self.file.verdict
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """Return one row for each parameter of each cause.
+
+        A cause without parameters, such as another interpretation of the robot's source, has one row.
+        """
+        import pandas as pd
+
+        none = {"": Value(value=None, unit="")}
+
+        rows = [
+            (c.effect, c.probability, name, v.value, v.stderr, v.unit, v.status)
+            for c in self.file.causes
+            for name, v in (c.parameters or none).items()
+        ]
+        return pd.DataFrame(
+            rows, columns=["effect", "probability", "parameter", "value", "stderr", "unit", "status"]
+        )
+
+    @property
+    def shrinkage(self) -> pd.DataFrame:
+        """Return the held-out errors of each channel without and with the causes."""
+        import pandas as pd
+
+        rows = [{"effect": c.effect, **s.model_dump()} for c in self.file.causes for s in c.shrinkage]
+        return pd.DataFrame(rows)
+
+    @property
+    def where(self) -> pd.DataFrame:
+        """Return the gap and the noise floor of each channel."""
+        import pandas as pd
+
+        return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
+
+    def bare(self) -> Evidence:
+        """Return the evidence that can be shown if the evidence file is missing."""
+        from swimid.diagnosis import evidence
+
+        found = evidence.evidence(self.file)
+        text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
+        level = "bad" if found.verdict.level == "bad" else "caution"
+        return found.model_copy(
+            update={"verdict": found.verdict.model_copy(update={"level": level, "text": text})}
+        )

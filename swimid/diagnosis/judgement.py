@@ -10,15 +10,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from swimid.blackbox import model as arx
-from swimid.diagnosis import refutation, remainder, shrinkage
+from swimid.diagnosis import remainder, shrinkage
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import Floor, by_channel, excess, repeats, rms, split
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import TENTH, UNSURE
-from swimid.diagnosis.refutation import Compared
 from swimid.diagnosis.search import Round, State
-from swimid.diagnosis.shrinkage import Piece
+from swimid.diagnosis.shrinkage import Compared, Piece
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
 from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
@@ -177,7 +176,7 @@ def judge(
         told = _by_remaining(told, state, left)
     if validation and told.verdict != "unexplained":
         model = told.base if told.causes else state.nominal
-        off = refutation.unpredicted(state.context, model, state.noise_model, validation)
+        off = shrinkage.unpredicted(state.context, model, state.noise_model, validation)
         told = replace(told, unpredicted=off)
         if told.causes and told.unpredicted:
             told = _by_prediction(told, state, held, floor)

@@ -12,7 +12,7 @@ from swimid.diagnosis import settings
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.gap_file import Cell
-from swimid.diagnosis.generic import beat_hz
+from swimid.diagnosis.remainder import beat_hz
 from swimid.fitting.model import Array
 
 #: Number of bins of the stroke phase, and of the time in a trial.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from swimid.diagnosis.words import READING
+from swimid.diagnosis.gap_file import READING
 from swimid.effects.base import STAGES, Effect, Stage
-from swimid.errors import InputError, UsageError, suggestion
+from swimid.errors import InputError
 from swimid.fitting.experiment import Experiment
 from swimid.fitting.hooks import NONE, Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
@@ -119,10 +119,6 @@ class OtherReading(Effect):
         """Return one point, which has no parameters."""
         return [np.empty(0)]
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return the effect itself, its only form."""
-        return [self]
-
     def joins(self, effects: Sequence[Effect]) -> bool:
         """Return whether the reading can be combined with effects; its own options exclude each other."""
         answers = {e.question: e.option for e in effects if isinstance(e, OtherReading)}
@@ -186,24 +182,10 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
     return found, left_out
 
 
-def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], set[str]]:
-    """Return the names of requested effects and, separately, of requested interpretations.
-
-    Raises
-    ------
-    UsageError
-        If the robot file has no such question or answer, or has already chosen that answer.
-    """
-    robot = experiment.robot
-    known = [f"{READING}{key}={option}" for key, r in robot.readings.items() for option in r.options]
-    chosen = [f"{READING}{key}={r.chosen}" for key, r in robot.readings.items()]
-    mine = [name for name in names if name.startswith(READING)]
-    for name in mine:
-        if name not in known:
-            raise UsageError(f"the robot '{robot.name}' has no {name}", hint=suggestion(name, known))
-        if name in chosen:
-            raise UsageError(f"the robot '{robot.name}' is read so already: {name}")
-    return [name for name in names if name not in mine], set(mine)
+def names(experiment: Experiment) -> list[str]:
+    """Return the names of all interpretations of the robot except the chosen ones."""
+    questions = experiment.robot.readings.items()
+    return [f"{READING}{key}={option}" for key, r in questions for option in r.options if option != r.chosen]
 
 
 def _stage(places: Sequence[str]) -> Stage:

@@ -520,10 +520,6 @@ class _Travelling(Waves):
 
     meaning = "oscillatory (orbital) flow that differs from place to place: waves or their reflections"
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return no forms, because the class is itself a form of ``waves``."""
-        return []
-
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return frequency (Hz), wavenumber (rad/m), direction in a horizontal plane (rad), and amplitudes
         (m/s).

@@ -115,10 +115,6 @@ class _Lens(CameraScale):
 
     meaning = "The measured lengths are too long or too short, more so far from the centre of the picture."
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return no forms, because the class is itself a form of ``camera-scale``."""
-        return []
-
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the relative scale error at the centre, the distortion (1/m2) and the centre of the image
         (m).
