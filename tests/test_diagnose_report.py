@@ -334,24 +334,15 @@ def test_the_first_figure_has_the_errors_by_channel(name: str, shown: list[str])
     assert errors["refitted"] == pytest.approx(2.1 if name == "moved" else 14.2)
 
 
-def test_at_most_three_figures_and_the_residual_of_the_worst_trial_last() -> None:
+def test_at_most_two_figures_and_the_residual_of_the_worst_trial_last() -> None:
     for gap in cases.ALL.values():
         made = cases.evidence(gap)
-        assert [figure.id for figure in made.figures] == ["errors", "effects", "residuals"]
-        labels = [trace.label for trace in made.figures[2].panels[0].traces]
+        assert [figure.id for figure in made.figures] == ["errors", "residuals"]
+        labels = [trace.label for trace in made.figures[1].panels[0].traces]
         assert labels == ["without the causes", "with the causes"][: 2 if gap.causes else 1]
     piece = cases.worst()[1]
-    without = made.figures[2].panels[1].traces[0].y
+    without = made.figures[1].panels[1].traces[0].y
     np.testing.assert_allclose(without, np.degrees(piece.measured - piece.before))
-
-
-def test_causes_and_rivals_stand_out_of_the_ranked_effects() -> None:
-    (panel,) = cases.evidence(cases.EXPLAINED).figures[1].panels
-    named, interval, *_ = panel.traces
-    names = panel.y_categories or []
-    assert [names[int(k or 0)] for k in named.y] == ["servo backlash"]
-    assert named.x == [3062.4]
-    assert interval.x == [3062.4 - 410.0, 3062.4 + 410.0, None]
 
 
 # ---------------------------------------------------------------- the command line

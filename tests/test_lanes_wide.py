@@ -106,7 +106,7 @@ def test_every_force_and_element_agrees_with_the_engine(fish: MultilinkModel) ->
     found = widened(fish, own)
     assert {name.split()[0] for name in found} >= {
         "com-offset", "fin-flexibility", "drag-reynolds", "lift-damping", "linear-drag", "wake-lift",
-        "tether", "wall", "residual-force",
+        "tether", "wall", "residual",
     }  # fmt: skip
     for effect in found.values():
         hooks = effect.hooks(acting(Affected(fish, [effect], own)), own[0], fish)

@@ -4,8 +4,8 @@
 ``evidence`` its checks, tables, figures and texts. ``nominal`` selects the refitted coefficients and their
 priors, ``readings`` the other readings of the robot, ``settings`` the settings, repeats and folds.
 ``noise_model`` whitens residuals, ``random_effects`` estimates the between-trial variation, ``weighting``
-estimates both. ``context`` fits a hypothesis, ``candidates`` screens effects, ``search`` fits effects and sets
-of effects, ``posterior`` computes their probabilities. ``crossval`` and ``shrinkage`` evaluate held-out data,
-``floor`` the noise floor. ``remainder`` describes the remaining residuals, ``dropouts`` failed samples,
+estimates both. ``context`` fits a hypothesis, ``candidates`` screens effects, ``search`` fits effects and
+sets of effects, ``posterior`` computes their probabilities. ``crossval`` and ``shrinkage`` evaluate held-out
+data, ``floor`` the noise floor. ``remainder`` describes the remaining residuals, ``dropouts`` failed samples,
 ``places`` where the gap is. ``judgement`` and ``answer`` give the verdict, ``advice`` the next experiment.
 """

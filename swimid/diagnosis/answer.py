@@ -44,7 +44,7 @@ from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.search import State
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.shrinkage import Misfit, Piece, compared
+from swimid.diagnosis.shrinkage import Misfit, Piece
 from swimid.effects.base import STAGES
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -128,15 +128,20 @@ def answer(
         )
     if state.changed or judgement.by_coefficients(state):
         held = [replace(piece, before=piece.shipped) for piece in held]
-    predicted = None
+    predicted = distance = None
+    chance: Mapping[str, float] = {}
     if state.base.effects:
-        predicted = compared(context, nominal, state.base, state.noise_model, validation)
+        without, with_causes = (
+            shrinkage.misfit(context, fit, state.noise_model, validation) for fit in (nominal, state.base)
+        )
+        predicted = without, with_causes
+        distance = Distance(before=without.times, after=with_causes.times)
+        # The expected between-trial variation of the held-out trials is used only if the model with the
+        # causes predicts these trials. Otherwise a gap could be taken for between-trial variation.
+        chance = {} if with_causes.shown else with_causes.chance
     # The floor in ``noise.levels`` is increased for the noise that fitted parameters absorb. If the residuals
     # have structure, this increase would include absorbed structure, so the floor without it is used.
     more = state.left is not None and state.left.found
-    # The expected between-trial variation of the held-out trials is used only if the model with the causes
-    # predicts these trials. Otherwise a gap could be taken for between-trial variation.
-    chance = {} if predicted is None or predicted.after.shown else predicted.after.chance
     levels = noise.of_held_out(chance)
     outside = shrinkage.capped(floor if more else levels, held)
     rng = np.random.default_rng(seed)
@@ -151,22 +156,20 @@ def answer(
         floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
     rows = _scores(state)
-    stages: dict[Stage, float | None] = {**_stages(rows, gap=bool(told.causes))}
+    stages = _stages(rows, gap=bool(told.causes))
     causes = _causes(state, told, begun.given, closing)
     if failed:
         causes = dropouts.among(state, causes, raw, floor, failed, ranges)
         if causes[0].effect == MarkerDropout.name:
             stages = {k: float(k == "sensing") for k in stages}
-    units = {c.name: c.unit for c in context.model.channels}
     cells = places.Map(context, nominal, gap, floor)
     where = Where(
-        channels=_channels(nominal, gap, floor, units, ranges),
+        channels=_channels(state, gap, floor, ranges),
         stage=stages,
         phase=places.phases(cells) if told.verdict != "none" else [],
         regime=places.regimes(cells),
         time=places.times(cells),
     )
-    stuck = _at_bounds(context, nominal)
     file = GapFile(
         verdict=told.verdict,
         where=where,
@@ -179,14 +182,14 @@ def answer(
         setting_count=settings.count([*context.trials, *validation]),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
-        at_bound=stuck,
+        at_bound=_at_bounds(context, nominal),
         moved=_moved(state, told.base, begun.unweighed),
         unreproduced=told.unreproduced,
         hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
-        predicted=predicted.distances if predicted is not None and told.causes else None,
+        predicted=distance if told.causes else None,
         floor_from=how,
         repeats=bool(repeats(context)),
         scores=rows,
@@ -256,30 +259,24 @@ def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
 
 
 def _channels(
-    nominal: Fit,
-    residuals: Sequence[Array],
-    floor: Mapping[str, float],
-    units: Mapping[str, str],
-    ranges: Mapping[str, float],
+    state: State, residuals: Sequence[Array], floor: Mapping[str, float], ranges: Mapping[str, float]
 ) -> list[ChannelGap]:
+    nominal, units = state.nominal, {c.name: c.unit for c in state.context.model.channels}
     beyond = excess(nominal, residuals, floor)
-    within = {c: rms(v) for c, v in by_channel(nominal, nominal.residuals).items()}
     total = sum(beyond.values()) or 1.0
-    found = []
-    for channel, left in by_channel(nominal, residuals).items():
-        rmse, size = rms(left), ranges[channel]
-        found.append(
-            ChannelGap(
-                channel=channel,
-                nrmse=rmse / size,
-                floor=floor[channel] / size,
-                share=beyond[channel] / total,
-                rmse=rmse,
-                unit=units.get(channel, "1"),
-                within=within[channel] / size,
-            )
+    within = by_channel(nominal, nominal.residuals)
+    return [
+        ChannelGap(
+            channel=channel,
+            nrmse=rms(left) / ranges[channel],
+            floor=floor[channel] / ranges[channel],
+            share=beyond[channel] / total,
+            rmse=rms(left),
+            unit=units.get(channel, "1"),
+            within=rms(within[channel]) / ranges[channel],
         )
-    return found
+        for channel, left in by_channel(nominal, residuals).items()
+    ]
 
 
 def _causes(
@@ -430,7 +427,7 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
             inside = [k for k, own in enumerate(labels) if own == label]
             cut = copy.copy(context)
             owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(context.folds.owner)]
-            cut.folds = Folds(True, owner, ["rest", label])
+            cut.folds = Folds(True, owner, 2)
             times = []
             for fit in (state.nominal, base):
                 inner = crossval.normal_equations(cut, fit, state.noise_model)
@@ -504,17 +501,16 @@ def _hypotheses(state: State) -> list[Hypothesis]:
     ]
 
 
-def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
-    """Return the probability of each simulation stage: the sum over the effects of the stage, normalised."""
+def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float | None]:
+    """Return the probability of each simulation stage: the sum over the effects of the stage, normalised.
+
+    Without a gap all of them are 0.
+    """
     applied = {row.stage for row in rows}
-    shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
-    if not gap:
-        return shares
-    for row in rows:
-        if row.stage in shares:
-            shares[row.stage] += row.probability or 0.0
-    total = sum(shares.values())
-    return {k: v / total if total > 0 else 0.0 for k, v in shares.items()}
+    stages = [stage for stage in STAGES if stage != "rig" or "rig" in applied]
+    sums = {stage: sum(row.probability or 0.0 for row in rows if row.stage == stage) for stage in stages}
+    total = sum(sums.values())
+    return {stage: v / total if gap and total > 0 else 0.0 for stage, v in sums.items()}
 
 
 def _structured_share(state: State) -> float:

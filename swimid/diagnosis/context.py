@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
-from swimid.diagnosis.settings import Folds, folds, stretches
+from swimid.diagnosis.settings import folds
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import map_in_processes
@@ -273,23 +273,16 @@ class FitContext:
         self._without: list[tuple[Fit, NoiseModel, list[Array]]] = []
         plain = self.problem(())
         self.shape = plain
-        self.folds = self._folds(plain)
+        stamps = [
+            np.concatenate([np.empty(0), *(trial.time_s[mask] for mask in masks)])
+            for trial, masks in zip(self.trials, plain.masks, strict=True)
+        ]
+        self.folds = folds(self.trials, stamps)
 
     def replaced(self, model: Model, trials: Sequence[Trial]) -> FitContext:
         """Return a context with the same priors, but with another model and other trials."""
         more = {"correlation": self.correlation, "jobs": self.jobs}
         return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
-
-    def _folds(self, problem: Problem) -> Folds:
-        rows = [sum(int(m.sum()) for m in masks) for masks in problem.masks]
-        found = folds(self.trials, rows)
-        if found.whole:
-            return found
-        owner = [
-            stretches(found, k, [t.time_s[m] for m in masks])
-            for k, (t, masks) in enumerate(zip(self.trials, problem.masks, strict=True))
-        ]
-        return replace(found, owner=owner)
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
         """Return the model with effects."""
@@ -662,23 +655,6 @@ class FitContext:
                 for k in range(len(self.trials))
             ]
             for _ in points
-        ]
-
-    def moved(self, base: Fit, index: int, step: float) -> list[Array]:
-        """Return the change of each trial, shape (n_k,), by a step of one parameter of the model itself.
-
-        All changes are divided by the noise standard deviation.
-        """
-        runs = []
-        for k, trial in enumerate(self.trials):
-            own = base.problem.vector(base.theta, k)
-            own[index] += step
-            runs.append((own, trial))
-        plain = base.problem.simulations(base.theta)
-        return [
-            (base.problem.stacked(k, seen) - base.problem.stacked(k, plain[k]))
-            * base.problem.sample_weights(k)
-            for k, seen in enumerate(self.affected(base.acting).simulate_many(runs))
         ]
 
 

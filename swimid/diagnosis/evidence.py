@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from swimid.diagnosis.gap_file import (
     HELD_OUT,
     READING,
@@ -32,8 +30,8 @@ Rows = list[list[Any]]
 HALF = 0.5
 #: Codes of the warnings that a log contradicts the beat or the course that is stated for it.
 CONTRADICTING = ("SWM032", "SWM063")
-#: Maximum number of effects in a figure, of panels in a figure, and of points of a curve.
-MAX_EFFECTS, MAX_PANELS, MAX_POINTS = 10, 4, 800
+#: Maximum number of panels in a figure, and of points of a curve.
+MAX_PANELS, MAX_POINTS = 4, 800
 
 #: Heading of the noise-floor column in a table of errors. The columns to the left of it are errors of models.
 FLOOR = "floor (%)"
@@ -88,7 +86,7 @@ def evidence(
         notes=notes(file),
         checks=tests,
         tables=[table for table in tables if table.rows],
-        figures=[_levels(errors), *_ranked(file), *_residuals(worst, bool(file.causes))],
+        figures=[_levels(errors), *_residuals(worst, bool(file.causes))],
         notices=list(notices),
         methods=methods(file),
         references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
@@ -366,47 +364,6 @@ def _levels(table: ev.Table) -> ev.Figure:
         x_categories=[numbers.quantity(str(name)) for name in names],
     )
     return ev.Figure(id="errors", title=table.title, caption="Root-mean-square errors.", panels=[panel])
-
-
-def _ranked(file: GapFile) -> list[ev.Figure]:
-    gains = {s.effect: (s.gain, s.stderr) for s in file.scores if s.gain is not None}
-    best = max((gain for gain, _ in gains.values()), default=0.0)
-    # Leave out effects that make the fit much worse (such as another interpretation of the robot's source),
-    # because their gains would compress the axis.
-    shown = [name for name, (gain, _) in gains.items() if best <= 0 or gain >= -best][:MAX_EFFECTS]
-    if not shown:
-        return []
-    named = {name for c in file.causes for name in (c.effect, *c.equivalent)}
-    traces = []
-    for group, label in enumerate(("cause or equivalent", "other effects")):
-        places = [k for k, name in enumerate(shown) if (name in named) == (group == 0)]
-        if not places:
-            continue
-        ends: list[float | None] = []
-        for k in places:
-            gain, error = gains[shown[k]]
-            ends += [gain - (error or 0.0), gain + (error or 0.0), None]
-        heights = np.ravel([(k, k, None) for k in places]).tolist()
-        x = [gains[shown[k]][0] for k in places]
-        traces.append(ev.Trace(x=x, y=places, style="points", label=label, group=group))
-        traces.append(ev.Trace(x=ends, y=heights, group=group))
-    panel = ev.Panel(
-        x_label="decrease of squared residuals (noise variances)",
-        y_label="",
-        y_categories=[_plain(name) for name in shown],
-        invert_y=True,
-        traces=traces,
-    )
-    caption = (
-        "Drop of the squared residuals, in units of the noise, with one standard error; each effect alone. "
-        "Effects that overlap here differ in their probabilities, which compare them on equal data."
-    )
-    return [ev.Figure(id="effects", title="Gain of each effect", caption=caption, panels=[panel])]
-
-
-def _plain(name: str) -> str:
-    """Return the name of an effect in words: ``servo backlash``, ``added mass: lateral``."""
-    return name.removeprefix(READING).replace("=", ": ").replace("-", " ").replace("_", " ")
 
 
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:

@@ -22,13 +22,10 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
 
     The value is NaN where the channel has no sample.
     """
-    found, at = {}, 0
-    for i, (channel, mask) in enumerate(zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)):
-        count = int(mask.sum())
-        series = np.full(len(mask), np.nan)
-        series[mask] = residual[at : at + count] * fit.problem.sd[k][i][mask]
-        at += count
-        found[channel] = series
+    found = {}
+    for (channel, mask, part), sd in zip(fit.problem.by_channel(k, residual), fit.problem.sd[k], strict=True):
+        found[channel] = np.full(len(mask), np.nan)
+        found[channel][mask] = part * sd[mask]
     return found
 
 

@@ -17,7 +17,7 @@ from swimid.diagnosis.floor import Floor, by_channel, excess, repeats, rms, spli
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import TENTH, UNSURE
 from swimid.diagnosis.search import Round, State
-from swimid.diagnosis.shrinkage import Compared, Piece
+from swimid.diagnosis.shrinkage import Misfit, Piece
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
 from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
@@ -42,6 +42,10 @@ DIFFERS = 2.0
 #: Minimum fraction of the squared residuals of all trials, beyond the noise, that belongs to one trial. A
 #: trial with a larger fraction is tested as an outlier.
 MAJORITY = 0.5
+
+
+#: Distances of held-out data from the predictions without and with the causes.
+Predicted = tuple[Misfit, Misfit]
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,7 @@ def judge(
     state: State,
     held: Sequence[Piece],
     noise: Floor,
-    predicted: Compared | None,
+    predicted: Predicted | None,
     *,
     dropout: bool,
     validation: Sequence[Trial] = (),
@@ -159,7 +163,7 @@ def judge(
         Held-out predictions without and with the causes.
     noise : Floor
         Noise floor of each channel.
-    predicted : Compared or None
+    predicted : tuple of Misfit or None
         Distances of held-out data from the predictions without and with the causes; None without causes.
     dropout : bool
         Whether failed samples are a cause. They explain the gap if nothing else is missing.
@@ -238,12 +242,15 @@ def _by_held_out(
     state: State,
     held: Sequence[Piece],
     floor: Mapping[str, float],
-    predicted: Compared | None,
+    predicted: Predicted | None,
 ) -> Judgement:
     if not told.causes or predicted is None:
         return told
     refused = replace(told, verdict="unexplained", causes=(), base=state.nominal)
-    if predicted.refuted or not shrinkage.sound(held):
+    before, after = predicted
+    # The causes may increase the squared distance by no more than the gap or the noise.
+    allowed = max(before.distance - before.samples, before.samples)
+    if after.distance - before.distance > allowed or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
     each, gap = shrinkage.gained(held, floor)
     lowered = float(each.sum())
@@ -251,7 +258,7 @@ def _by_held_out(
     if held and not close and not lowered > max(TENTH * gap, shrinkage.chance(each)):
         why = f"{', '.join(told.names)}: held-out errors hardly fall with it"
         return replace(refused, reasons=(why,))
-    if predicted.useless and (predicted.before.shown or lowered < 0.0 or told.verdict == "unexplained"):
+    if after.distance >= before.distance and (before.shown or lowered < 0.0 or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
     if held and not close:

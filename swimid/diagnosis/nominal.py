@@ -53,7 +53,6 @@ class ParameterChange(Effect):
     name: ClassVar[str]
     stage: ClassVar[None] = None  # type: ignore[assignment]
     meaning: ClassVar[str]
-    needs: ClassVar[frozenset[str]] = frozenset()
     smooth: ClassVar[bool] = True
 
     def __init__(self, parameter: Parameter) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from swimid.effects.base import Effect, Stage
+from swimid.effects.base import Effect
 from swimid.fitting.hooks import Hooks
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
@@ -101,9 +101,6 @@ class TrialEffect(Effect):
     """An effect of which one parameter has a separate value for each trial."""
 
     name: ClassVar[str] = "chance"
-    stage: ClassVar[Stage] = "sensing"
-    meaning: ClassVar[str] = "It differs from trial to trial."
-    needs: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, kind: RandomEffect, effect: Effect) -> None:
         self.kind, self.effect = kind, effect

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
@@ -52,18 +51,15 @@ class Reread:
     def __init__(self, path: Path, nominal: Swimmer) -> None:
         self._file, self._nominal = RobotFile(path), nominal
         self._models: dict[tuple[float, frozenset[tuple[str, str]]], Swimmer] = {}
-        self._lock = threading.Lock()
 
     def model(self, model: Model, question: str, option: str) -> Model:
         """Return the model in which one question about the source has another answer."""
         assert model.swimmer is not None
         chosen = {key: reading.chosen for key, reading in model.swimmer.robot.readings.items()}
         key = model.swimmer.max_step, frozenset({**chosen, question: option}.items())
-        with self._lock:
-            if key not in self._models:
-                robot = self._file.read(dict(key[1]))
-                self._models[key] = model.swimmer.read_otherwise(robot)
-            return self._models[key]
+        if key not in self._models:
+            self._models[key] = model.swimmer.read_otherwise(self._file.read(dict(key[1])))
+        return self._models[key]
 
     def stand(self, answers: Mapping[str, str]) -> bool:
         """Return whether the given answers can be combined in a model that is comparable with the nominal
@@ -98,7 +94,6 @@ class OtherReading(Effect):
     name: ClassVar[str]
     stage: ClassVar[Stage]
     meaning: ClassVar[str]
-    needs: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, question: str, option: str, *, meaning: str, stage: Stage, reread: Reread) -> None:
         # Each robot file has its own questions. Attributes that belong to the class of other effects

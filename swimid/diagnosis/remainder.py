@@ -20,7 +20,7 @@ from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.effects.base import Effect, Stage
+from swimid.effects.base import Effect
 from swimid.fitting.hooks import FORCE_SIGNATURE, Force, Hooks, traceable
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.parallel import map_in_processes
@@ -302,8 +302,7 @@ def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untype
 class Description(Effect):
     """Smooth effect without physics: a sum of terms, each with a free factor."""
 
-    stage: ClassVar[Stage] = "fluid"
-    meaning: ClassVar[str] = "what is left, without physics"
+    name: ClassVar[str] = "residual"
     #: Place in the simulation where the effect acts, in words.
     place: str = ""
     #: Names of the terms, prefix of these names, and unit and typical scale of the factors.
@@ -330,9 +329,6 @@ class Description(Effect):
 class ResidualForce(Description):
     """Smooth force on the base link of a robot along one axis (a moment for yaw)."""
 
-    name: ClassVar[str] = "residual-force"
-    needs: ClassVar[frozenset[str]] = frozenset({"force"})
-
     terms = TERMS
 
     def __init__(self, axis: str, size: float, speed: float) -> None:
@@ -350,8 +346,6 @@ class ResidualForce(Description):
 class ResidualPush(Description):
     """Smooth force on the body of a rig, which has one coordinate."""
 
-    name: ClassVar[str] = "residual-push"
-    needs: ClassVar[frozenset[str]] = frozenset({"force"})
     place = "surge force"
     terms = RIG_TERMS
     prefix = "surge "
@@ -372,9 +366,6 @@ class StrokeDeviation(Description):
     The gain and the bias may drift.
     """
 
-    name: ClassVar[str] = "residual-stroke"
-    stage: ClassVar[Stage] = "actuation"
-    needs: ClassVar[frozenset[str]] = frozenset({"command"})
     place = "stroke"
     terms = ("gain", "gain x time", "bias", "bias x time", "quarter-beat", "cubic")
     size = 0.03
@@ -398,10 +389,6 @@ class StrokeDeviation(Description):
 
 class SensorTerm(Description):
     """Smooth error of one sensor channel."""
-
-    name: ClassVar[str] = "residual-sensor"
-    stage: ClassVar[Stage] = "sensing"
-    needs: ClassVar[frozenset[str]] = frozenset({"output"})
 
     size = 0.02
 
@@ -441,9 +428,6 @@ class StrokeTable(Description):
     order of the runs. It has one more term for each fin and for each level of frequency and amplitude.
     """
 
-    name: ClassVar[str] = "residual-thrust"
-    stage: ClassVar[Stage] = "actuation"
-    needs: ClassVar[frozenset[str]] = frozenset({"stroke"})
     place = "thrust"
     curve = (
         "frequency", "frequency squared", "amplitude", "amplitude squared", "product", "order",

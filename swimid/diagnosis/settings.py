@@ -190,27 +190,22 @@ class Folds:
         False if segments of trials are held out.
     owner : list of ndarray of int
         Fold of each row of each trial, shape (n_k,).
-    labels : list of str
-        Name of each fold.
+    count : int
+        Number of folds.
     """
 
     whole: bool
     owner: list[Array]
-    labels: list[str]
-
-    @property
-    def count(self) -> int:
-        """Return the number of folds."""
-        return len(self.labels)
+    count: int
 
 
-def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
-    """Divide trials into folds.
+def folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
+    """Divide trials into folds. A few trials are divided into segments of equal duration.
 
     Parameters
     ----------
-    rows : sequence of int
-        Number of rows (samples of all channels) of each trial.
+    times : sequence of ndarray, shape (n_k,)
+        Time of each row of each trial. The rows are the samples of all channels.
     """
     names = [repeated(t) for t in trials]
     groups = list(dict.fromkeys(names))
@@ -218,34 +213,17 @@ def folds(trials: Sequence[Trial], rows: Sequence[int]) -> Folds:
         names = [t.id for t in trials]
         groups = list(dict.fromkeys(names))
     if len(groups) >= FEWEST:
-        place = {g: i for i, g in enumerate(groups)}
-        labels = [" ".join(t.id for t, n in zip(trials, names, strict=True) if n == g) for g in groups]
-        if all(n == 1 for n in rows) and len(groups) > TABLE_FOLDS:
+        count = len(groups)
+        if all(len(t) == 1 for t in times):
             # Runs are assigned to the folds in turn, so that neighbouring rows of the table are in different
             # folds.
-            place = {g: i % TABLE_FOLDS for i, g in enumerate(groups)}
-            labels = [f"part {i + 1}" for i in range(TABLE_FOLDS)]
-        return Folds(True, [np.full(n, place[name]) for n, name in zip(rows, names, strict=True)], labels)
+            count = min(count, TABLE_FOLDS)
+        owner = [np.full(len(t), groups.index(n) % count) for t, n in zip(times, names, strict=True)]
+        return Folds(True, owner, count)
     per = -(-STRETCHES // len(trials))
-    labels = [f"{t.id}, part {i + 1}" for t in trials for i in range(per)]
-    owner = [np.zeros(n, dtype=int) + per * k for k, n in enumerate(rows)]
-    return Folds(False, owner, labels)
-
-
-def stretches(folds: Folds, k: int, times: Sequence[Array]) -> Array:
-    """Return the fold of each row of trial ``k``, which is divided into segments of equal duration.
-
-    Parameters
-    ----------
-    times : sequence of ndarray
-        Times of the samples of each channel, in the order of the rows.
-    """
-    if folds.whole:
-        return folds.owner[k]
-    per = folds.count // len(folds.owner)
-    stacked = np.concatenate(list(times)) if len(times) else np.empty(0)
-    if not len(stacked):
-        return folds.owner[k]
-    low, high = float(stacked.min()), float(stacked.max())
-    part = np.minimum(((stacked - low) / max(high - low, 1e-12) * per).astype(int), per - 1)
-    return np.asarray(per * k + part)
+    owner = []
+    for k, time in enumerate(times):
+        begin = np.min(time, initial=np.inf)
+        span = max(np.max(time, initial=-np.inf) - begin, 1e-12)
+        owner.append(per * k + np.minimum(((time - begin) / span * per).astype(int), per - 1))
+    return Folds(False, owner, per * len(trials))

@@ -14,11 +14,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from swimid.diagnosis import crossval, remainder
 from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond
-from swimid.diagnosis.gap_file import Distance, Shrinkage
+from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
@@ -181,10 +182,18 @@ def _whole(
         for m, values, begun in zip(models, shared, (first, first, last), strict=True)
     ]
     return [
-        Piece(trial, c, trial.time_s, y, runs[0][c], runs[1][c], runs[2][c])
+        _piece(trial, c, runs, slice(None))
         for c, y in trial.measured.items()
         if c in runs[0] and np.isfinite(y).any()
     ]
+
+
+def _piece(
+    trial: Trial, channel: str, runs: Sequence[Mapping[str, Array]], rows: slice | NDArray[np.intp]
+) -> Piece:
+    """Return some samples of a channel and of its three predictions."""
+    series = (trial.time_s, trial.measured[channel], *(run[channel] for run in runs))
+    return Piece(trial, channel, *(values[rows] for values in series))
 
 
 def _near(trial: Trial, k: int, fit: Fit) -> Trial:
@@ -210,17 +219,9 @@ def _stretch(
         if not p.per_trial and p.name in shipped:
             as_given[i] = shipped[p.name]
     runs = [nominal.simulate(v, trial) for v in (as_given, vectors[0])] + [model.simulate(vectors[1], trial)]
-    found, at = [], 0
-    for channel, mask in zip(context.shape.channels[k], context.shape.masks[k], strict=True):
-        count = int(mask.sum())
-        rows = np.flatnonzero(mask)[inside[at : at + count]]
-        at += count
-        if len(rows):
-            found.append(
-                Piece(trial, channel, trial.time_s[rows], trial.measured[channel][rows],
-                      runs[0][channel][rows], runs[1][channel][rows], runs[2][channel][rows])
-            )  # fmt: skip
-    return found
+    parts = context.shape.by_channel(k, inside)
+    chosen = ((channel, np.flatnonzero(mask)[part]) for channel, mask, part in parts)
+    return [_piece(trial, channel, runs, rows) for channel, rows in chosen if len(rows)]
 
 
 def shrinkages(
@@ -459,45 +460,6 @@ class Misfit:
         return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Distances of held-out data from the predictions without and with the causes."""
-
-    before: Misfit
-    after: Misfit
-
-    @property
-    def distances(self) -> Distance:
-        """Return the ratios of the root-mean-square errors to the expected ones, for the gap file."""
-        return Distance(before=self.before.times, after=self.after.times)
-
-    @property
-    def refuted(self) -> bool:
-        """Return whether the causes increase the squared distance by more than both the gap and the noise."""
-        farther = self.after.distance - self.before.distance
-        return farther > max(self.before.distance - self.before.samples, self.before.samples)
-
-    @property
-    def useless(self) -> bool:
-        """Return whether the causes do not reduce the distance."""
-        return self.after.distance >= self.before.distance
-
-
-def compared(
-    context: FitContext, before: Fit, after: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
-) -> Compared:
-    """Compare the distances of held-out data from the predictions of two models.
-
-    Parameters
-    ----------
-    before, after : Fit
-        The model without and with the causes.
-    validation : sequence of Trial
-        Trials that are excluded from every fit. Without such trials, each cross-validation fold is held out.
-    """
-    return Compared(*(misfit(context, fit, noise_model, validation) for fit in (before, after)))
-
-
 def unpredicted(
     context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
 ) -> dict[str, float]:
@@ -518,8 +480,9 @@ def unpredicted(
 
 
 def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
-    """Return the distance of validation trials from their prediction. Without them, return the distance of
-    each fold from the fit to the other folds.
+    """Return the distance of validation trials from their prediction.
+
+    Without validation trials, return the distance of each fold from the fit to the other folds.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
     if validation:

@@ -94,6 +94,39 @@ def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
     return Force(function, constants, body.hull, x, y)
 
 
+def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: int) -> Hooks:
+    """Return hooks that add a force on the body of a rig.
+
+    Parameters
+    ----------
+    **places : int
+        Indices of the constants that are coefficients of the model, by the name of the coefficient.
+    """
+    values = np.array(constants, dtype=float)
+
+    def take(coefficients: dict[str, float]) -> None:
+        for name, place in places.items():
+            values[place] = coefficients[name]
+
+    return Hooks(coefficients=(take,), force=(Force(function, values),))
+
+
+def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> Hooks:
+    """Return hooks that change the springs and dampers of all passive joints.
+
+    Parameters
+    ----------
+    change : callable
+        Function that returns the changes (``stiffness``, ``cubic``, ``damping``) for a given stiffness.
+    """
+
+    def springs(tables: dict[str, Any]) -> None:
+        for k in range(len(body.passive)):
+            body.stiffen(tables, k, **change(body.stiffness(tables, k)))
+
+    return Hooks(tables=(springs,))
+
+
 class RigCoefficient(Effect, ABC):
     """An addition to one coefficient of a rig's equation of motion that the model does not estimate.
 

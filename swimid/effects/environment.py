@@ -394,12 +394,7 @@ class Wall(Effect):
             side = {"max": 1.0, "min": -1.0}[end]
             place = [side * (axis == "x"), side * (axis != "x"), side * self.extreme_m]
             return Hooks(force=(common.force_at_hull(body, push_off, np.array([*values, *place])),))
-        constants = np.array([0.0, *values, self.extreme_m])
-
-        def take(c: dict[str, float]) -> None:
-            constants[0] = c["quadratic"]
-
-        return Hooks(coefficients=(take,), force=(Force(blockage, constants),))
+        return common.force_on_rig(blockage, [0.0, *values, self.extreme_m], quadratic=0)
 
 
 class _Push(Wall):

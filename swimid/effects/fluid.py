@@ -10,7 +10,7 @@ import numpy as np
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.hooks import Force, traceable
+from swimid.fitting.hooks import traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
 #: Minimum inertia that may remain, as a fraction of the rigid body's inertia.
@@ -143,10 +143,7 @@ class DragReynolds(Effect):
 
             return Hooks(tables=(read,), force=(common.force_at_hull(body, changed_drag, constants),))
 
-        def take(c: dict[str, float]) -> None:
-            constants[0] = c["quadratic"]
-
-        return Hooks(coefficients=(take,), force=(Force(changed_drag, constants),))
+        return common.force_on_rig(changed_drag, constants, quadratic=0)
 
 
 class LiftDamping(Effect):
