@@ -23,7 +23,7 @@ from swimid.diagnosis import (
 )
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
-from swimid.diagnosis.floor import by_channel, excess, floors, repeats, rms, split
+from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -193,7 +193,6 @@ def answer(
         floor_from=how,
         repeats=bool(repeats(context)),
         scores=rows,
-        forces={**state.left.places} if state.left is not None else {},
         reasons=[*told.reasons, *_reasons(state)],
         unsure=list(told.unsure),
         left_out=dict(state.screen.left_out),
@@ -251,11 +250,7 @@ def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
 
     A range of zero is replaced by 1.
     """
-    parts: dict[str, list[Array]] = {}
-    for k, trial in enumerate(context.trials):
-        for channel, series in split(nominal, k, nominal.residuals[k]).items():
-            parts.setdefault(channel, []).append(trial.measured[channel][np.isfinite(series)])
-    return {c: float(np.ptp(np.concatenate(p))) or 1.0 for c, p in parts.items()}
+    return {c: float(np.ptp(values)) or 1.0 for c, values in measured(context, nominal).items()}
 
 
 def _channels(
@@ -419,15 +414,12 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
     known = [settings.words(t) for t in context.trials]
     found = {}
     for kind in ("frequency", "amplitude", "force"):
-        labels = [words.get(kind) for words in known]
-        levels = sorted({label for label in labels if label}, key=lambda text: float(text.split()[0]))
-        if len(levels) < 3:
-            continue
-        for label in (levels[-1], levels[0]):
-            inside = [k for k, own in enumerate(labels) if own == label]
+        labels = [words.get(kind, "") for words in known]
+        levels = sorted({*labels} - {""}, key=lambda text: float(text.split()[0]))
+        for label in (levels[-1], levels[0]) if len(levels) > 2 else ():
+            parts = zip(labels, context.folds.owner, strict=True)
             cut = copy.copy(context)
-            owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(context.folds.owner)]
-            cut.folds = Folds(True, owner, 2)
+            cut.folds = Folds(True, [np.full(len(rows), int(own == label)) for own, rows in parts], 2)
             times = []
             for fit in (state.nominal, base):
                 inner = crossval.normal_equations(cut, fit, state.noise_model)

@@ -436,7 +436,6 @@ class FitContext:
         *,
         tolerance: float = TOLERANCE,
         iterations: int = 30,
-        jobs: int | None = None,
         warm: Fit | None = None,
     ) -> Fit:
         """Return the best optimum from several starting points.
@@ -449,7 +448,7 @@ class FitContext:
             Fit whose derivatives are used first. If the optimum is near this fit, the search is five times as
             fast.
         """
-        problem = self.posed(effects, noise_model, jobs)
+        problem = self.posed(effects, noise_model)
         if warm is not None:
             problem.hold_derivatives(warm.labels, warm.rows)
         best = self.search(problem, noise_model, starts, tolerance, iterations)

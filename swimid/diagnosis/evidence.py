@@ -331,14 +331,12 @@ def _scores(file: GapFile) -> ev.Table:
 def _parts(file: GapFile) -> ev.Table:
     rows: Rows = []
     if any(file.where.stage.values()):
-        rows += [["stage", stage, None, *_percents(share), None] for stage, share in file.where.stage.items()]
-    rows += [[c.kind, c.label, c.ratio, *_percents(c.share), None] for c in parts(file)]
-    if any(file.forces.values()):
-        rows += [["generic term", place, None, None, gain] for place, gain in file.forces.items()]
-    columns = "over | part | residual over noise | of the gap (%) | held-out gain"
+        rows += [["stage", stage, None, *_percents(share)] for stage, share in file.where.stage.items()]
+    rows += [[c.kind, c.label, c.ratio, *_percents(c.share)] for c in parts(file)]
+    columns = "over | part | residual over noise | of the gap (%)"
     caption = (
         "Root-mean-square residual of the refitted model over the noise; of a stage, its share of the "
-        "evidence of all effects. Generic terms are smooth forces and sensor errors without any physics."
+        "evidence of all effects."
     )
     return _table("parts", "Where the gap is", columns, rows, caption)
 

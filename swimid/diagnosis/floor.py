@@ -78,6 +78,15 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
     return {c: np.concatenate(p) for c, p in parts.items()}
 
 
+def measured(context: FitContext, fit: Fit) -> dict[str, Array]:
+    """Return the measured samples of all trials by channel, in the channel's unit."""
+    parts: dict[str, list[Array]] = {}
+    for k, trial in enumerate(context.trials):
+        for channel, mask in zip(fit.problem.channels[k], fit.problem.masks[k], strict=True):
+            parts.setdefault(channel, []).append(trial.measured[channel][mask])
+    return {c: np.concatenate(p) for c, p in parts.items()}
+
+
 def rms(values: Array) -> float:
     """Return the root mean square of an array."""
     return float(np.sqrt(np.mean(values**2)))

@@ -174,8 +174,6 @@ class Remaining(yamlio.Document):
     where: str
     #: Whether the remaining residuals have no structure.
     white: bool
-    #: Decrease of the squared held-out residuals by smooth terms without physics.
-    gain: Number = None
 
 
 class Advice(yamlio.Document):
@@ -266,8 +264,6 @@ class GapFile(yamlio.ResultFile):
     setting_count: int | None = None
     #: Scores of all effects, best first.
     scores: list[Score] = []
-    #: Decrease of the squared held-out residuals by smooth residual forces and sensor errors, by place.
-    forces: dict[str, Number] = {}
     #: Parameters of the file that the refit changed significantly. Their change is not a hypothesis, because
     #: the file states no standard error or the model is a black box.
     moved: dict[str, ChangedValue] = {}
@@ -405,7 +401,4 @@ class Diagnosis(FileResult[GapFile]):
 
         found = evidence.evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
-        level = "bad" if found.verdict.level == "bad" else "caution"
-        return found.model_copy(
-            update={"verdict": found.verdict.model_copy(update={"level": level, "text": text})}
-        )
+        return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})

@@ -13,7 +13,7 @@ from swimid.blackbox import model as arx
 from swimid.diagnosis import remainder, shrinkage
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.floor import Floor, by_channel, excess, repeats, rms, split
+from swimid.diagnosis.floor import Floor, by_channel, excess, measured, repeats, rms, split
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import TENTH, UNSURE
 from swimid.diagnosis.search import Round, State
@@ -209,14 +209,9 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
     if state.context.model.name != arx.NAME:
         return {}
     found = {}
+    outputs = measured(state.context, fit)
     for channel, left in by_channel(fit, fit.residuals).items():
-        measured = [
-            trial.measured[channel][mask]
-            for k, trial in enumerate(state.context.trials)
-            for name, mask in zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)
-            if name == channel
-        ]
-        share = 1.0 - rms(left) / max(float(np.std(np.concatenate(measured))), 1e-300)
+        share = 1.0 - rms(left) / max(float(np.std(outputs[channel])), 1e-300)
         if share < shrinkage.MOST:
             found[channel] = share
     return found
@@ -354,11 +349,11 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
     """
     left = state.left
     if left is None:
-        return Remaining(share=0.0, where="", white=True, gain=0.0)
+        return Remaining(share=0.0, where="", white=True)
     if left.found:
         # Without causes the whole gap remains.
         share = state.posterior.left if base is state.base else 1.0
-        return Remaining(share=share, where=_where(state), white=False, gain=left.gain)
+        return Remaining(share=share, where=_where(state), white=False)
     moving = remainder.drifting(state.low_frequency)
     apart = bool(moving or differs(state))
     share = float(apart)
@@ -366,7 +361,7 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
         whole = excess(state.nominal, residuals, floor)
         still = excess(base, state.nuisance_residuals, floor)
         share = min(sum(still[c] for c in moving) / max(sum(whole.values()), 1e-300), 1.0)
-    return Remaining(share=share, where=_where(state), white=not apart, gain=max(left.gain, 0.0))
+    return Remaining(share=share, where=_where(state), white=not apart)
 
 
 def _where(state: State) -> str:

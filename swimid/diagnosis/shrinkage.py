@@ -128,27 +128,26 @@ def pieces(
         Coefficients as given.
     """
     found: list[Piece] = []
+    pair, folds = (before, after), context.folds
     causes = {e.name for e in after.effects}
-    plain = context.affected(())
-    nominal, model = (_average(context, f, causes if f is before else ()) for f in (before, after))
+    nominal, model = _average(context, before, causes), _average(context, after, ())
+    models = context.affected(()), nominal, model
+    for trial in validation:
+        found += _whole(trial, models, (shipped, *(_numbers(fit, fit.theta) for fit in pair)), sd)
+        step()
     if validation:
-        shared = [_numbers(f, f.theta) for f in (before, after)]
-        for trial in validation:
-            found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
-            step()
         return found
-    thetas = [context.without_each(f, noise_model) for f in (before, after)]
-    for f in range(context.folds.count):
-        shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
+    thetas = list(zip(*(context.without_each(fit, noise_model) for fit in pair), strict=True))
+    for f, held_out in enumerate(thetas):
+        fits = list(zip(pair, held_out, strict=True))
         for k, trial in enumerate(context.trials):
-            if f not in context.folds.owner[k]:
+            if f not in folds.owner[k]:
                 continue
-            if context.folds.whole:
-                near = [_near(trial, k, fit) for fit in (before, after)]
-                found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd, near)
+            if folds.whole:
+                near = [_near(trial, k, fit) for fit in pair]
+                found += _whole(trial, models, (shipped, *(_numbers(*fit) for fit in fits)), sd, near)
             else:
-                pair = zip((before, after), thetas, strict=True)
-                vectors = [fit.problem.vector(theta[f], k) for fit, theta in pair]
+                vectors = [fit.problem.vector(theta, k) for fit, theta in fits]
                 found += _stretch(context, k, f, (nominal, model), vectors, shipped)
             step()
     return found
