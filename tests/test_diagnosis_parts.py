@@ -814,15 +814,6 @@ def test_start_up_and_steady_motion_share_the_gap() -> None:
     assert sum(c.share for c in found if c.kind == "time") == pytest.approx(1.0)
 
 
-def test_a_change_is_dated(rng: np.random.Generator) -> None:
-    nuisance_residuals, broken = 0.1 * rng.normal(size=(2, 201))
-    broken[120:] += 1.5
-    found = places.times(_residual_map([nuisance_residuals, broken], 0.1))
-    (change,) = (c for c in found if c.kind == "change")
-    assert change.label == "t1 from 6 s"
-    assert change.share > 0.95
-
-
 def test_the_gap_is_located_in_the_phase_of_the_stroke() -> None:
     """A gap in the first eighth of the stroke is found there, whatever the frequency."""
     time, series, beats = np.linspace(0.0, 10.0, 2001), [], []

@@ -23,7 +23,7 @@ MOST = 4
 def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     """Return descriptions and trials of experiments that could be run next.
 
-    A proposed trial differs from the given trials in its beat, its driving force or its duration.
+    A proposed trial differs from the given trials in its beat or its driving force.
     """
     template = max(trials, key=lambda t: len(t.time_s))
     found: list[tuple[str, Trial]] = []
@@ -61,12 +61,6 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
             inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
             trial = replace(template, inputs=inputs)
             found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
-    time = template.time_s
-    if len(time) > 20 and template.swim.joints is None and (beat is not None or not template.inputs):
-        span, step = float(time[-1] - time[0]), float(np.median(np.diff(time)))
-        longer = time[0] + step * np.arange(int(2.0 * span / step) + 1)
-        words = f"one of the same settings, {2.0 * span:.3g} s long"
-        found.append((words, replace(template, time_s=longer)))
     # Each proposed trial gets its own id, because simulations are cached by the id of the trial.
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 

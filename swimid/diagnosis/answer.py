@@ -35,7 +35,6 @@ from swimid.diagnosis.gap_file import (
     Hypothesis,
     Score,
     Shrinkage,
-    Stage,
     Value,
     Where,
 )
@@ -45,7 +44,7 @@ from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.search import State
 from swimid.diagnosis.settings import Folds
 from swimid.diagnosis.shrinkage import Misfit, Piece
-from swimid.effects.base import STAGES
+from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.covariance import sandwich

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,21 +90,8 @@ class Mixed(Problem):
         return [j for j in self.own(trial) if self.differs(j)]
 
 
-class Optimum(NamedTuple):
-    """Result of a search: the estimates, cost, residuals and derivatives of a :class:`Fit`.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (p,)
-    cost : float
-    residuals, rows : list of ndarray
-        As in :class:`Fit`.
-    """
-
-    theta: Array
-    cost: float
-    residuals: list[Array]
-    rows: list[Array]
+#: Estimates, cost, residuals and derivatives of a fit, in a form that a process can return.
+Optimum = tuple[Array, float, list[Array], list[Array]]
 
 
 @dataclass(frozen=True)
@@ -145,7 +131,7 @@ class Fit:
     @property
     def optimum(self) -> Optimum:
         """Return the estimates, the cost, the residuals and the derivatives of the fit."""
-        return Optimum(self.theta, self.cost, self.residuals, self.rows)
+        return self.theta, self.cost, self.residuals, self.rows
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -271,11 +257,10 @@ class FitContext:
         self.jobs = jobs
         self._known: dict[tuple[int, ...], Affected] = {}
         self._without: list[tuple[Fit, NoiseModel, list[Array]]] = []
-        plain = self.problem(())
-        self.shape = plain
+        self.shape = self.problem(())
         stamps = [
             np.concatenate([np.empty(0), *(trial.time_s[mask] for mask in masks)])
-            for trial, masks in zip(self.trials, plain.masks, strict=True)
+            for trial, masks in zip(self.trials, self.shape.masks, strict=True)
         ]
         self.folds = folds(self.trials, stamps)
 
@@ -583,7 +568,7 @@ class FitContext:
         problem = problem or self.posed(effects, noise_model)
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
-        return self.fitted(effects, noise_model, Optimum(theta, cost, residuals, rows), problem)
+        return self.fitted(effects, noise_model, (theta, cost, residuals, rows), problem)
 
     def fitted(
         self,

@@ -102,9 +102,6 @@ def _facts(file: GapFile) -> dict[str, str]:
     facts["Effects tried"] = str(len({s.effect for s in file.scores}) or "")
     if file.no_gap is not None:
         facts["Probability"] = otherwise_text(file)
-    if not file.closing:
-        given = [f"{c} {percent(s.nrmse)}" for c, s in list(file.as_given.items())[:3]]
-        facts["Errors of the parameters as given"] = ", ".join(given)
     return {name: value for name, value in facts.items() if value}
 
 
@@ -224,7 +221,9 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         passed = (s.closed or 0.0) >= HALF and (low is None or low > 0)
         limit, reason = f"≥ {percent(HALF)}, interval above 0", f"of the gap in {s.channel} {share} closes"
         said = " ".join([share, interval_text(s)]).strip()
-        yield ev.check(f"gap closed in {s.channel}", said, passed, limit, held_out_text(file), reason=reason)
+        yield ev.check(
+            f"gap closed in {s.channel}", said, passed, limit, HELD_OUT[file.held_out], reason=reason
+        )
 
 
 def interval_text(s: Shrinkage) -> str:
@@ -262,7 +261,7 @@ def _errors(file: GapFile) -> ev.Table:
             f"channel | as given (%) | refitted (%) | with causes (%) | {FLOOR} | closed (%) | 95 % interval"
         )
         caption = (
-            f"Root-mean-square errors over the measured range, {held_out_text(file)}: the parameters as "
+            f"Root-mean-square errors over the measured range, {HELD_OUT[file.held_out]}: the parameters as "
             "given, the model refitted without and with the causes, and noise alone. Closed is the share of "
             "the error above the noise floor that the causes take away."
         )
@@ -422,7 +421,7 @@ def answer_text(file: GapFile) -> str:
     for s in file.closing[:1]:
         if s.before is not None and s.after is not None:
             to = f"from {numbers.percent(s.before)} to {numbers.percent(s.after)} of its range"
-            held_out = held_out_text(file)
+            held_out = HELD_OUT[file.held_out]
             said += f" {held_out[0].upper()}{held_out[1:]} the error of {s.channel} goes {to}"
             said += f" (noise alone: {numbers.percent(s.floor)})."
     return said
@@ -469,11 +468,6 @@ def value_text(value: Value) -> str:
     if value.status == "at-bound":
         text += ", at its bound"
     return text
-
-
-def held_out_text(file: GapFile) -> str:
-    """Return a phrase that names the held-out data: ``on the validation trials``."""
-    return HELD_OUT[file.held_out]
 
 
 def otherwise_text(file: GapFile) -> str:
@@ -534,7 +528,7 @@ def notes(file: GapFile) -> list[str]:
         places = []
         for c in list(worst.values())[:MAX_PARTS]:
             name = c.label
-            if c.kind not in ("time", "change"):
+            if c.kind != "time":
                 name = f"{c.kind} {c.label}"
             places.append(f"{name} ({numbers.number(c.ratio, 2)} times the noise)")
         said.append(f"the gap is largest at {listed(places)}")
@@ -557,22 +551,16 @@ def methods(file: GapFile) -> list[str]:
     if refitted == len(file.scores):
         count = str(refitted)
     said = [
-        f"The discrepancy between {len(file.trials)} {file.experiment} trials of {file.robot} and the model "
-        f"{file.model} was treated as part of the model (Kennedy and O'Hagan 2001): its coefficients were "
-        "refitted by output error, with residuals weighted by their own colour (Klein and Morelli 2006), "
-        f"alone and together with each of {count} candidate effects, from several sizes of it.",
-        "Effects and sets of them were weighed by a Student likelihood of what each leaves beyond the noise "
-        "at its optimum, folds weighted by the Bayesian bootstrap (Yao et al. 2018): "
-        f"{otherwise_text(file)}. Held-out gains are drops of the squared residuals in approximate "
-        "cross-validation: one Gauss-Newton step from the fit to all trials leaves a group of them out (Rad "
-        "and Maleki 2020); noise model and spreads between trials stay those of all.",
+        f"The coefficients of {file.model} were refitted to {len(file.trials)} {file.experiment} trials of "
+        f"{file.robot} by output error with coloured residuals (Klein and Morelli 2006), alone and with each "
+        f"of {count} candidate effects as part of the model (Kennedy and O'Hagan 2001).",
+        "Sets of effects were compared by a Student likelihood of their excess over the noise, with folds "
+        f"weighted by the Bayesian bootstrap (Yao et al. 2018): {otherwise_text(file)}. Held-out gains come "
+        "from approximate cross-validation by one Gauss-Newton step (Rad and Maleki 2020).",
     ]
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
     said.append(answer_text(file))
     if file.advice:
-        said.append(
-            "The next experiment was chosen by how far the rivals' predictions differ in it (Box and Hill "
-            "1967)."
-        )
+        said.append("The next experiment separates the rivals' predictions most (Box and Hill 1967).")
     return said

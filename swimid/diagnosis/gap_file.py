@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from swimid.effects.base import Stage
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
 from swimid.results.parameters import Status
@@ -35,7 +36,6 @@ ROBOT_FILE = "the robot file"
 #: Prefix of the names of other interpretations of the robot. The rest of such a name is a value of the option
 #: ``--reading``.
 READING = "reading:"
-Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 
 
 class ChannelGap(yamlio.Document):
@@ -66,8 +66,7 @@ class ChannelGap(yamlio.Document):
 class Cell(yamlio.Document):
     """Gap in one part of the data: a phase of the stroke, a setting, or an interval of time."""
 
-    #: Quantity by which the data are divided, for example ``phase``, ``frequency``, ``amplitude``, ``time``
-    #: or ``change``.
+    #: Quantity by which the data are divided: ``phase``, ``time``, ``trial``, or a setting (``frequency``).
     kind: str
     label: str
     #: Root-mean-square residual divided by the noise floor.

@@ -76,17 +76,13 @@ class RandomEffect:
         """Return a copy with another standard deviation, limited to the largest one that may be chance."""
         return replace(self, sd=min(sd, self.most))
 
-    @property
-    def width(self) -> float:
-        """Return the between-trial standard deviation, in the unit of the parameter."""
-        return self.sd * self.size
-
     def number(self, parameter: Parameter) -> Parameter:
         """Return the per-trial parameter, with bounds at the largest chance deviation."""
         farthest = FARTHEST * math.hypot(self.sd, UNSURE) * self.size
         lower = max(parameter.lower, parameter.start - farthest)
         upper = min(parameter.upper, parameter.start + farthest)
-        return replace(parameter, scale=self.width, lower=lower, upper=upper, free=True, per_trial=True)
+        scale = self.sd * self.size
+        return replace(parameter, scale=scale, lower=lower, upper=upper, free=True, per_trial=True)
 
     @cached_property
     def acting(self) -> Effect | None:

@@ -71,7 +71,8 @@ class Reread:
                 model = self.model(model, question, option)
         except InputError:
             return False
-        return _comparable(model, self._nominal)
+        first, second = ([one.name for one in (*m.parameters, *m.channels)] for m in (model, self._nominal))
+        return first == second
 
 
 class OtherReading(Effect):
@@ -191,12 +192,6 @@ def _stage(places: Sequence[str]) -> Stage:
         next((stage for word, stage in PLACES if word in place), "structure") for place in places
     ]
     return min(stages, key=STAGES.index, default="structure")
-
-
-def _comparable(model: Model, nominal: Model) -> bool:
-    """Return whether two models have the same parameters and channels."""
-    names = [[p.name for p in m.parameters] + [c.name for c in m.channels] for m in (model, nominal)]
-    return names[0] == names[1]
 
 
 def _away(model: Model) -> Array:

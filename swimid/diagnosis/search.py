@@ -98,11 +98,6 @@ class Hypothesis:
         return frozenset(e.name for e in self.fit.effects)
 
     @property
-    def misfit(self) -> float:
-        """Return the held-out squared residuals, summed over all folds."""
-        return float(self.misfits.sum())
-
-    @property
     def ends(self) -> list[str]:
         """Return the parameters of the effects that are near a bound in :attr:`Effect.inside`.
 
@@ -314,7 +309,7 @@ class Search:
         for parent in parents:
             for t in self.screened(parent).tried:
                 key = parent.key | {id(t.effect)}
-                expected = parent.misfit - t.gain
+                expected = float(parent.misfits.sum()) - t.gain
                 if key not in promised or expected < promised[key][0]:
                     promised[key] = expected, parent, t
         order = sorted(promised.values(), key=lambda p: p[0])
@@ -328,7 +323,7 @@ class Search:
 
         for (parent, tried), found in zip(new, map_in_processes(one, new, context.jobs), strict=True):
             effects = (*parent.fit.effects, tried.effect)
-            self.checkpoint.put(self._name(effects), found.theta)
+            self.checkpoint.put(self._name(effects), found[0])
             fit = context.fitted(effects, self.noise_model, found)
             h = self.judged(fit, tried, parent)
             self.pool[h.key] = h

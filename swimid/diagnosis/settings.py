@@ -16,7 +16,7 @@ from swimid.logs.beat import find_beat
 from swimid.logs.log import FREQUENCY_RTOL
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quantity:
     """A quantity that was set in a trial, for example the beat frequency.
 
@@ -37,10 +37,12 @@ class Quantity:
     def __str__(self) -> str:
         return f"{self.value:.{self.digits}g} {self.unit}"
 
-    def same(self, other: Quantity) -> bool:
+    def __eq__(self, other: object) -> bool:
         """Return whether two values are equal to within the tolerance between a stated and a logged beat
         frequency.
         """
+        if not isinstance(other, Quantity):
+            return False
         size = max(abs(self.value), abs(other.value), self.against, other.against)
         return abs(self.value - other.value) <= FREQUENCY_RTOL * size
 
@@ -145,7 +147,7 @@ def count(trials: Sequence[Trial]) -> int:
             mine |= {"waveform": beat.waveform, "asymmetry": Quantity(beat.asymmetry, "", 1.0)}
         if not mine:
             unknown.add(repeated(trial))
-        elif not any(_alike(mine, other) for other in kinds):
+        elif mine not in kinds:
             kinds.append(mine)
     return len(kinds) + len(unknown)
 
@@ -157,16 +159,6 @@ def _drop(trial: Trial) -> dict[str, float]:
         return {}
     known = {"force": rig.force, "inertia": rig.inertia, "area": rig.area_factor}
     return {name: value for name, value in known.items() if not math.isnan(value)}
-
-
-def _alike(one: dict[str, Quantity | str], other: dict[str, Quantity | str]) -> bool:
-    return one.keys() == other.keys() and all(_same(value, other[name]) for name, value in one.items())
-
-
-def _same(one: Quantity | str, other: Quantity | str) -> bool:
-    if isinstance(one, Quantity) and isinstance(other, Quantity):
-        return one.same(other)
-    return one == other
 
 
 #: Minimum number of settings or trials for folds of whole trials. With fewer, segments of trials are held

@@ -68,13 +68,6 @@ class Piece:
         return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
 
 
-def _range(found: Sequence[Piece]) -> float:
-    """Return the measured range of the held-out samples of a channel that no fitted trial has; 1 if it is
-    zero.
-    """
-    return float(np.ptp(np.concatenate([p.seen(p.measured) for p in found]))) or 1.0
-
-
 def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
     """Return the held-out samples, grouped by channel."""
     parts: dict[str, list[Piece]] = {}
@@ -144,7 +137,9 @@ def pieces(
             if f not in folds.owner[k]:
                 continue
             if folds.whole:
-                near = [_near(trial, k, fit) for fit in pair]
+                near = [
+                    replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)}) for fit in pair
+                ]
                 found += _whole(trial, models, (shipped, *(_numbers(*fit) for fit in fits)), sd, near)
             else:
                 vectors = [fit.problem.vector(theta, k) for fit, theta in fits]
@@ -193,11 +188,6 @@ def _piece(
     """Return some samples of a channel and of its three predictions."""
     series = (trial.time_s, trial.measured[channel], *(run[channel] for run in runs))
     return Piece(trial, channel, *(values[rows] for values in series))
-
-
-def _near(trial: Trial, k: int, fit: Fit) -> Trial:
-    """Return the trial with the start state of a fit as starting point of a search."""
-    return replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)})
 
 
 def _stretch(
@@ -258,7 +248,8 @@ def shrinkages(
         for p in mine:
             sums = [float(np.sum(p.squares(y))) for y in (p.shipped, p.before, p.after)]
             squares[trials.index(p.trial.id)] += [*sums, np.isfinite(p.measured).sum()]
-        size = ranges.get(channel) or _range(mine)
+        own_range = float(np.ptp(np.concatenate([p.seen(p.measured) for p in mine])))
+        size = ranges.get(channel) or own_range or 1.0
         shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / size
         floor = floors.get(channel, math.nan) / size
         picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))

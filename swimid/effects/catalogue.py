@@ -67,7 +67,7 @@ def from_file(path: str | Path) -> list[Effect]:
             raise InputError(
                 f"the effect {kind.__name__} cannot be made: {error}",
                 file=path,
-                line=_raised(error, path) or _line(kind),
+                line=_raised(error, path) or inspect.getsourcelines(kind)[1],
             ) from error
     if not effects:
         raise InputError(
@@ -115,14 +115,6 @@ def _raised(error: Exception, path: Path) -> int | None:
     return lines[-1] if lines else None
 
 
-def _line(kind: type[Effect]) -> int | None:
-    """Return the line at which a class begins; None if it is unknown."""
-    try:
-        return inspect.getsourcelines(kind)[1]
-    except (OSError, TypeError):
-        return None
-
-
 def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     """Raise an error if a user's effect lacks an attribute or has an invalid one."""
     problem, hint = None, None
@@ -141,4 +133,5 @@ def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     elif kind.name in taken:
         problem = f"has a name that is used already: '{kind.name}'"
     if problem:
-        raise InputError(f"the effect {kind.__name__} {problem}", file=path, line=_line(kind), hint=hint)
+        line = inspect.getsourcelines(kind)[1]
+        raise InputError(f"the effect {kind.__name__} {problem}", file=path, line=line, hint=hint)

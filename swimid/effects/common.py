@@ -314,6 +314,27 @@ def has_camera_clock(model: Model, trials: Trials) -> bool:
     return "output" in model.offers and rates and bool(measured & set(POSES))
 
 
+class Clock(Effect, ABC):
+    """An error of the clock of a log, or of the clock of the camera alone.
+
+    Parameters
+    ----------
+    camera : bool
+        Whether only the poses have the clock with the error.
+    """
+
+    needs = frozenset({"clock"})
+    smooth = True
+
+    def __init__(self, *, camera: bool = False) -> None:
+        self.camera = camera
+
+    def variants(self, model: Model, trials: Trials) -> Sequence[Effect]:
+        """Return the form for the clock of the log, and that for the camera if it has its own clock."""
+        forms = [*super().variants(model, trials)]
+        return [*forms, type(self)(camera=True)] if has_camera_clock(model, trials) else forms
+
+
 def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
     """Return hooks for a camera with its own clock: it shows the poses of the times ``happened(time_s)``."""
 

@@ -42,13 +42,11 @@ class AddedMass(Effect):
         if body is not None:
             masses = body.masses_kg
             own, across = sum(masses), body.words[4]
-            return tuple(
-                parameter(name, "kg", 0.05 * own, f"{words} added mass", lower=-least)
-                for name, least, words in (
-                    ("surge_kg", LEAST * own, "surge"),
-                    ("sway_kg", LEAST * own, across),
-                    ("tail_kg", 0.5 * LEAST * masses[-1], f"{across} of the last link's"),
-                )
+            size, tail = 0.05 * own, f"{across} of the last link's added mass"
+            return (
+                parameter("surge_kg", "kg", size, "surge added mass", lower=-LEAST * own),
+                parameter("sway_kg", "kg", size, f"{across} added mass", lower=-LEAST * own),
+                parameter("tail_kg", "kg", size, tail, lower=-0.5 * LEAST * masses[-1]),
             )
         linear, angular = ("added_kg", "kg", "added mass"), ("added_kg_m2", "kg m^2", "added inertia")
         name, unit, words = common.pick_by_motion(model, linear, angular)
