@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -111,8 +112,7 @@ def within(change: Array) -> bool:
     return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < BROKEN)
 
 
-@dataclass(frozen=True)
-class Trialled:
+class Trialled(NamedTuple):
     """Simulated changes by one effect.
 
     Attributes

@@ -178,8 +178,15 @@ def held_out(
     off = equations.pull[:, None] if draws is None else draws.pull
     pull = np.concatenate((equations.prior @ off, np.zeros((len(chosen), off.shape[1]))))
     right = equations.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
-    theta = _without(inner, ridge, right, pull, equations.shared)
-    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(equations, theta, off)
+    total, all_right, shared = inner.sum(axis=0), right.sum(axis=0), equations.shared
+    whole = solved(total + ridge, all_right + pull)
+    # Some information of the fold that is left out remains.
+    lean = np.zeros_like(total)
+    lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
+    theta = solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
+    apart = theta[:, :shared] - off
+    strain = np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta)
+    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + strain
     return misfit[:, 0] + equations.products[:, -1, -1] if draws is None else misfit
 
 
@@ -207,28 +214,6 @@ def predictive(equations: NormalEquations) -> Array:
 
     whole = equations.products.sum(axis=0)
     return np.array([left(whole) - left(whole - fold) for fold in equations.products])
-
-
-def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int) -> Array:
-    """Return the parameters from fits that leave out one fold each, shape (folds, c, m).
-
-    There are c parameters and m residual vectors. Some information of the fold that is left out remains
-    (:data:`SHRINKAGE`).
-    """
-    total, all_right = inner.sum(axis=0), right.sum(axis=0)
-    whole = solved(total + ridge, all_right + pull)
-    lean = np.zeros_like(total)
-    lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
-    return solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
-
-
-def _strain(equations: NormalEquations, theta: Array, off: Array) -> Array:
-    """Return the squared distance of parameters from their prior means, divided by the number of folds.
-
-    The result has shape (folds, m).
-    """
-    apart = theta[:, : equations.shared] - off
-    return np.asarray(np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta))
 
 
 def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:

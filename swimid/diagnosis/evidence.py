@@ -95,10 +95,7 @@ def evidence(
 
 
 def _facts(file: GapFile) -> dict[str, str]:
-    facts = {}
-    if file.trials:
-        facts["Trials"] = f"{len(file.trials)} against {file.params}"
-    facts["Model"] = file.model
+    facts = {"Trials": f"{len(file.trials)} against {file.params}", "Model": file.model}
     facts["Effects tried"] = str(len({s.effect for s in file.scores}) or "")
     if file.no_gap is not None:
         facts["Probability"] = otherwise_text(file)

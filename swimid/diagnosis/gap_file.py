@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from swimid.results.evidence import Evidence
 
-FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]
 #: Description of each way to hold out data.
@@ -226,7 +225,7 @@ class GapFile(yamlio.ResultFile):
     """Content of a gap file."""
 
     kind: ClassVar[str] = "gap file"
-    format: Literal["swimid-gap/1"] = FORMAT
+    format: Literal["swimid-gap/1"] = "swimid-gap/1"
     verdict: Verdict
     #: Errors of the model with the parameters as given, by channel, as the command ``compare`` computes them
     #: over all trials.

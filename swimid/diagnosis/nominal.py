@@ -197,12 +197,13 @@ def prior(
         size = max(abs(p.start), 0.1 * p.scale)
         known = given.get(p.name)
         sd = OWN_PRIOR * max(size, p.scale if known is None else 0.0)
-        if p.name in exact and known is not None and known.stderr:
-            sd = min(sd, known.stderr)
-        elif known is not None and not own_data and known.stderr and math.isfinite(known.stderr):
-            sd = min(sd, math.hypot(known.stderr, OTHER_PRIOR * size))
-        elif known is not None and known.stderr and math.isfinite(known.stderr):
-            sd = max(sd, 3.0 * known.stderr)
+        stderr = known.stderr if known is not None and known.stderr else math.nan
+        if p.name in exact:
+            sd = min(sd, stderr)
+        elif math.isfinite(stderr) and not own_data:
+            sd = min(sd, math.hypot(stderr, OTHER_PRIOR * size))
+        elif math.isfinite(stderr):
+            sd = max(sd, 3.0 * stderr)
         found[p.name] = (p.start, sd)
     return found
 

@@ -81,9 +81,9 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
     itself.
     """
     parameters = tuple(
-        p if p.per_trial else replace(p, start=shared.get(p.name, p.start)) for p in model.parameters
+        replace(p, start=shared.get(p.name, p.start), free=p.free and p.name not in trial.held)
+        for p in model.parameters
     )
-    parameters = tuple(replace(p, free=False) if p.name in trial.held else p for p in parameters)
     found = output_error.estimate_start(model, parameters, trial, sd, tolerance=TOLERANCE)
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 

@@ -76,8 +76,8 @@ def random_effect_columns(
             columns.append([2.0 * c for c in half])
             found.append(kind)
     stacked = [
-        np.column_stack([c[k] for c in columns]) if columns else np.empty((len(fit.residuals[k]), 0))
-        for k in range(len(context.trials))
+        np.column_stack([np.empty((len(r), 0)), *(c[k] for c in columns)])
+        for k, r in enumerate(fit.residuals)
     ]
     return stacked, found
 

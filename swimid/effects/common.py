@@ -220,7 +220,8 @@ def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
     return command
 
 
-def hold_back(signal: Array, half: Array) -> Array:
+@numba.njit(cache=True, nogil=True)
+def hold_back(signal, half):  # type: ignore[no-untyped-def]
     """Follow a signal with a play operator: the output moves only if its distance from the signal would
     exceed ``half``.
 
@@ -237,11 +238,6 @@ def hold_back(signal: Array, half: Array) -> Array:
     ndarray, shape (n,)
         Output, whose first value is that of the signal.
     """
-    return np.asarray(_play(signal, half))
-
-
-@numba.njit(cache=True, nogil=True)
-def _play(signal, half):  # type: ignore[no-untyped-def]
     output = signal.copy()
     for i in range(1, len(signal)):
         output[i] = min(max(output[i - 1], signal[i] - half[i]), signal[i] + half[i])

@@ -601,8 +601,7 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     values = np.array(
         [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
     )
-    with np.errstate(all="ignore"):
-        series = model.simulate(values, trial).get(channel)
+    series = model.attempt(values, trial).get(channel)
     if series is None or not np.isfinite(series).all():
         return np.zeros(len(trial.time_s))
     return series

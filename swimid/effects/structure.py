@@ -481,7 +481,7 @@ class LoadFriction(Friction):
 
             def command(time_s: Array, angle: Array, joint: int) -> Array:
                 def stuck(time: Array, told: Array) -> Array:
-                    return common.hold_back(told, share * _torque(loads[joint], time, told))
+                    return np.asarray(common.hold_back(told, share * _torque(loads[joint], time, told)))
 
                 return common.bridge_missing(stuck, time_s, angle)
 
@@ -588,7 +588,7 @@ class Stribeck(Friction):
             if len(time_s) < 2:
                 return angle
             rate = np.gradient(angle, time_s)
-            return common.hold_back(angle, rise * np.exp(-np.square(rate / slow)))
+            return np.asarray(common.hold_back(angle, rise * np.exp(-np.square(rate / slow))))
 
         def command(time_s: Array, angle: Array) -> Array:
             return common.bridge_missing(stuck, time_s, angle)
