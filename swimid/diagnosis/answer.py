@@ -100,7 +100,12 @@ def answer(
         state.nominal = _as_given(state)
     nominal = state.nominal
     ranges = _ranges(context, nominal)
-    _insist_simulated(nominal, ranges)
+    errors = {c: rms(left) for c, left in by_channel(nominal, nominal.residuals).items()}
+    if all(size > shrinkage.ASTRAY * ranges[c] for c, size in errors.items()):
+        raise NoTrustworthyResult(
+            f"the refitted model is off by more than {shrinkage.ASTRAY:g} times the range of every channel",
+            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
+        )
     alike = _alone(state, nominal), _alone(state, state.base)
     share = _structured_share(state)
     drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
@@ -181,7 +186,7 @@ def answer(
         setting_count=settings.count([*context.trials, *validation]),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
-        at_bound=_at_bounds(context, nominal),
+        at_bound=_at_bounds(nominal),
         moved=_moved(state, told.base, begun.unweighed),
         unreproduced=told.unreproduced,
         hypotheses=_hypotheses(state),
@@ -215,15 +220,6 @@ def _as_given(state: State) -> Fit:
     root = np.diag(weight)[weight > 0]
     found = context.search(problem, noise_model, [start], FINE, STEPS, (mean, root))
     return context.at((), noise_model, found.x)
-
-
-def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:
-    errors = by_channel(nominal, nominal.residuals)
-    if all(rms(left) > shrinkage.ASTRAY * ranges[channel] for channel, left in errors.items()):
-        raise NoTrustworthyResult(
-            f"the refitted model is off by more than {shrinkage.ASTRAY:g} times the range of every channel",
-            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
-        )
 
 
 def _alone(state: State, fit: Fit) -> Fit:
@@ -367,11 +363,10 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
     return found
 
 
-def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
+def _at_bounds(fit: Fit) -> dict[str, float]:
     """Return the shared coefficients of the model that are at a bound, with the value of the bound."""
-    own = {p.name for p in context.parameters if not p.per_trial}
     ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
-    return {label: float(value) for label, value, inside in ends if label in own and not inside}
+    return {label: float(value) for label, value, inside in ends if not inside and "[" not in label}
 
 
 def _absorbed(
@@ -428,31 +423,29 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
 
 
 def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]) -> list[Advice]:
+    repeat = [Advice(text=f"{REPEAT} (now left: {left})")]
     if told.odd is not None:
         text = f"check the entry of {told.odd.trial}; diagnose without it (role: validate)"
-        return [Advice(text=text), *_repeat(left)]
+        return [Advice(text=text), *repeat]
     if told.verdict == "unexplained" and told.unpredicted:
         trials = ", ".join(told.unpredicted)
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
-    if not told.causes:
-        return _repeat(left) if told.verdict == "unexplained" else []
-    first = state.rounds[0]
-    # No experiment distinguishes a changed parameter from an effect that changes the trials in the same way.
-    names = [n for n in told.causes[0].alike if n not in first.same]
-    rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
-    if len(rivals) == 1:
-        rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
-    if len(rivals) == 1:
-        return _repeat(left) if told.verdict == "unexplained" else []
+    rivals = []
+    if told.causes:
+        first = state.rounds[0]
+        # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
+        # way.
+        names = [n for n in told.causes[0].alike if n not in first.same]
+        rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
+        if len(rivals) == 1:
+            rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
+    if len(rivals) < 2:
+        return repeat if told.verdict == "unexplained" else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     try:
         return advice.advise(state.context, [r.fit for r in rivals], state.noise_model, floor, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
-
-
-def _repeat(left: str) -> list[Advice]:
-    return [Advice(text=f"{REPEAT} (now left: {left})")]
 
 
 def _scores(state: State) -> list[Score]:

@@ -168,7 +168,9 @@ def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:
     said = otherwise_text(file)
     if best is not None:
         said += f", {best.effect} {probability_text(best.probability)}"
-    yield ev.check("probabilities", said, file.told_of_gap, "no gap > 50 %", reason=said)
+    yield ev.check(
+        "probabilities", said, file.no_gap is None or file.no_gap > 0.5, "no gap > 50 %", reason=said
+    )
     apart = listed([c.channel for c in file.where.channels if c.differs])
     if apart:
         said = f"trials differ in {apart} by more than the noise within them"
@@ -425,7 +427,7 @@ def answer_text(file: GapFile) -> str:
 
 
 def _no_gap(file: GapFile) -> str:
-    if not file.told_of_gap:
+    if file.no_gap is not None and file.no_gap <= 0.5:
         return "These trials do not tell whether the model has a gap."
     if file.moved or file.params == ROBOT_FILE:
         return "The refitted model describes these trials as well as their noise allows."

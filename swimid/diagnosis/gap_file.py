@@ -309,11 +309,6 @@ class GapFile(yamlio.ResultFile):
         return any(isinstance(v, ChangedValue) for c in self.causes for v in c.parameters.values())
 
     @property
-    def told_of_gap(self) -> bool:
-        """Return whether the probability of no gap is unknown or larger than one half."""
-        return self.no_gap is None or self.no_gap > 0.5
-
-    @property
     def closing(self) -> list[Shrinkage]:
         """Return the held-out errors of each channel without and with all causes, largest gap first."""
         return self.causes[0].shrinkage if self.causes else []
