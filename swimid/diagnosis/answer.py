@@ -237,7 +237,9 @@ def _reasons(state: State) -> list[str]:
     for kind in (kind for kind in state.random_effects if kind.sd > 0.02):
         chance = f", {kind.most:.2g} of it by chance" if kind.sd > kind.most else ""
         differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
-    return [f"trials differ in {evidence.listed(differing)}, which is part of the noise"] if differing else []
+    if not differing:
+        return []
+    return [f"trials differ in {evidence.listed(differing)}, which is part of the noise"]
 
 
 def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:

@@ -157,9 +157,8 @@ def _of_trials(file: GapFile) -> Iterable[ev.Check]:
         passed = None
         if not file.causes:
             passed = False
-        yield ev.check(
-            "bounds without effects", said, passed, "inside", text, reason=f"bounds are hit: {said}"
-        )
+        reason = f"bounds are hit: {said}"
+        yield ev.check("bounds without effects", said, passed, "inside", text, reason=reason)
 
 
 def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:

@@ -100,9 +100,9 @@ def _steady(trial: Trial) -> tuple[float, float]:
     beat.
     """
     frequency_hz, amplitude_rad = trial.steady
-    return (
-        (float(frequency_hz[0]), float(amplitude_rad[0])) if len(frequency_hz) == 1 else (math.nan, math.nan)
-    )
+    if len(frequency_hz) != 1:
+        return math.nan, math.nan
+    return float(frequency_hz[0]), float(amplitude_rad[0])
 
 
 def words(trial: Trial) -> dict[str, str]:

@@ -19,8 +19,6 @@ from swimid.fitting.model import Model, Trial
 
 #: Names of the hooks that an effect may use.
 PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
-#: Attributes that every effect must define.
-STATED = ("name", "stage", "meaning", "needs")
 
 
 @functools.cache
@@ -118,7 +116,7 @@ def _raised(error: Exception, path: Path) -> int | None:
 def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     """Raise an error if a user's effect lacks an attribute or has an invalid one."""
     problem, hint = None, None
-    missing = [name for name in STATED if not hasattr(kind, name)]
+    missing = [name for name in ("name", "stage", "meaning", "needs") if not hasattr(kind, name)]
     unwritten = sorted(kind.__abstractmethods__)
     if missing or unwritten:
         problem = f"lacks {', '.join([*missing, *(f'{name}()' for name in unwritten)])}"
