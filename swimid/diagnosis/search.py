@@ -524,12 +524,8 @@ class Search:
 
     def weighed(self) -> Posterior:
         """Return the posterior probability of each set of effects fitted so far."""
-        found = [h for size in range(1, COMBINED + 1) for h in self.best(size)]
-        return posterior.posterior(
-            self._candidate(self.null),
-            [self._candidate(h) for h in found],
-            record=self.record,
-        )
+        found = [self._candidate(h) for size in range(1, COMBINED + 1) for h in self.best(size)]
+        return posterior.posterior(self._candidate(self.null), found, record=self.record)
 
     @property
     def count(self) -> int:
