@@ -26,10 +26,11 @@ class DiagnoseOptions(
     exit status 0.
 
     Examples:
-      swimid diagnose trials.yaml -o gap.yaml swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
-      swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset swimid
-      diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml swimid report gap.yaml
-      -o gap.html
+      swimid diagnose trials.yaml -o gap.yaml
+      swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
+      swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
+      swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
+      swimid report gap.yaml -o gap.html
     """
 
     params: Source = option(
