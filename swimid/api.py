@@ -56,7 +56,7 @@ NAMES = {
     "Logged": "swimid.logs.logged",
     "Simulation": "swimid.simulation.simulate",
     "Comparison": "swimid.simulation.compare",
-    "Diagnosis": "swimid.diagnosis.gap_file",
+    "Diagnosis": "swimid.diagnosis.evidence",
     "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
     "PerformanceMap": "swimid.optimisation.performance_map",
     "StiffnessRule": "swimid.optimisation.optimise_stiffness",

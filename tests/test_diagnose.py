@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swimid.diagnosis.gap_file import Diagnosis, GapFile
+from swimid.diagnosis.evidence import Diagnosis
+from swimid.diagnosis.gap_file import GapFile
 from tests.blind import cruises, swim_actuation, swim_effects
 from tests.blind.swim_case import Act, Channels, Trial
 from tests.conftest import ROOT, SAMPLES, Ran

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis.gap_file import Diagnosis, GapFile, HeldOut, Value
+from swimid.diagnosis.evidence import Diagnosis
+from swimid.diagnosis.gap_file import GapFile, HeldOut, Value
 from swimid.effects import catalogue
 from swimid.effects.base import Affected
 from swimid.fitting.hooks import Hooks

@@ -21,7 +21,7 @@ from swimid.diagnosis import (
     settings,
     shrinkage,
 )
-from swimid.diagnosis.candidates import Refitted
+from swimid.diagnosis.candidates import Refitted, Tried
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
 from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
 from swimid.diagnosis.gap_file import (
@@ -453,20 +453,19 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
 def _scores(state: State) -> list[Score]:
     """Return the score of each effect, from the fit with this effect alone or else from the screen."""
     rows: dict[str, Score] = {}
-    for one in (*state.singles, *state.screen.tried):
-        tried, gains = one, {}
-        if isinstance(one, Refitted):
-            tried = one.tried
-            probability = state.posterior.having(tried.effect.name)
-            gains = {"gain": one.gain, "stderr": one.stderr, "probability": probability}
+    refitted: list[tuple[Tried, Refitted | None]] = [(r.tried, r) for r in state.singles]
+    for tried, found in [*refitted, *((t, None) for t in state.screen.tried)]:
+        name, gains = tried.effect.name, {}
+        if found is not None:
+            gains = {"gain": found.gain, "stderr": found.stderr, "probability": state.posterior.having(name)}
         row = Score(
-            effect=tried.effect.name,
+            effect=name,
             stage=tried.effect.stage,
             variant=", ".join(p.name for p in tried.parameters),
             absorbed=tried.absorbed,
             **gains,
         )
-        rows.setdefault(row.effect, row)
+        rows.setdefault(name, row)
     return list(rows.values())
 
 

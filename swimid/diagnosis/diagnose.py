@@ -9,7 +9,8 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import answer, evidence, nominal, readings, search
 from swimid.diagnosis.context import FitContext
-from swimid.diagnosis.gap_file import ROBOT_FILE, Diagnosis
+from swimid.diagnosis.evidence import Diagnosis
+from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -13,13 +12,7 @@ from swimid.effects.base import Stage
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
 from swimid.results.parameters import Status
-from swimid.results.result import FileResult
 from swimid.simulation.compare_series import ChannelScore
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from swimid.results.evidence import Evidence
 
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]
@@ -320,78 +313,3 @@ class GapFile(yamlio.ResultFile):
 
 def _size(value: float | None) -> float:
     return -math.inf if value is None else value
-
-
-@dataclass(frozen=True, eq=False)
-class Diagnosis(FileResult[GapFile]):
-    """Result of ``diagnose``: the gap between trials and a model, and the causes of the gap.
-
-    Attributes
-    ----------
-    answer : str
-        Verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
-    causes : DataFrame
-        One row for each parameter of each cause, the most probable cause first. Columns: ``effect``,
-        ``probability`` (that this effect or an equivalent one is among the causes), ``parameter``, ``value``
-        and ``stderr`` (in ``unit``), ``status``.
-    shrinkage : DataFrame
-        One row for each cause and channel. Columns: error on held-out data ``before`` and ``after`` the
-        causes are added, noise ``floor`` (all divided by the measured range), fraction ``closed`` of the
-        error above the floor, and its 95 % interval ``ci95``.
-    where : DataFrame
-        One row for each channel. Columns: error ``nrmse`` of the refitted model, noise ``floor``, error
-        ``within`` trials without between-trial variation (all divided by the measured range), ``share``
-        (fraction of the squared gap), ``rmse`` (in ``unit``).
-    file : GapFile
-        Content of the file that :meth:`save` writes. It also has rival causes, remaining residuals, proposed
-        experiments and the scores of all effects.
-    """
-
-    file_type = GapFile
-
-    @property
-    def answer(self) -> str:
-        """Return the verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
-        return self.file.verdict
-
-    @property
-    def causes(self) -> pd.DataFrame:
-        """Return one row for each parameter of each cause.
-
-        A cause without parameters, such as another interpretation of the robot's source, has one row.
-        """
-        import pandas as pd
-
-        none = {"": Value(value=None, unit="")}
-
-        rows = [
-            (c.effect, c.probability, name, v.value, v.stderr, v.unit, v.status)
-            for c in self.file.causes
-            for name, v in (c.parameters or none).items()
-        ]
-        return pd.DataFrame(
-            rows, columns=["effect", "probability", "parameter", "value", "stderr", "unit", "status"]
-        )
-
-    @property
-    def shrinkage(self) -> pd.DataFrame:
-        """Return the held-out errors of each channel without and with the causes."""
-        import pandas as pd
-
-        rows = [{"effect": c.effect, **s.model_dump()} for c in self.file.causes for s in c.shrinkage]
-        return pd.DataFrame(rows)
-
-    @property
-    def where(self) -> pd.DataFrame:
-        """Return the gap and the noise floor of each channel."""
-        import pandas as pd
-
-        return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
-
-    def bare(self) -> Evidence:
-        """Return the evidence that can be shown if the evidence file is missing."""
-        from swimid.diagnosis import evidence
-
-        found = evidence.evidence(self.file)
-        text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
-        return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})

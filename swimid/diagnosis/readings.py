@@ -71,8 +71,10 @@ class Reread:
                 model = self.model(model, question, option)
         except InputError:
             return False
-        first, second = ([one.name for one in (*m.parameters, *m.channels)] for m in (model, self._nominal))
-        return first == second
+        names = [
+            [p.name for p in m.parameters] + [c.name for c in m.channels] for m in (model, self._nominal)
+        ]
+        return names[0] == names[1]
 
 
 class OtherReading(Effect):

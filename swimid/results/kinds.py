@@ -13,7 +13,7 @@ from swimid.results.result import Result
 FORMATS = {
     "swimid-parameters/1": "swimid.results.fitted:Fitted",
     "swimid-comparison/1": "swimid.simulation.compare:Comparison",
-    "swimid-gap/1": "swimid.diagnosis.gap_file:Diagnosis",
+    "swimid-gap/1": "swimid.diagnosis.evidence:Diagnosis",
     "swimid-sensitivity/2": "swimid.sensitivity_analysis.sensitivity:Sensitivity",
     "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
     "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from swimid.diagnosis.gap_file import ChangedValue, Diagnosis, GapFile
+from swimid.diagnosis.evidence import Diagnosis
+from swimid.diagnosis.gap_file import ChangedValue, GapFile
 from swimid.simulation.compare_series import ComparisonFile
 from tests.conftest import Ran
 
