@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_diagnose import settings
-from swimid.diagnosis.generic import ResidualForce
+from swimid.diagnosis.remainder import ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Affected
 from swimid.fitting.drives import Beat, Cycle, SwimInput

@@ -93,7 +93,7 @@ CONSTANTS = (
     *_of("judgement", "DIFFERS", "MAJORITY", after=True),
     *_of("judgement", "SURE", rest=True, after=True),
     *_of("shrinkage", "MOST", "ASTRAY", after=True),
-    *_of("dropout_cause", "FAILED_MISFIT", after=True),
+    *_of("dropouts", "FAILED_MISFIT", after=True),
     *_of("dropouts", "JUMP", "MOVED", "OFF"),
     *_of("remainder", "SLOW", "AGAINST", "SURE", "PER_SAMPLE", "LEAST_GAIN", "LEAST_OF_FEW", "MOST_USED"),
     *_of("remainder", "QUANTILE", rest=True),

@@ -70,8 +70,8 @@ def _cell(kind: str, label: str, ratio: float, share: float) -> Cell:
     return Cell(kind=kind, label=label, ratio=ratio, share=share)
 
 
-def _remaining(share: float, where: str, white: bool, gain: float) -> Remaining:
-    return Remaining(share=share, where=where, white=white, gain=gain)
+def _remaining(share: float, where: str, white: bool) -> Remaining:
+    return Remaining(share=share, where=where, white=white)
 
 
 BACKLASH = Cause(
@@ -149,16 +149,13 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
             variant="joint 2" if name == "joint-locked" else "",
             gain=gain,
             stderr=0.3 * abs(gain) + 5,
-            won=(5, 9),
             absorbed=0.3,
-            screened=gain,
             probability=0.01,
         )
         for (name, stage), gain in zip(names.items(), rng.uniform(-40, 400, len(names)), strict=True)
     ]
     scores = [
-        replace(s, gain=3062.4, stderr=410.0, won=(9, 9), probability=0.94) if s.effect == first else s
-        for s in scores
+        replace(s, gain=3062.4, stderr=410.0, probability=0.94) if s.effect == first else s for s in scores
     ]
     weak = Score(
         effect="wall",
@@ -166,8 +163,6 @@ def _scores(first: str = "servo-backlash") -> list[Score]:
         variant="+x",
         gain=None,
         absorbed=0.97,
-        screened=1.2,
-        refitted=False,
         probability=0.0,
     )
     return [weak, *scores]
@@ -207,7 +202,7 @@ EXPLAINED = GapFile(
         time=[_cell("time", "start-up", 5.0, 0.6), _cell("time", "steady", 2.2, 0.4)],
     ),
     causes=[BACKLASH],
-    remaining=_remaining(0.04, "mostly in yaw_rate_rad_s", True, 3.0),
+    remaining=_remaining(0.04, "mostly in yaw_rate_rad_s", True),
     advice=[
         Advice(
             text="Swim at 1.0 Hz with 10 deg for 15 s: play takes the largest share of the smallest stroke.",
@@ -226,8 +221,6 @@ EXPLAINED = GapFile(
     outside=0.03,
     held_out="trials",
     floor_from="repeats of one setting, and residuals of a saturated description",
-    forces={"surge force": 40.0, "yaw moment": 2.0},
-    rounds=["Round 1: servo-backlash gains 3062.", "Round 2: no other effect gains more than noise would."],
     reasons=["One effect gains far more than noise and than any other."],
     provenance={"command": "swimid diagnose trials.yaml", "version": "0", "created": "2026-01-02"},
 )
@@ -246,13 +239,12 @@ NONE = replace(
         stage=dict.fromkeys(_STAGES, 0.0),
     ),
     causes=[],
-    remaining=_remaining(_NAN, "", True, 0.0),
+    remaining=_remaining(_NAN, "", True),
     advice=[],
     scores=[
         replace(s, gain=None if s.gain is None else min(s.gain, 30.0), probability=None)
         for s in EXPLAINED.scores
     ],
-    rounds=[],
     reasons=[],
     no_gap=0.91,
 )
@@ -270,13 +262,13 @@ UNEXPLAINED = replace(
     verdict="unexplained",
     where=replace(_BRIEF.where, stage={**EXPLAINED.where.stage, "rig": 0.0}),
     causes=[],
-    remaining=_remaining(1.0, "surge force against speed", False, 911.0),
+    remaining=_remaining(1.0, "surge force against speed", False),
     advice=[],
 )
 FOLLOWS = replace(
     NONE,
     verdict="unexplained",
-    remaining=_remaining(1.0, "validation trials f10a15", False, _NAN),
+    remaining=_remaining(1.0, "validation trials f10a15", False),
     held_out="validation",
     unpredicted={"f10a15": 22.0},
 )
@@ -298,7 +290,7 @@ CHANGED = replace(_BRIEF, causes=[SOFTER], as_given=_OFF)
 MOVED = replace(NONE, moved=SOFTER.parameters, as_given=_OFF)
 NOT_GIVEN = replace(NONE, params=gap_file.ROBOT_FILE)
 BLACK_BOX = replace(UNEXPLAINED, unreproduced={"u_m_s": 0.003})
-PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw moment", False, 200.0))
+PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw moment", False))
 
 ALL = {
     "none": NONE,

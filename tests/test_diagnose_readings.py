@@ -182,7 +182,7 @@ def test_a_robot_without_readings_has_no_such_hypothesis() -> None:
     "name, status, says",
     [
         ("reading:drag_point=strip", 2, "did you mean 'reading:drag_point=strips'"),
-        ("reading:drag_point=mid-link", 2, "is read so already"),
+        ("reading:drag_point=mid-link", 2, "there is no effect 'reading:drag_point=mid-link'"),
     ],
 )
 def test_readings_are_requested_by_name(

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import evidence as diagnose_evidence
-from swimid.diagnosis import words
-from swimid.diagnosis.diagnosed import Diagnosis
+from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import GapFile, HeldOut, Value
 from swimid.effects import catalogue
 from swimid.effects.base import Affected
@@ -75,7 +74,7 @@ def test_the_summary_fits_one_screen(name: str) -> None:
 def test_at_most_five_notes_and_advice_first() -> None:
     gap = replace(cases.EXPLAINED, reasons=[f"reason {k}" for k in range(9)])
     notes = cases.evidence(gap).notes
-    assert len(notes) == words.MAX_NOTES
+    assert len(notes) == diagnose_evidence.MAX_NOTES
     assert notes[0].startswith("Next experiment: Swim at 1.0 Hz")
 
 
@@ -335,24 +334,15 @@ def test_the_first_figure_has_the_errors_by_channel(name: str, shown: list[str])
     assert errors["refitted"] == pytest.approx(2.1 if name == "moved" else 14.2)
 
 
-def test_at_most_three_figures_and_the_residual_of_the_worst_trial_last() -> None:
+def test_at_most_two_figures_and_the_residual_of_the_worst_trial_last() -> None:
     for gap in cases.ALL.values():
         made = cases.evidence(gap)
-        assert [figure.id for figure in made.figures] == ["errors", "effects", "residuals"]
-        labels = [trace.label for trace in made.figures[2].panels[0].traces]
+        assert [figure.id for figure in made.figures] == ["errors", "residuals"]
+        labels = [trace.label for trace in made.figures[1].panels[0].traces]
         assert labels == ["without the causes", "with the causes"][: 2 if gap.causes else 1]
     piece = cases.worst()[1]
-    without = made.figures[2].panels[1].traces[0].y
+    without = made.figures[1].panels[1].traces[0].y
     np.testing.assert_allclose(without, np.degrees(piece.measured - piece.before))
-
-
-def test_causes_and_rivals_stand_out_of_the_ranked_effects() -> None:
-    (panel,) = cases.evidence(cases.EXPLAINED).figures[1].panels
-    named, interval, *_ = panel.traces
-    names = panel.y_categories or []
-    assert [names[int(k or 0)] for k in named.y] == ["servo backlash"]
-    assert named.x == [3062.4]
-    assert interval.x == [3062.4 - 410.0, 3062.4 + 410.0, None]
 
 
 # ---------------------------------------------------------------- the command line
@@ -370,14 +360,14 @@ def test_the_command_passes_its_options_to_the_function(
     monkeypatch.setitem(sys.modules, "swimid.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
     ran = swimid(
         "diagnose", "t.yaml", "--params", "p.yaml", "--effects", "servo-lag, current", "--effects", "waves",
-        "--effect", "mine.py", "--max-causes", 2, "--jobs", 2, "--budget-s", 60, "--seed", 7,
+        "--effect", "mine.py", "--max-causes", 2, "--jobs", 2, "--seed", 7,
         "--reading", "a=b", "-o", tmp_path / "gap.yaml",
     )  # fmt: skip
     assert ran.status == 0, ran.err
     assert ran.out.startswith("what is printed")
     assert seen["effects"] == ("servo-lag", "current", "waves")
     assert seen["own_effects"] == (Path("mine.py"),)
-    assert (seen["max_causes"], seen["jobs"], seen["budget_s"], seen["seed"]) == (2, 2, 60.0, 7)
+    assert (seen["max_causes"], seen["jobs"], seen["seed"]) == (2, 2, 7)
     assert seen["readings"] == {"a": "b"}
     assert seen["params"] == Path("p.yaml")
     assert seen["dt"] == 0.005

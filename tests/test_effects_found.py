@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import swimid
-from swimid.diagnosis.diagnosed import Diagnosis
+from swimid.diagnosis.evidence import Diagnosis
 from tests.blind import rigs, swim_body, swimmers
 from tests.blind.swim_case import Act
 from tests.generators import gap_trials

@@ -83,7 +83,7 @@ def test_everything_in_where_is_ranked() -> None:
 def test_scores_are_ranked_and_screened_ones_last() -> None:
     scores = cases.EXPLAINED.scores
     assert scores[0].effect == "servo-backlash"
-    assert (scores[-1].effect, scores[-1].refitted, scores[-1].gain) == ("wall", False, None)
+    assert (scores[-1].effect, scores[-1].gain) == ("wall", None)
 
 
 def test_unknown_values_are_null() -> None:

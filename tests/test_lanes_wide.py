@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from swimid.diagnosis.generic import AXES, ResidualForce
+from swimid.diagnosis.remainder import AXES, ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
 from swimid.files.atomic import Checkpoint
@@ -105,7 +105,7 @@ def test_every_force_and_element_agrees_with_the_engine(fish: MultilinkModel) ->
     found = widened(fish, own)
     assert {name.split()[0] for name in found} >= {
         "com-offset", "fin-flexibility", "drag-reynolds", "lift-damping", "linear-drag", "wake-lift",
-        "tether", "wall", "residual-force",
+        "tether", "wall", "residual",
     }  # fmt: skip
     for effect in found.values():
         hooks = effect.hooks(acting(Affected(fish, [effect], own)), own[0], fish)

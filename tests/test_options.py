@@ -195,7 +195,7 @@ RECORDED = {
     "fit-graybox": "fixed freed bounds share channels start_state starts seed readings max_step_s method",
     "compare": "channels refit_start start_state set readings dt",
     "sensitivity": "samples range coefficients set readings seed dt",
-    "diagnose": "effects own_effects seed budget_s max_causes readings max_step_s",
+    "diagnose": "effects own_effects seed max_causes readings max_step_s",
     "import": "",
     "track video": "setup fps max_gap_s from_s to_s",
 }

@@ -76,7 +76,7 @@ def _beside(bench: FitContext, noise_model: NoiseModel, base: Fit, effect: Effec
     problem = bench.problem(effects)
     noise_model.install(problem)
     first = min(starts, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2)))
-    return bench.fit(effects, noise_model, [first], tolerance=FINE, jobs=1)
+    return bench.fit(effects, noise_model, [first], tolerance=FINE)
 
 
 def _bic(fit: Fit) -> float:

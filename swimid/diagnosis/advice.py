@@ -1,4 +1,4 @@
-"""Propose the next experiment: the setting or the additional sensor that best distinguishes rival causes."""
+"""Propose the next experiment: the setting that best distinguishes rival causes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST = 4
 def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
     """Return descriptions and trials of experiments that could be run next.
 
-    A proposed trial differs from the given trials in its beat, its driving force or its duration.
+    A proposed trial differs from the given trials in its beat or its driving force.
     """
     template = max(trials, key=lambda t: len(t.time_s))
     found: list[tuple[str, Trial]] = []
@@ -61,12 +61,6 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
             inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
             trial = replace(template, inputs=inputs)
             found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
-    time = template.time_s
-    if len(time) > 20 and template.swim.joints is None and (beat is not None or not template.inputs):
-        span, step = float(time[-1] - time[0]), float(np.median(np.diff(time)))
-        longer = time[0] + step * np.arange(int(2.0 * span / step) + 1)
-        words = f"one of the same settings, {2.0 * span:.3g} s long"
-        found.append((words, replace(template, time_s=longer)))
     # Each proposed trial gets its own id, because simulations are cached by the id of the trial.
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
@@ -91,38 +85,14 @@ def advise(
         the square root of the difference of their held-out squared residuals.
     """
     known = information(context, rivals[0], noise_model)
-
-    def difference(trial: Trial, noise: Mapping[str, float], channels: Sequence[str]) -> float:
-        return min(apart(context, rivals[0], other, trial, noise, known, channels) for other in rivals[1:])
-
     measured = sorted({c for t in context.trials for c in t.measured})
-    found = [(difference(t, floors, measured), f"run {words}") for words, t in proposals(context.trials)]
-    template = max(context.trials, key=lambda t: len(t.time_s))
-    sensed: dict[str, tuple[float, str]] = {}
-    for channel in context.model.channels:
-        name, noise = channel.name, typical_noise(channel.name)
-        if name in measured or noise is None:
-            continue
-        size = difference(template, {name: noise}, [name])
-        words = f"log {channel.meaning or name} ({name}) as well, to {noise:.2g} {channel.unit}"
-        # Joint channels have the key "joint" in common, so that at most one of them is proposed.
-        kind = name[:5]
-        if kind not in sensed or size > sensed[kind][0]:
-            sensed[kind] = size, words
-    found += sensed.values()
+    found = []
+    for words, trial in proposals(context.trials):
+        sizes = [apart(context, rivals[0], other, trial, floors, known, measured) for other in rivals[1:]]
+        found.append((min(sizes), f"run {words}"))
     found.sort(key=lambda pair: -pair[0])
     names = [f.effects[-1].name for f in rivals]
     return [Advice(text=words, separates=names, difference=size, now=now) for size, words in found[:MOST]]
-
-
-def typical_noise(channel: str) -> float | None:
-    """Return the typical noise standard deviation of the sensor of a channel, or None if it is unknown.
-
-    It is 0.01 rad for the encoder of a joint and 0.02 rad/s for a gyro.
-    """
-    if channel.startswith("joint") and channel.endswith("_rad"):
-        return 0.01
-    return 0.02 if channel in ("yaw_rate_rad_s", "pitch_rate_rad_s") else None
 
 
 def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:

@@ -6,7 +6,6 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 from scipy import special
@@ -14,19 +13,17 @@ from scipy import special
 from swimid.diagnosis import (
     advice,
     crossval,
-    dropout_cause,
+    dropouts,
     evidence,
     judgement,
     places,
     remainder,
     settings,
     shrinkage,
-    words,
 )
-from swimid.diagnosis.candidates import Tried
+from swimid.diagnosis.candidates import Refitted, Tried
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
-from swimid.diagnosis.floor import by_channel, excess, floors, repeats, rms, split
-from swimid.diagnosis.folds import Folds
+from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
 from swimid.diagnosis.gap_file import (
     Absorbed,
     Advice,
@@ -38,16 +35,16 @@ from swimid.diagnosis.gap_file import (
     Hypothesis,
     Score,
     Shrinkage,
-    Stage,
     Value,
     Where,
 )
 from swimid.diagnosis.judgement import Judgement, Named
 from swimid.diagnosis.noise_model import NoiseModel, coloured
-from swimid.diagnosis.refutation import Misfit, compared
+from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.search import State
-from swimid.diagnosis.shrinkage import Piece
-from swimid.effects.base import STAGES
+from swimid.diagnosis.settings import Folds
+from swimid.diagnosis.shrinkage import Misfit, Piece
+from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.covariance import sandwich
@@ -68,10 +65,9 @@ REPEAT = "repeat one setting three times: what repeats is physics, what does not
 def answer(
     state: State,
     validation: Sequence[Trial],
-    given: Mapping[str, Estimate],
+    begun: Begun,
     raw: Sequence[Trial],
     *,
-    unweighed: Mapping[str, Estimate] = MappingProxyType({}),
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[GapFile, list[Piece]]:
@@ -81,13 +77,10 @@ def answer(
     ----------
     validation : sequence of Trial
         Trials that no fit uses.
-    given : mapping of name to Estimate
-        Parameters of the parameter file.
+    begun : Begun
+        Parameters of the parameter file, and those whose change is not a hypothesis.
     raw : sequence of Trial
         The fitted trials, failed samples included.
-    unweighed : mapping of name to Estimate
-        Parameters of the parameter file that were estimated from other trials, and whose change is not a
-        hypothesis of the diagnosis.
 
     Returns
     -------
@@ -107,7 +100,12 @@ def answer(
         state.nominal = _as_given(state)
     nominal = state.nominal
     ranges = _ranges(context, nominal)
-    _insist_simulated(nominal, ranges)
+    errors = {c: rms(left) for c, left in by_channel(nominal, nominal.residuals).items()}
+    if all(size > shrinkage.ASTRAY * ranges[c] for c, size in errors.items()):
+        raise NoTrustworthyResult(
+            f"the refitted model is off by more than {shrinkage.ASTRAY:g} times the range of every channel",
+            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
+        )
     alike = _alone(state, nominal), _alone(state, state.base)
     share = _structured_share(state)
     drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
@@ -115,7 +113,7 @@ def answer(
         drifts
     )
     floor = noise.inside
-    failed = dropout_cause.misfit(state, raw, floor)
+    failed = dropouts.misfit(state, raw, floor)
     # A random effect may absorb a cause, and a cause may absorb between-trial variation. Each model is
     # therefore fitted with and without random effects, and the fits that predict held-out data better are
     # used.
@@ -134,15 +132,20 @@ def answer(
         )
     if state.changed or judgement.by_coefficients(state):
         held = [replace(piece, before=piece.shipped) for piece in held]
-    predicted = None
+    predicted = distance = None
+    chance: Mapping[str, float] = {}
     if state.base.effects:
-        predicted = compared(context, nominal, state.base, state.noise_model, validation)
+        without, with_causes = (
+            shrinkage.misfit(context, fit, state.noise_model, validation) for fit in (nominal, state.base)
+        )
+        predicted = without, with_causes
+        distance = Distance(before=without.times, after=with_causes.times)
+        # The expected between-trial variation of the held-out trials is used only if the model with the
+        # causes predicts these trials. Otherwise a gap could be taken for between-trial variation.
+        chance = {} if with_causes.shown else with_causes.chance
     # The floor in ``noise.levels`` is increased for the noise that fitted parameters absorb. If the residuals
     # have structure, this increase would include absorbed structure, so the floor without it is used.
     more = state.left is not None and state.left.found
-    # The expected between-trial variation of the held-out trials is used only if the model with the causes
-    # predicts these trials. Otherwise a gap could be taken for between-trial variation.
-    chance = {} if predicted is None or predicted.after.shown else predicted.after.chance
     levels = noise.of_held_out(chance)
     outside = shrinkage.capped(floor if more else levels, held)
     rng = np.random.default_rng(seed)
@@ -157,22 +160,20 @@ def answer(
         floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
     rows = _scores(state)
-    stages: dict[Stage, float | None] = {**_stages(rows, gap=bool(told.causes))}
-    causes = _causes(state, told, given, closing)
+    stages = _stages(rows, gap=bool(told.causes))
+    causes = _causes(state, told, begun.given, closing)
     if failed:
-        causes = dropout_cause.among(state, causes, raw, floor, failed, ranges)
+        causes = dropouts.among(state, causes, raw, floor, failed, ranges)
         if causes[0].effect == MarkerDropout.name:
             stages = {k: float(k == "sensing") for k in stages}
-    units = {c.name: c.unit for c in context.model.channels}
     cells = places.Map(context, nominal, gap, floor)
     where = Where(
-        channels=_channels(nominal, gap, floor, units, ranges),
+        channels=_channels(state, gap, floor, ranges),
         stage=stages,
         phase=places.phases(cells) if told.verdict != "none" else [],
         regime=places.regimes(cells),
         time=places.times(cells),
     )
-    stuck = _at_bounds(context, nominal)
     file = GapFile(
         verdict=told.verdict,
         where=where,
@@ -185,19 +186,17 @@ def answer(
         setting_count=settings.count([*context.trials, *validation]),
         no_gap=state.posterior.none,
         outside=state.posterior.outside,
-        at_bound=stuck,
-        moved=_moved(state, told.base, unweighed),
+        at_bound=_at_bounds(nominal),
+        moved=_moved(state, told.base, begun.unweighed),
         unreproduced=told.unreproduced,
         hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
         held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
-        predicted=predicted.distances if predicted is not None and told.causes else None,
+        predicted=distance if told.causes else None,
         floor_from=how,
         repeats=bool(repeats(context)),
         scores=rows,
-        forces={**state.left.places} if state.left is not None else {},
-        rounds=state.told,
         reasons=[*told.reasons, *_reasons(state)],
         unsure=list(told.unsure),
         left_out=dict(state.screen.left_out),
@@ -223,15 +222,6 @@ def _as_given(state: State) -> Fit:
     return context.at((), noise_model, found.x)
 
 
-def _insist_simulated(nominal: Fit, ranges: Mapping[str, float]) -> None:
-    errors = by_channel(nominal, nominal.residuals)
-    if all(rms(left) > shrinkage.ASTRAY * ranges[channel] for channel, left in errors.items()):
-        raise NoTrustworthyResult(
-            f"the refitted model is off by more than {shrinkage.ASTRAY:g} times the range of every channel",
-            hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
-        )
-
-
 def _alone(state: State, fit: Fit) -> Fit:
     """Refit a model without random effects, which may have absorbed a cause."""
     if not state.noise_model.random_effects:
@@ -243,14 +233,13 @@ def _alone(state: State, fit: Fit) -> Fit:
 
 
 def _reasons(state: State) -> list[str]:
-    said = ["the time budget ran out before every effect was refitted"] if state.out_of_time else []
     differing = []
     for kind in (kind for kind in state.random_effects if kind.sd > 0.02):
         chance = f", {kind.most:.2g} of it by chance" if kind.sd > kind.most else ""
         differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
-    if differing:
-        said.append(f"trials differ in {words.listed(differing)}, which is part of the noise")
-    return said
+    if not differing:
+        return []
+    return [f"trials differ in {evidence.listed(differing)}, which is part of the noise"]
 
 
 def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
@@ -258,38 +247,28 @@ def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
 
     A range of zero is replaced by 1.
     """
-    parts: dict[str, list[Array]] = {}
-    for k, trial in enumerate(context.trials):
-        for channel, series in split(nominal, k, nominal.residuals[k]).items():
-            parts.setdefault(channel, []).append(trial.measured[channel][np.isfinite(series)])
-    return {c: float(np.ptp(np.concatenate(p))) or 1.0 for c, p in parts.items()}
+    return {c: float(np.ptp(values)) or 1.0 for c, values in measured(context, nominal).items()}
 
 
 def _channels(
-    nominal: Fit,
-    residuals: Sequence[Array],
-    floor: Mapping[str, float],
-    units: Mapping[str, str],
-    ranges: Mapping[str, float],
+    state: State, residuals: Sequence[Array], floor: Mapping[str, float], ranges: Mapping[str, float]
 ) -> list[ChannelGap]:
+    nominal, units = state.nominal, {c.name: c.unit for c in state.context.model.channels}
     beyond = excess(nominal, residuals, floor)
-    within = {c: rms(v) for c, v in by_channel(nominal, nominal.residuals).items()}
     total = sum(beyond.values()) or 1.0
-    found = []
-    for channel, left in by_channel(nominal, residuals).items():
-        rmse, size = rms(left), ranges[channel]
-        found.append(
-            ChannelGap(
-                channel=channel,
-                nrmse=rmse / size,
-                floor=floor[channel] / size,
-                share=beyond[channel] / total,
-                rmse=rmse,
-                unit=units.get(channel, "1"),
-                within=within[channel] / size,
-            )
+    within = by_channel(nominal, nominal.residuals)
+    return [
+        ChannelGap(
+            channel=channel,
+            nrmse=rms(left) / ranges[channel],
+            floor=floor[channel] / ranges[channel],
+            share=beyond[channel] / total,
+            rmse=rms(left),
+            unit=units.get(channel, "1"),
+            within=rms(within[channel]) / ranges[channel],
         )
-    return found
+        for channel, left in by_channel(nominal, residuals).items()
+    ]
 
 
 def _causes(
@@ -306,7 +285,7 @@ def _causes(
             equivalent=list(c.equivalent),
             parameters=parameters,
             stage=c.best.tried.effect.stage,
-            meaning=words.changes_text(parameters) or c.best.tried.effect.meaning,
+            meaning=evidence.changes_text(parameters) or c.best.tried.effect.meaning,
             sources=list(c.best.tried.effect.sources),
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
@@ -386,11 +365,10 @@ def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, 
     return found
 
 
-def _at_bounds(context: FitContext, fit: Fit) -> dict[str, float]:
+def _at_bounds(fit: Fit) -> dict[str, float]:
     """Return the shared coefficients of the model that are at a bound, with the value of the bound."""
-    own = {p.name for p in context.parameters if not p.per_trial}
     ends = zip(fit.labels, fit.theta, fit.inside, strict=True)
-    return {label: float(value) for label, value, inside in ends if label in own and not inside}
+    return {label: float(value) for label, value, inside in ends if not inside and "[" not in label}
 
 
 def _absorbed(
@@ -432,15 +410,12 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
     known = [settings.words(t) for t in context.trials]
     found = {}
     for kind in ("frequency", "amplitude", "force"):
-        labels = [words.get(kind) for words in known]
-        levels = sorted({label for label in labels if label}, key=lambda text: float(text.split()[0]))
-        if len(levels) < 3:
-            continue
-        for label in (levels[-1], levels[0]):
-            inside = [k for k, own in enumerate(labels) if own == label]
+        labels = [words.get(kind, "") for words in known]
+        levels = sorted({*labels} - {""}, key=lambda text: float(text.split()[0]))
+        for label in (levels[-1], levels[0]) if len(levels) > 2 else ():
+            parts = zip(labels, context.folds.owner, strict=True)
             cut = copy.copy(context)
-            owner = [np.full(len(o), int(k in inside)) for k, o in enumerate(context.folds.owner)]
-            cut.folds = Folds(True, owner, ["rest", label])
+            cut.folds = Folds(True, [np.full(len(rows), int(own == label)) for own, rows in parts], 2)
             times = []
             for fit in (state.nominal, base):
                 inner = crossval.normal_equations(cut, fit, state.noise_model)
@@ -450,22 +425,24 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
 
 
 def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]) -> list[Advice]:
+    repeat = [Advice(text=f"{REPEAT} (now left: {left})")]
     if told.odd is not None:
         text = f"check the entry of {told.odd.trial}; diagnose without it (role: validate)"
-        return [Advice(text=text), *_repeat(left)]
+        return [Advice(text=text), *repeat]
     if told.verdict == "unexplained" and told.unpredicted:
         trials = ", ".join(told.unpredicted)
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
-    if not told.causes:
-        return _repeat(left) if told.verdict == "unexplained" else []
-    first = state.rounds[0]
-    # No experiment distinguishes a changed parameter from an effect that changes the trials in the same way.
-    names = [n for n in told.causes[0].alike if n not in first.same]
-    rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
-    if len(rivals) == 1:
-        rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
-    if len(rivals) == 1:
-        return _repeat(left) if told.verdict == "unexplained" else []
+    rivals = []
+    if told.causes:
+        first = state.rounds[0]
+        # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
+        # way.
+        names = [n for n in told.causes[0].alike if n not in first.same]
+        rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
+        if len(rivals) == 1:
+            rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
+    if len(rivals) < 2:
+        return repeat if told.verdict == "unexplained" else []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     try:
         return advice.advise(state.context, [r.fit for r in rivals], state.noise_model, floor, now)
@@ -473,36 +450,23 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         return []
 
 
-def _repeat(left: str) -> list[Advice]:
-    return [Advice(text=f"{REPEAT} (now left: {left})")]
-
-
 def _scores(state: State) -> list[Score]:
     """Return the score of each effect, from the fit with this effect alone or else from the screen."""
     rows: dict[str, Score] = {}
-    for r in state.singles:
-        name = r.tried.effect.name
-        if name not in rows:
-            rows[name] = _score(r.tried, r.gains, r.stderr, state.posterior.having(name), refitted=True)
-    for t in state.screen.tried:
-        if t.effect.name not in rows:
-            rows[t.effect.name] = _score(t, t.gains, None, 0.0, refitted=False)
+    refitted: list[tuple[Tried, Refitted | None]] = [(r.tried, r) for r in state.singles]
+    for tried, found in [*refitted, *((t, None) for t in state.screen.tried)]:
+        name, gains = tried.effect.name, {}
+        if found is not None:
+            gains = {"gain": found.gain, "stderr": found.stderr, "probability": state.posterior.having(name)}
+        row = Score(
+            effect=name,
+            stage=tried.effect.stage,
+            variant=", ".join(p.name for p in tried.parameters),
+            absorbed=tried.absorbed,
+            **gains,
+        )
+        rows.setdefault(name, row)
     return list(rows.values())
-
-
-def _score(tried: Tried, gains: Array, stderr: float | None, probability: float, *, refitted: bool) -> Score:
-    return Score(
-        effect=tried.effect.name,
-        stage=tried.effect.stage,
-        variant=", ".join(p.name for p in tried.parameters),
-        gain=float(gains.sum()),
-        stderr=stderr,
-        won=(int(np.sum(gains > 0)), len(gains)),
-        absorbed=tried.absorbed,
-        screened=tried.gain,
-        refitted=refitted,
-        probability=probability,
-    )
 
 
 def _hypotheses(state: State) -> list[Hypothesis]:
@@ -522,17 +486,16 @@ def _hypotheses(state: State) -> list[Hypothesis]:
     ]
 
 
-def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float]:
-    """Return the probability of each simulation stage: the sum over the effects of the stage, normalised."""
+def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float | None]:
+    """Return the probability of each simulation stage: the sum over the effects of the stage, normalised.
+
+    Without a gap all of them are 0.
+    """
     applied = {row.stage for row in rows}
-    shares = {stage: 0.0 for stage in STAGES if stage != "rig" or "rig" in applied}
-    if not gap:
-        return shares
-    for row in rows:
-        if row.stage in shares:
-            shares[row.stage] += row.probability or 0.0
-    total = sum(shares.values())
-    return {k: v / total if total > 0 else 0.0 for k, v in shares.items()}
+    stages = [stage for stage in STAGES if stage != "rig" or "rig" in applied]
+    sums = {stage: sum(row.probability or 0.0 for row in rows if row.stage == stage) for stage in stages}
+    total = sum(sums.values())
+    return {stage: v / total if gap and total > 0 else 0.0 for stage, v in sums.items()}
 
 
 def _structured_share(state: State) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -111,8 +112,7 @@ def within(change: Array) -> bool:
     return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < BROKEN)
 
 
-@dataclass(frozen=True)
-class Trialled:
+class Trialled(NamedTuple):
     """Simulated changes by one effect.
 
     Attributes
@@ -177,17 +177,6 @@ def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: S
             left_out.pop(tried.effect.name, None)
     found.sort(key=lambda t: -t.gain)
     return Screen(found, left_out)
-
-
-def absorbed(left: float, whole: float) -> float:
-    """Return the fraction of a squared change that the parameters of the model can imitate.
-
-    Parameters
-    ----------
-    left, whole : float
-        Squared change with and without these parameters projected out.
-    """
-    return float(np.clip(1.0 - left / whole, 0.0, 1.0)) if whole > 0 else 1.0
 
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
@@ -256,6 +245,8 @@ def _best(
         return None
     gains, factors, chosen = max(found, key=lambda one: one[0].sum())
     parts = [(f, *points[i]) for f, i in zip(factors, chosen, strict=True)]
+    one = first + chosen[0]
+    absorbed = float(np.clip(1.0 - left[one] / whole[one], 0.0, 1.0))
     raw = [plain - crossval.held_out_less(inner, first + i) for i in range(len(points))]
     helped = sorted(range(len(points)), key=lambda i: (raw[i].sum(), i))[::-1][:STARTS]
     if not tried.effect.smooth and raw[helped[0]].sum() > gains.sum():
@@ -265,7 +256,7 @@ def _best(
         parameters,
         np.clip(null + sum(f * (point - null) for f, point, _ in parts), lower, upper),
         gains,
-        absorbed(left[first + chosen[0]], whole[first + chosen[0]]),
+        absorbed,
         [np.asarray(sum(f * changed[k] for f, _, changed in parts)) for k in range(len(points[0][1]))],
         [points[i][0] for i in helped],
     )
@@ -296,24 +287,27 @@ def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trial
 
 
 def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried, second: Tried) -> float:
-    """Return the cosine between the changes by two effects, with the parameters of ``base`` projected out."""
+    """Return the cosine between the changes by two effects, with the parameters of ``base`` projected out.
+
+    It is 0 if an effect changes nothing else.
+    """
     columns = [first.signature, second.signature]
-    return cosine(crossval.projected(crossval.normal_equations(context, base, noise_model, columns)), 0, 1)
+    inner = crossval.projected(crossval.normal_equations(context, base, noise_model, columns))
+    norm = np.sqrt(max(inner[0, 0], 0.0) * max(inner[1, 1], 0.0))
+    return float(inner[0, 1] / norm) if norm > 0 else 0.0
 
 
-def cosine(inner: Array, i: int, j: int) -> float:
-    """Return the cosine between two columns from the matrix of inner products; 0 if a column is zero."""
-    norm = np.sqrt(max(inner[i, i], 0.0) * max(inner[j, j], 0.0))
-    return float(inner[i, j] / norm) if norm > 0 else 0.0
+def own(fit: Fit, tried: Tried) -> list[list[Array]]:
+    """Return the derivatives of each trial with respect to its own values of the parameters of an effect.
 
-
-def own(fit: Fit, name: str, scale: float) -> list[Array]:
-    """Return the derivative of each trial with respect to its own value of a parameter, times ``scale``."""
-    slots = enumerate(zip(fit.labels, fit.problem.slots, strict=True))
-    column = {owner: j for j, (label, (_, owner)) in slots if label.split("[")[0] == name}
-    return [
-        rows[:, column[k]] * scale if k in column else np.zeros(len(rows)) for k, rows in enumerate(fit.rows)
-    ]
+    The derivatives are multiplied by the typical scales.
+    """
+    found = []
+    for p in (p for p in tried.parameters if p.per_trial):
+        labels = [f"{tried.effect.name}/{p.name}[{trial.id}]" for trial in fit.problem.trials]
+        places = zip(fit.rows, labels, strict=True)
+        found.append([rows[:, fit.labels.index(label)] * p.scale for rows, label in places])
+    return found
 
 
 def own_gains(

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.diagnosis.folds import Folds, folds, stretches
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.nominal import OWN_PRIOR
 from swimid.diagnosis.random_effects import RandomEffect
+from swimid.diagnosis.settings import folds
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem, Solution, map_in_processes
@@ -90,21 +89,8 @@ class Mixed(Problem):
         return [j for j in self.own(trial) if self.differs(j)]
 
 
-class Optimum(NamedTuple):
-    """Result of a search: the estimates, cost, residuals and derivatives of a :class:`Fit`.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (p,)
-    cost : float
-    residuals, rows : list of ndarray
-        As in :class:`Fit`.
-    """
-
-    theta: Array
-    cost: float
-    residuals: list[Array]
-    rows: list[Array]
+#: Estimates, cost, residuals and derivatives of a fit, in a form that a process can return.
+Optimum = tuple[Array, float, list[Array], list[Array]]
 
 
 @dataclass(frozen=True)
@@ -128,8 +114,6 @@ class Fit:
     rows : list of ndarray, each shape (n_k, p)
         Derivatives of the simulated samples, divided by the noise standard deviation. The derivatives of the
         residuals have the opposite sign.
-    scale : ndarray, shape (p,)
-        Typical scales of the parameters.
     problem : Mixed
         The residual problem that was solved.
     """
@@ -141,13 +125,12 @@ class Fit:
     cost: float
     residuals: list[Array]
     rows: list[Array]
-    scale: Array
     problem: Mixed
 
     @property
     def optimum(self) -> Optimum:
         """Return the estimates, the cost, the residuals and the derivatives of the fit."""
-        return Optimum(self.theta, self.cost, self.residuals, self.rows)
+        return self.theta, self.cost, self.residuals, self.rows
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -165,7 +148,7 @@ class Fit:
         The derivatives are multiplied by the typical scales of the m parameters.
         """
         mine = self.problem.begun(k)
-        return np.asarray(self.rows[k][:, mine] * self.scale[mine])
+        return np.asarray(self.rows[k][:, mine] * self.problem.scale[mine])
 
     def centre(self, without: Collection[str] = ()) -> dict[str, float]:
         """Return the mean of each random effect over trials, by parameter name.
@@ -273,25 +256,17 @@ class FitContext:
         self.jobs = jobs
         self._known: dict[tuple[int, ...], Affected] = {}
         self._without: list[tuple[Fit, NoiseModel, list[Array]]] = []
-        plain = self.problem(())
-        self.shape = plain
-        self.folds = self._folds(plain)
+        self.shape = self.problem(())
+        stamps = [
+            np.concatenate([np.empty(0), *(trial.time_s[mask] for mask in masks)])
+            for trial, masks in zip(self.trials, self.shape.masks, strict=True)
+        ]
+        self.folds = folds(self.trials, stamps)
 
     def replaced(self, model: Model, trials: Sequence[Trial]) -> FitContext:
         """Return a context with the same priors, but with another model and other trials."""
         more = {"correlation": self.correlation, "jobs": self.jobs}
         return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
-
-    def _folds(self, problem: Problem) -> Folds:
-        rows = [sum(int(m.sum()) for m in masks) for masks in problem.masks]
-        found = folds(self.trials, rows)
-        if found.whole:
-            return found
-        owner = [
-            stretches(found, k, [t.time_s[m] for m in masks])
-            for k, (t, masks) in enumerate(zip(self.trials, problem.masks, strict=True))
-        ]
-        return replace(found, owner=owner)
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
         """Return the model with effects."""
@@ -445,7 +420,6 @@ class FitContext:
         *,
         tolerance: float = TOLERANCE,
         iterations: int = 30,
-        jobs: int | None = None,
         warm: Fit | None = None,
     ) -> Fit:
         """Return the best optimum from several starting points.
@@ -458,12 +432,11 @@ class FitContext:
             Fit whose derivatives are used first. If the optimum is near this fit, the search is five times as
             fast.
         """
-        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
-        noise_model.install(problem)
+        problem = self.posed(effects, noise_model)
         if warm is not None:
             problem.hold_derivatives(warm.labels, warm.rows)
         best = self.search(problem, noise_model, starts, tolerance, iterations)
-        return self._at(problem, effects, best.x, best.cost)
+        return self.at(effects, noise_model, best.x, best.cost, problem)
 
     def multistart(
         self,
@@ -494,8 +467,7 @@ class FitContext:
         .. [1] K. Jamieson, A. Talwalkar, "Non-stochastic best arm identification and hyperparameter
            optimization", AISTATS 2016.
         """
-        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
-        noise_model.install(problem)
+        problem = self.posed(effects, noise_model, jobs)
 
         def one(start: Array, tolerance: float, steps: int) -> Solution:
             return self.search(problem, noise_model, [start], tolerance, steps)
@@ -525,7 +497,7 @@ class FitContext:
         found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
         found.append(one(found[0].x if found else starts[0], FINE, STEPS))
         best = min(found, key=cost)
-        return self._at(problem, effects, best.x, best.cost)
+        return self.at(effects, noise_model, best.x, best.cost, problem)
 
     def search(
         self,
@@ -583,29 +555,37 @@ class FitContext:
         self._without.append((fit, noise_model, found))
         return found
 
-    def at(self, effects: Sequence[Effect], noise_model: NoiseModel, theta: Array) -> Fit:
+    def at(
+        self,
+        effects: Sequence[Effect],
+        noise_model: NoiseModel,
+        theta: Array,
+        cost: float = math.nan,
+        problem: Mixed | None = None,
+    ) -> Fit:
         """Return a fit with given parameters, without a search."""
-        problem = self.problem(effects, noise_model.random_effects)
-        noise_model.install(problem)
-        return self._at(problem, effects, theta, math.nan)
-
-    def _at(self, problem: Mixed, effects: Sequence[Effect], theta: Array, cost: float) -> Fit:
+        problem = problem or self.posed(effects, noise_model)
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
-        return self._fit(problem, effects, Optimum(theta, cost, residuals, rows))
+        return self.fitted(effects, noise_model, (theta, cost, residuals, rows), problem)
 
-    def _fit(self, problem: Mixed, effects: Sequence[Effect], found: Optimum) -> Fit:
+    def fitted(
+        self,
+        effects: Sequence[Effect],
+        noise_model: NoiseModel,
+        found: Optimum,
+        problem: Mixed | None = None,
+    ) -> Fit:
+        """Return the fit that belongs to an optimum, for example of an earlier search."""
+        problem = problem or self.posed(effects, noise_model)
         acting = _acting(effects, problem.random_effects)
-        theta, cost, residuals, rows = found
-        return Fit(
-            tuple(effects), acting, problem.labels, theta, cost, residuals, rows, problem.scale, problem
-        )
+        return Fit(tuple(effects), acting, problem.labels, *found, problem)
 
-    def fitted(self, effects: Sequence[Effect], noise_model: NoiseModel, found: Optimum) -> Fit:
-        """Return the fit that belongs to an optimum of an earlier search."""
-        problem = self.problem(effects, noise_model.random_effects)
+    def posed(self, effects: Sequence[Effect], noise_model: NoiseModel, jobs: int | None = None) -> Mixed:
+        """Return the residual problem with the random effects and the weights of a noise model."""
+        problem = self.problem(effects, noise_model.random_effects, jobs=jobs)
         noise_model.install(problem)
-        return self._fit(problem, effects, found)
+        return problem
 
     def start(
         self,
@@ -658,23 +638,6 @@ class FitContext:
                 for k in range(len(self.trials))
             ]
             for _ in points
-        ]
-
-    def moved(self, base: Fit, index: int, step: float) -> list[Array]:
-        """Return the change of each trial, shape (n_k,), by a step of one parameter of the model itself.
-
-        All changes are divided by the noise standard deviation.
-        """
-        runs = []
-        for k, trial in enumerate(self.trials):
-            own = base.problem.vector(base.theta, k)
-            own[index] += step
-            runs.append((own, trial))
-        plain = base.problem.simulations(base.theta)
-        return [
-            (base.problem.stacked(k, seen) - base.problem.stacked(k, plain[k]))
-            * base.problem.sample_weights(k)
-            for k, seen in enumerate(self.affected(base.acting).simulate_many(runs))
         ]
 
 

@@ -10,7 +10,7 @@ from the same inner products. The noise model is not re-estimated without the fo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,17 +173,29 @@ def held_out(
     ndarray, shape (folds,) or (folds, m)
         Sums of squared residuals.
     """
-    at = np.concatenate(
-        (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
-    ).astype(int)
+    at, ridge = _fitted(equations, chosen, prior)
     inner = equations.products[:, at[:, None], at[None, :]]
-    ridge = block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
     off = equations.pull[:, None] if draws is None else draws.pull
     pull = np.concatenate((equations.prior @ off, np.zeros((len(chosen), off.shape[1]))))
     right = equations.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
-    theta = _without(inner, ridge, right, pull, equations.shared)
-    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(equations, theta, off)
+    total, all_right, shared = inner.sum(axis=0), right.sum(axis=0), equations.shared
+    whole = solved(total + ridge, all_right + pull)
+    # Some information of the fold that is left out remains.
+    lean = np.zeros_like(total)
+    lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
+    theta = solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
+    apart = theta[:, :shared] - off
+    strain = np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta)
+    misfit = np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + strain
     return misfit[:, 0] + equations.products[:, -1, -1] if draws is None else misfit
+
+
+def _fitted(
+    equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the columns of the shared parameters and of the chosen changes, and their prior precision."""
+    at = [*range(equations.shared), *(equations.shared + i for i in chosen)]
+    return np.array(at, dtype=np.intp), block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
 
 
 def predictive(equations: NormalEquations) -> Array:
@@ -204,45 +216,17 @@ def predictive(equations: NormalEquations) -> Array:
     return np.array([left(whole) - left(whole - fold) for fold in equations.products])
 
 
-def _without(inner: Array, ridge: Array, right: Array, pull: Array, shared: int) -> Array:
-    """Return the parameters from fits that leave out one fold each, shape (folds, c, m).
-
-    There are c parameters and m residual vectors. Some information of the fold that is left out remains
-    (:data:`SHRINKAGE`).
-    """
-    total, all_right = inner.sum(axis=0), right.sum(axis=0)
-    whole = solved(total + ridge, all_right + pull)
-    lean = np.zeros_like(total)
-    lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
-    return solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
-
-
-def _strain(equations: NormalEquations, theta: Array, off: Array) -> Array:
-    """Return the squared distance of parameters from their prior means, divided by the number of folds.
-
-    The result has shape (folds, m).
-    """
-    apart = theta[:, : equations.shared] - off
-    return np.asarray(np.einsum("jk,fjm,fkm->fm", equations.prior, apart, apart) / len(theta))
-
-
 def held_out_less(equations: NormalEquations, column: int, factor: float = 1.0) -> Array:
     """Return the squared held-out residuals of each fold with a multiple of one column subtracted.
 
     The residual is reduced by ``factor`` times the further column ``column``. Everything else is as in
     :func:`held_out`.
     """
-    at = np.arange(equations.shared)
-    c = equations.shared + column
-    inner = equations.products[:, at[:, None], at[None, :]]
-    right = (equations.products[:, at, -1] - factor * equations.products[:, at, c])[:, :, None]
-    off = equations.pull[:, None]
-    theta = _without(inner, equations.prior, right, equations.prior @ off, equations.shared)
-    misfit = (np.sum(theta * (inner @ theta - 2.0 * right), axis=1) + _strain(equations, theta, off))[:, 0]
-    products = equations.products
-    return np.asarray(
-        misfit + products[:, -1, -1] - 2.0 * factor * products[:, c, -1] + factor**2 * products[:, c, c]
-    )
+    products = equations.products.copy()
+    change = equations.shared + column
+    products[:, :, -1] -= factor * products[:, :, change]
+    products[:, -1, :] -= factor * products[:, change, :]
+    return held_out(replace(equations, products=products))
 
 
 def solved(normal: Array, right: Array) -> Array:
@@ -269,11 +253,9 @@ def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[
 
     The result has shape (shared + chosen,): first the steps of the shared parameters, then the factors.
     """
-    at = np.concatenate(
-        (np.arange(equations.shared), equations.shared + np.asarray(chosen, dtype=int))
-    ).astype(int)
+    at, ridge = _fitted(equations, chosen, prior)
     total = equations.products.sum(axis=0)
-    normal = total[np.ix_(at, at)] + block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
+    normal = total[np.ix_(at, at)] + ridge
     right = total[at, -1] + np.concatenate((equations.prior @ equations.pull, np.zeros(len(chosen))))
     return solved(normal, right[:, None])[:, 0]
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, evidence, nominal, power, power_file, readings, search
+from swimid.diagnosis import answer, evidence, nominal, readings, search
 from swimid.diagnosis.context import FitContext
-from swimid.diagnosis.diagnosed import Diagnosis
+from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
-from swimid.diagnosis.power_file import DetectionPower, PowerFile
 from swimid.effects import catalogue as effect_catalogue
-from swimid.errors import NoTrustworthyResult
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.logs.trials import TrialSet
@@ -60,7 +58,7 @@ def diagnose(
     options: DiagnoseOptions,
     output: Path | None = None,
     progress: Progress = silent,
-) -> Diagnosis | DetectionPower:
+) -> Diagnosis:
     """Find the effect behind the gap between a model and its trials.
 
     Without a parameter file the refit starts at the values of the robot file, which are not used as a prior.
@@ -78,8 +76,7 @@ def diagnose(
 
     Returns
     -------
-    Diagnosis or DetectionPower
-        With ``power=True`` the detection power of the trials, otherwise the diagnosis.
+    Diagnosis
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
         parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
         with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
@@ -132,57 +129,47 @@ def diagnose(
         begun = nominal.begun(loaded)
         asked = None
         if options.effects:
-            changes = {e.name for e in begun.changes} & set(options.effects)
-            named, read = readings.asked([n for n in options.effects if n not in changes], experiment)
-            asked = {*changes, *read, *(e.name for e in (*effect_catalogue.chosen(named), *own))}
+            names = [*(e.name for e in (*known, *begun.changes)), *readings.names(experiment)]
+            for name in options.effects:
+                if name not in names:
+                    raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
+            asked = {*options.effects, *(e.name for e in own)}
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
-        tried = effect_catalogue.applicable(known, model, fitted)
         inputs = [*experiment.inputs, *options.own_effects]
         if output is not None:
             atomic.check_writable(output, inputs=inputs)
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)
-        given, seed = options.params, options.seed
-        workers = options.jobs or os.cpu_count() or 1
+        jobs = options.jobs or os.cpu_count() or 1
         context = FitContext(
-            model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=workers
+            model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs
         )
-        about: dict[str, Any] = {
-            "model": model.name,
-            "robot": experiment.robot.name,
-            "experiment": experiment.name,
-            "params": str(parameters_format.place(given)) if given is not None else ROBOT_FILE,
-            "trials": [t.id for t in experiment.trials],
-            "provenance": origin,
-        }
-        if options.power:
-            with threadpool_limits(limits=1, user_api="blas"):
-                rows, left_out = power.shown(context, tried, asked, seed=seed)
-            keep.done()
-            could = PowerFile(**about, effects=rows, left_out=left_out)
-            return DetectionPower.of(could, power_file.evidence(could, blocks.notices(notices))).saved(output)
         others, alike = readings.others(experiment, fitted)
+        effects = [*effect_catalogue.applicable(known, model, fitted), *others, *begun.changes]
         state = search.run(
-            context, [*tried, *others, *begun.changes], asked=asked, seed=seed, most=options.max_causes,
-            budget_s=options.budget_s, checkpoint=keep, progress=progress,
+            context, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
+            progress=progress,
         )  # fmt: skip
         with threadpool_limits(limits=1, user_api="blas"):
             file, worst = answer.answer(
-                state,
-                validation,
-                begun.given,
-                fitted,
-                unweighed=begun.unweighed,
-                seed=seed,
-                progress=progress,
+                state, validation, begun, fitted, seed=options.seed, progress=progress
             )
+    given, reasons = ROBOT_FILE, [*file.reasons, NOT_GIVEN]
+    if options.params is not None:
+        given, reasons = str(parameters_format.place(options.params)), file.reasons
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
-    about |= {
-        "reasons": [*file.reasons, *([NOT_GIVEN] if given is None else [])],
+    about = {
+        "model": model.name,
+        "robot": experiment.robot.name,
+        "experiment": experiment.name,
+        "params": given,
+        "trials": [t.id for t in experiment.trials],
+        "provenance": origin,
+        "reasons": reasons,
         "left_out": left_out | file.left_out,
         "as_given": as_given,
     }

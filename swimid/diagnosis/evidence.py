@@ -1,29 +1,41 @@
-"""Create the evidence of a diagnosis: checks, tables and figures."""
+"""The result of a diagnosis, and its evidence: checks, tables, figures and texts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
-from swimid.diagnosis import words
-from swimid.diagnosis.gap_file import GapFile, Shrinkage
-from swimid.diagnosis.words import held_out_text, listed, probability_text
+from swimid.diagnosis.gap_file import (
+    HELD_OUT,
+    READING,
+    ROBOT_FILE,
+    Absorbed,
+    Cause,
+    Cell,
+    ChangedValue,
+    GapFile,
+    Shrinkage,
+    Value,
+)
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.numbers import number, percent
+from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from swimid.diagnosis.shrinkage import Piece
+
 
 Rows = list[list[Any]]
 #: Minimum fraction of the gap of a channel that the causes should close.
 HALF = 0.5
 #: Codes of the warnings that a log contradicts the beat or the course that is stated for it.
 CONTRADICTING = ("SWM032", "SWM063")
-#: Maximum number of effects in a figure, of panels in a figure, and of points of a curve.
-MAX_EFFECTS, MAX_PANELS, MAX_POINTS = 10, 4, 800
+#: Maximum number of panels in a figure, and of points of a curve.
+MAX_PANELS, MAX_POINTS = 4, 800
 
 #: Heading of the noise-floor column in a table of errors. The columns to the left of it are errors of models.
 FLOOR = "floor (%)"
@@ -63,7 +75,7 @@ def evidence(
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
         tests.append(ev.check("logs agree with their metadata", "no", False, reason=against))
-    verdict = ev.judged(words.answer(file), tests)
+    verdict = ev.judged(answer_text(file), tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     errors = _errors(file)
     tables = [errors, _causes(file), _coefficients(file), _scores(file), _parts(file)]
@@ -75,28 +87,22 @@ def evidence(
         title=f"Gap between trials and model: {file.robot}, {file.experiment}",
         verdict=verdict.model_copy(update={"word": word}),
         facts=_facts(file),
-        notes=words.notes(file),
+        notes=notes(file),
         checks=tests,
         tables=[table for table in tables if table.rows],
-        figures=[_levels(errors), *_ranked(file), *_residuals(worst, bool(file.causes))],
+        figures=[_levels(errors), *_residuals(worst, bool(file.causes))],
         notices=list(notices),
-        methods=words.methods(file),
+        methods=methods(file),
         references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
         provenance=dict(file.provenance),
     )
 
 
 def _facts(file: GapFile) -> dict[str, str]:
-    facts = {}
-    if file.trials:
-        facts["Trials"] = f"{len(file.trials)} against {file.params}"
-    facts["Model"] = file.model
+    facts = {"Trials": f"{len(file.trials)} against {file.params}", "Model": file.model}
     facts["Effects tried"] = str(len({s.effect for s in file.scores}) or "")
     if file.no_gap is not None:
-        facts["Probability"] = words.otherwise_text(file)
-    if not file.closing:
-        given = [f"{c} {percent(s.nrmse)}" for c, s in list(file.as_given.items())[:3]]
-        facts["Errors of the parameters as given"] = ", ".join(given)
+        facts["Probability"] = otherwise_text(file)
     return {name: value for name, value in facts.items() if value}
 
 
@@ -129,7 +135,7 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
             failed = "warn"
     elif file.verdict != "none":
         passed = passed or None
-    said = words.remaining_text(file)
+    said = remaining_text(file)
     text = "whether a description without any physics still gains on held-out trials"
     yield ev.check("remaining gap", said, passed, "no structure", text, otherwise=failed, reason=said)
 
@@ -146,7 +152,7 @@ def _of_trials(file: GapFile) -> Iterable[ev.Check]:
         said = f"held-out errors grow with {listed(file.refuted)}, the likeliest cause by the fits"
         yield ev.check("likeliest cause", "refuted", False, otherwise="fail", reason=said)
     if file.moved:
-        said = words.changes_text(file.moved)
+        said = changes_text(file.moved)
         reason = f"the parameters as given are others than those refitted: {said}"
         yield ev.check("parameters as given", said, False, "within their errors", reason=reason)
     if file.at_bound:
@@ -155,18 +161,19 @@ def _of_trials(file: GapFile) -> Iterable[ev.Check]:
         passed = None
         if not file.causes:
             passed = False
-        yield ev.check(
-            "bounds without effects", said, passed, "inside", text, reason=f"bounds are hit: {said}"
-        )
+        reason = f"bounds are hit: {said}"
+        yield ev.check("bounds without effects", said, passed, "inside", text, reason=reason)
 
 
 def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:
-    known = [s for s in file.scores if s.refitted and s.probability is not None]
+    known = [s for s in file.scores if s.gain is not None and s.probability is not None]
     best = max(known, key=lambda s: s.probability or 0.0, default=None)
-    said = words.otherwise_text(file)
+    said = otherwise_text(file)
     if best is not None:
         said += f", {best.effect} {probability_text(best.probability)}"
-    yield ev.check("probabilities", said, file.told_of_gap, "no gap > 50 %", reason=said)
+    yield ev.check(
+        "probabilities", said, file.no_gap is None or file.no_gap > 0.5, "no gap > 50 %", reason=said
+    )
     apart = listed([c.channel for c in file.where.channels if c.differs])
     if apart:
         said = f"trials differ in {apart} by more than the noise within them"
@@ -216,7 +223,9 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         passed = (s.closed or 0.0) >= HALF and (low is None or low > 0)
         limit, reason = f"≥ {percent(HALF)}, interval above 0", f"of the gap in {s.channel} {share} closes"
         said = " ".join([share, interval_text(s)]).strip()
-        yield ev.check(f"gap closed in {s.channel}", said, passed, limit, held_out_text(file), reason=reason)
+        yield ev.check(
+            f"gap closed in {s.channel}", said, passed, limit, HELD_OUT[file.held_out], reason=reason
+        )
 
 
 def interval_text(s: Shrinkage) -> str:
@@ -254,7 +263,7 @@ def _errors(file: GapFile) -> ev.Table:
             f"channel | as given (%) | refitted (%) | with causes (%) | {FLOOR} | closed (%) | 95 % interval"
         )
         caption = (
-            f"Root-mean-square errors over the measured range, {held_out_text(file)}: the parameters as "
+            f"Root-mean-square errors over the measured range, {HELD_OUT[file.held_out]}: the parameters as "
             "given, the model refitted without and with the causes, and noise alone. Closed is the share of "
             "the error above the noise floor that the causes take away."
         )
@@ -276,27 +285,27 @@ def _causes(file: GapFile) -> ev.Table:
     rows: Rows = []
     for c in file.causes:
         about = [probability_text(c.probability), ", ".join(c.equivalent), c.stage or "", c.meaning]
-        for name, size in ({n: words.value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
+        for name, size in ({n: value_text(v) for n, v in c.parameters.items()} or {"": ""}).items():
             rows.append([c.effect, name, size, *about])
             about = [""] * len(about)
     columns = "effect | parameter | value ± sd | probability | equivalent | stage | what it is"
     caption = (
         "Probability: that it, or one of its equivalents, is missing in the model; "
-        f"{words.otherwise_text(file)}. Several causes act together."
+        f"{otherwise_text(file)}. Several causes act together."
     )
     return _table("causes", "Causes", columns, rows, caption, folded=False)
 
 
 def _coefficients(file: GapFile) -> ev.Table:
-    strayed = {a.coefficient for a in words.moved(file)}
+    strayed = {a.coefficient for a in moved(file)}
     rows: Rows = []
     for a in (a for c in file.causes for a in c.absorbed):
-        values = ["" if v is None else words.value_text(v) for v in (a.given, a.without, a.with_effect)]
+        values = ["" if v is None else value_text(v) for v in (a.given, a.without, a.with_effect)]
         rows.append([a.coefficient, *values, a.coefficient in strayed])
     columns = "coefficient | as given | refitted without | refitted with | stood in"
     caption = (
-        f"A coefficient stood in for a cause when it moves by more than {words.MOVED_STDERR:g} standard "
-        f"errors and {100 * words.MOVED_SHARE:g} % with the causes: do not use its value without them."
+        f"A coefficient stood in for a cause when it moves by more than {MOVED_STDERR:g} standard "
+        f"errors and {100 * MOVED_SHARE:g} % with the causes: do not use its value without them."
     )
     title = "Coefficients of the model without and with the causes"
     return _table("coefficients", title, columns, rows, caption)
@@ -305,15 +314,13 @@ def _coefficients(file: GapFile) -> ev.Table:
 def _scores(file: GapFile) -> ev.Table:
     rows: Rows = []
     for s in file.scores:
-        gain = won = ""
-        if s.refitted:
+        gain = ""
+        if s.gain is not None:
             gain = numbers.measured(s.gain, s.stderr)
-        if s.won[1]:
-            won = f"{s.won[0]} of {s.won[1]}"
-        about = [s.effect, s.stage or "", s.variant, probability_text(s.probability), gain, won]
+        about = [s.effect, s.stage or "", s.variant, probability_text(s.probability), gain]
         rows.append([*about, *_percents(s.absorbed)])
-    rows += [[name, "", why, "", "", "", None] for name, why in file.left_out.items()]
-    columns = "effect | stage | form | probability | held-out gain ± sd | positive in | imitated (%)"
+    rows += [[name, "", why, "", "", None] for name, why in file.left_out.items()]
+    columns = "effect | stage | form | probability | held-out gain ± sd | imitated (%)"
     caption = (
         "Probability: that it is among the causes. Gain: drop of the squared residuals by the effect alone "
         "in approximate cross-validation, in units of the noise. Imitated: share of its signature that the "
@@ -325,14 +332,12 @@ def _scores(file: GapFile) -> ev.Table:
 def _parts(file: GapFile) -> ev.Table:
     rows: Rows = []
     if any(file.where.stage.values()):
-        rows += [["stage", stage, None, *_percents(share), None] for stage, share in file.where.stage.items()]
-    rows += [[c.kind, c.label, c.ratio, *_percents(c.share), None] for c in words.parts(file)]
-    if any(file.forces.values()):
-        rows += [["generic term", place, None, None, gain] for place, gain in file.forces.items()]
-    columns = "over | part | residual over noise | of the gap (%) | held-out gain"
+        rows += [["stage", stage, None, *_percents(share)] for stage, share in file.where.stage.items()]
+    rows += [[c.kind, c.label, c.ratio, *_percents(c.share)] for c in parts(file)]
+    columns = "over | part | residual over noise | of the gap (%)"
     caption = (
         "Root-mean-square residual of the refitted model over the noise; of a stage, its share of the "
-        "evidence of all effects. Generic terms are smooth forces and sensor errors without any physics."
+        "evidence of all effects."
     )
     return _table("parts", "Where the gap is", columns, rows, caption)
 
@@ -360,47 +365,6 @@ def _levels(table: ev.Table) -> ev.Figure:
     return ev.Figure(id="errors", title=table.title, caption="Root-mean-square errors.", panels=[panel])
 
 
-def _ranked(file: GapFile) -> list[ev.Figure]:
-    gains = {s.effect: (s.gain, s.stderr) for s in file.scores if s.refitted and s.gain is not None}
-    best = max((gain for gain, _ in gains.values()), default=0.0)
-    # Leave out effects that make the fit much worse (such as another interpretation of the robot's source),
-    # because their gains would compress the axis.
-    shown = [name for name, (gain, _) in gains.items() if best <= 0 or gain >= -best][:MAX_EFFECTS]
-    if not shown:
-        return []
-    named = {name for c in file.causes for name in (c.effect, *c.equivalent)}
-    traces = []
-    for group, label in enumerate(("cause or equivalent", "other effects")):
-        places = [k for k, name in enumerate(shown) if (name in named) == (group == 0)]
-        if not places:
-            continue
-        ends: list[float | None] = []
-        for k in places:
-            gain, error = gains[shown[k]]
-            ends += [gain - (error or 0.0), gain + (error or 0.0), None]
-        heights = np.ravel([(k, k, None) for k in places]).tolist()
-        x = [gains[shown[k]][0] for k in places]
-        traces.append(ev.Trace(x=x, y=places, style="points", label=label, group=group))
-        traces.append(ev.Trace(x=ends, y=heights, group=group))
-    panel = ev.Panel(
-        x_label="decrease of squared residuals (noise variances)",
-        y_label="",
-        y_categories=[_plain(name) for name in shown],
-        invert_y=True,
-        traces=traces,
-    )
-    caption = (
-        "Drop of the squared residuals, in units of the noise, with one standard error; each effect alone. "
-        "Effects that overlap here differ in their probabilities, which compare them on equal data."
-    )
-    return [ev.Figure(id="effects", title="Gain of each effect", caption=caption, panels=[panel])]
-
-
-def _plain(name: str) -> str:
-    """Return the name of an effect in words: ``servo backlash``, ``added mass: lateral``."""
-    return name.removeprefix(words.READING).replace("=", ": ").replace("-", " ").replace("_", " ")
-
-
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     panels = []
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
@@ -420,3 +384,258 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     caption = f"Measured minus simulated in {trial}, the held-out trial with the largest errors."
     title = f"Residuals of the worst held-out trial, {trial}"
     return [ev.Figure(id="residuals", title=title, caption=caption, panels=panels)]
+
+
+#: Minimum change of a coefficient that is reported, in standard errors and as a fraction of its value. Both
+#: must be exceeded.
+MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
+#: Maximum number of notes, and maximum number of parts of the data in one note.
+MAX_NOTES, MAX_PARTS = 5, 3
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Return names joined as in a sentence: ``a, b and c``."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def answer_text(file: GapFile) -> str:
+    """Return the answer: the causes with their sizes, and the reduction of the held-out errors by them."""
+    names = [_named(c) for c in file.causes]
+    if file.verdict == "none":
+        return _no_gap(file)
+    if file.verdict == "explained":
+        gap = "the gap of the parameters as given" if file.changed else "the gap"
+        said = f"{listed(names)} {'explains' if len(names) == 1 else 'together explain'} {gap}."
+    elif file.verdict == "ambiguous":
+        kind = "cause is" if len(names) == 1 else "causes are"
+        said = f"The model has a gap whose likeliest {kind} {listed(names)}."
+    elif file.unreproduced:
+        said = "The model does not describe these trials, so that their gap cannot be separated from noise."
+    elif file.unpredicted:
+        said = "The model follows the trials it is fitted to, but not the validation trials."
+    elif names:
+        closes = "closes" if len(names) == 1 else "close"
+        said = f"The model has a gap that no known effect closes; {listed(names)} {closes} part of it."
+    else:
+        said = "The model has a gap, and no effect of the catalogue closes it."
+    for s in file.closing[:1]:
+        if s.before is not None and s.after is not None:
+            to = f"from {numbers.percent(s.before)} to {numbers.percent(s.after)} of its range"
+            held_out = HELD_OUT[file.held_out]
+            said += f" {held_out[0].upper()}{held_out[1:]} the error of {s.channel} goes {to}"
+            said += f" (noise alone: {numbers.percent(s.floor)})."
+    return said
+
+
+def _no_gap(file: GapFile) -> str:
+    if file.no_gap is not None and file.no_gap <= 0.5:
+        return "These trials do not tell whether the model has a gap."
+    if file.moved or file.params == ROBOT_FILE:
+        return "The refitted model describes these trials as well as their noise allows."
+    if any(c.differs for c in file.where.channels):
+        return "The model leaves noise, and differences between trials."
+    return "The model describes these trials as well as their noise allows."
+
+
+def _named(cause: Cause) -> str:
+    """Return a cause with its sizes and its equivalents as part of a sentence."""
+    sizes = [f"{name} {value_text(v)}" for name, v in list(cause.parameters.items())[:2]]
+    name = cause.effect
+    if changes_text(cause.parameters):
+        name = changes_text(cause.parameters)
+    elif sizes:
+        name = f"{name} ({', '.join(sizes)})"
+    return listed([name, *cause.equivalent], "or")
+
+
+def changes_text(parameters: Mapping[str, Value]) -> str:
+    """Return the changes of parameters: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
+    changed = [(name, value) for name, value in parameters.items() if isinstance(value, ChangedValue)]
+    return listed(
+        [
+            f"{name} {numbers.number(v.given)} → {numbers.measured(v.value, v.stderr, v.unit)} "
+            f"({numbers.number(v.standard_errors, 2)} standard errors)"
+            for name, v in changed
+        ]
+    )
+
+
+def value_text(value: Value) -> str:
+    """Return an estimate with its standard error and unit."""
+    if value.status == "unidentifiable":
+        return "not identifiable"
+    text = numbers.measured(value.value, value.stderr, value.unit)
+    if value.status == "at-bound":
+        text += ", at its bound"
+    return text
+
+
+def otherwise_text(file: GapFile) -> str:
+    """Return the probabilities of no gap and of a cause outside the catalogue, in"""
+    none, outside = probability_text(file.no_gap), probability_text(file.outside)
+    return f"no gap {none}, a cause outside the catalogue {outside}"
+
+
+def probability_text(probability: float | None) -> str:
+    """Return a probability in percent; ``< 0.1 %`` for values below a thousandth."""
+    if probability is not None and probability < 1e-3:
+        return "< 0.1 %"
+    return numbers.percent(probability, 2)
+
+
+def remaining_text(file: GapFile) -> str:
+    """Return in words how much of the gap remains, and where."""
+    left, share = file.remaining, "an unknown share"
+    if left.share is not None:
+        share = numbers.percent(left.share, 2)
+    said = f"{share} of the squared gap remains"
+    if left.where:
+        said += f" ({left.where})"
+    return said
+
+
+def moved(file: GapFile) -> list[Absorbed]:
+    """Return the coefficients that compensated for the missing causes, the largest change first."""
+    far = [(_shift(a), a) for c in file.causes for a in c.absorbed]
+    return [a for shift, a in sorted(far, key=lambda pair: -pair[0]) if shift > 0]
+
+
+def _shift(a: Absorbed) -> float:
+    """Return the change of a coefficient in standard errors; 0 if it is small."""
+    before, after = a.without.value, a.with_effect.value
+    errors = [v.stderr for v in (a.without, a.with_effect) if v.stderr]
+    if before is None or after is None or not errors:
+        return 0.0
+    by = abs(before - after)
+    count = by / max(errors)
+    if count > MOVED_STDERR and by > MOVED_SHARE * abs(after):
+        return count
+    return 0.0
+
+
+def parts(file: GapFile) -> list[Cell]:
+    """Return the gap in each part of the data: settings, stroke phases and times."""
+    return [*file.where.regime, *file.where.phase, *file.where.time]
+
+
+def notes(file: GapFile) -> list[str]:
+    """Return notes on the next experiment, the place of the gap, and the reasons for the verdict."""
+    said = [f"next experiment: {a.text}" for a in file.advice[:1]]
+    worst: dict[str, Cell] = {}
+    for cell in sorted(parts(file), key=lambda c: -(c.ratio or 0.0)):
+        worst.setdefault(cell.kind, cell)
+    if worst and file.verdict != "none" and not file.changed:
+        places = []
+        for c in list(worst.values())[:MAX_PARTS]:
+            name = c.label
+            if c.kind != "time":
+                name = f"{c.kind} {c.label}"
+            places.append(f"{name} ({numbers.number(c.ratio, 2)} times the noise)")
+        said.append(f"the gap is largest at {listed(places)}")
+    for a in moved(file)[:1]:
+        values = " without the cause and ".join(value_text(v) for v in (a.without, a.with_effect))
+        said.append(f"the coefficient {a.coefficient} stood in for the cause: it is {values} with it")
+    said += [
+        f"to work with the other reading: --reading {c.effect.removeprefix(READING)}"
+        for c in file.causes
+        if c.effect.startswith(READING)
+    ]
+    sentences = [f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in (*said, *file.reasons)]
+    return sentences[:MAX_NOTES]
+
+
+def methods(file: GapFile) -> list[str]:
+    """Return sentences for a methods section that describe this diagnosis."""
+    refitted = sum(s.gain is not None for s in file.scores)
+    count = f"{refitted} of {len(file.scores)}"
+    if refitted == len(file.scores):
+        count = str(refitted)
+    said = [
+        f"The coefficients of {file.model} were refitted to {len(file.trials)} {file.experiment} trials of "
+        f"{file.robot} by output error with coloured residuals (Klein and Morelli 2006), alone and with each "
+        f"of {count} candidate effects as part of the model (Kennedy and O'Hagan 2001).",
+        "Sets of effects were compared by a Student likelihood of their excess over the noise, with folds "
+        f"weighted by the Bayesian bootstrap (Yao et al. 2018): {otherwise_text(file)}. Held-out gains come "
+        "from approximate cross-validation by one Gauss-Newton step (Rad and Maleki 2020).",
+    ]
+    if file.floor_from:
+        said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
+    said.append(answer_text(file))
+    if file.advice:
+        said.append("The next experiment separates the rivals' predictions most (Box and Hill 1967).")
+    return said
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(FileResult[GapFile]):
+    """Result of ``diagnose``: the gap between trials and a model, and the causes of the gap.
+
+    Attributes
+    ----------
+    answer : str
+        Verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``.
+    causes : DataFrame
+        One row for each parameter of each cause, the most probable cause first. Columns: ``effect``,
+        ``probability`` (that this effect or an equivalent one is among the causes), ``parameter``, ``value``
+        and ``stderr`` (in ``unit``), ``status``.
+    shrinkage : DataFrame
+        One row for each cause and channel. Columns: error on held-out data ``before`` and ``after`` the
+        causes are added, noise ``floor`` (all divided by the measured range), fraction ``closed`` of the
+        error above the floor, and its 95 % interval ``ci95``.
+    where : DataFrame
+        One row for each channel. Columns: error ``nrmse`` of the refitted model, noise ``floor``, error
+        ``within`` trials without between-trial variation (all divided by the measured range), ``share``
+        (fraction of the squared gap), ``rmse`` (in ``unit``).
+    file : GapFile
+        Content of the file that :meth:`save` writes. It also has rival causes, remaining residuals, proposed
+        experiments and the scores of all effects.
+    """
+
+    file_type = GapFile
+
+    @property
+    def answer(self) -> str:
+        """Return the verdict: ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``."""
+        return self.file.verdict
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """Return one row for each parameter of each cause.
+
+        A cause without parameters, such as another interpretation of the robot's source, has one row.
+        """
+        import pandas as pd
+
+        none = {"": Value(value=None, unit="")}
+
+        rows = [
+            (c.effect, c.probability, name, v.value, v.stderr, v.unit, v.status)
+            for c in self.file.causes
+            for name, v in (c.parameters or none).items()
+        ]
+        return pd.DataFrame(
+            rows, columns=["effect", "probability", "parameter", "value", "stderr", "unit", "status"]
+        )
+
+    @property
+    def shrinkage(self) -> pd.DataFrame:
+        """Return the held-out errors of each channel without and with the causes."""
+        import pandas as pd
+
+        rows = [{"effect": c.effect, **s.model_dump()} for c in self.file.causes for s in c.shrinkage]
+        return pd.DataFrame(rows)
+
+    @property
+    def where(self) -> pd.DataFrame:
+        """Return the gap and the noise floor of each channel."""
+        import pandas as pd
+
+        return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
+
+    def bare(self) -> ev.Evidence:
+        """Return the evidence that can be shown if the evidence file is missing."""
+        found = evidence(self.file)
+        text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
+        return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})

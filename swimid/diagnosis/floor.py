@@ -22,13 +22,10 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
 
     The value is NaN where the channel has no sample.
     """
-    found, at = {}, 0
-    for i, (channel, mask) in enumerate(zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)):
-        count = int(mask.sum())
-        series = np.full(len(mask), np.nan)
-        series[mask] = residual[at : at + count] * fit.problem.sd[k][i][mask]
-        at += count
-        found[channel] = series
+    found = {}
+    for (channel, mask, part), sd in zip(fit.problem.by_channel(k, residual), fit.problem.sd[k], strict=True):
+        found[channel] = np.full(len(mask), np.nan)
+        found[channel][mask] = part * sd[mask]
     return found
 
 
@@ -78,6 +75,15 @@ def by_channel(fit: Fit, residuals: Sequence[Array]) -> dict[str, Array]:
     for k, r in enumerate(residuals):
         for channel, series in split(fit, k, r).items():
             parts.setdefault(channel, []).append(series[np.isfinite(series)])
+    return {c: np.concatenate(p) for c, p in parts.items()}
+
+
+def measured(context: FitContext, fit: Fit) -> dict[str, Array]:
+    """Return the measured samples of all trials by channel, in the channel's unit."""
+    parts: dict[str, list[Array]] = {}
+    for k, trial in enumerate(context.trials):
+        for channel, mask in zip(fit.problem.channels[k], fit.problem.masks[k], strict=True):
+            parts.setdefault(channel, []).append(trial.measured[channel][mask])
     return {c: np.concatenate(p) for c, p in parts.items()}
 
 

@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from swimid.effects.base import Stage
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
 from swimid.results.parameters import Status
 from swimid.simulation.compare_series import ChannelScore
 
-FORMAT: Literal["swimid-gap/1"] = "swimid-gap/1"
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]
 #: Description of each way to hold out data.
@@ -25,7 +25,9 @@ HELD_OUT: dict[HeldOut | None, str] = {
 }
 #: Value of ``params`` in a diagnosis without a parameter file.
 ROBOT_FILE = "the robot file"
-Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
+#: Prefix of the names of other interpretations of the robot. The rest of such a name is a value of the option
+#: ``--reading``.
+READING = "reading:"
 
 
 class ChannelGap(yamlio.Document):
@@ -56,8 +58,7 @@ class ChannelGap(yamlio.Document):
 class Cell(yamlio.Document):
     """Gap in one part of the data: a phase of the stroke, a setting, or an interval of time."""
 
-    #: Quantity by which the data are divided, for example ``phase``, ``frequency``, ``amplitude``, ``time``
-    #: or ``change``.
+    #: Quantity by which the data are divided: ``phase``, ``time``, ``trial``, or a setting (``frequency``).
     kind: str
     label: str
     #: Root-mean-square residual divided by the noise floor.
@@ -164,8 +165,6 @@ class Remaining(yamlio.Document):
     where: str
     #: Whether the remaining residuals have no structure.
     white: bool
-    #: Decrease of the squared held-out residuals by smooth terms without physics.
-    gain: Number = None
 
 
 class Advice(yamlio.Document):
@@ -186,18 +185,13 @@ class Score(yamlio.Document):
     effect: str
     stage: Stage | None = None
     variant: str = ""
-    gain: Number
+    #: Decrease of the squared held-out residuals; unknown for an effect that was screened only.
+    gain: Number = None
     stderr: Number = None
-    #: Number of folds in which the effect decreases the squared residuals, and number of folds.
-    won: tuple[int, int] = (0, 0)
     #: Fraction of the squared change by the effect that the coefficients can imitate.
     absorbed: Number = None
-    #: Decrease of the squared held-out residuals that the screen predicted, and whether the effect was also
-    #: fitted.
-    screened: Number = None
-    refitted: bool = True
     #: Probability that the effect is among the causes.
-    probability: Number = None
+    probability: Number = 0.0
 
 
 class Hypothesis(yamlio.Document):
@@ -224,7 +218,7 @@ class GapFile(yamlio.ResultFile):
     """Content of a gap file."""
 
     kind: ClassVar[str] = "gap file"
-    format: Literal["swimid-gap/1"] = FORMAT
+    format: Literal["swimid-gap/1"] = "swimid-gap/1"
     verdict: Verdict
     #: Errors of the model with the parameters as given, by channel, as the command ``compare`` computes them
     #: over all trials.
@@ -261,8 +255,6 @@ class GapFile(yamlio.ResultFile):
     setting_count: int | None = None
     #: Scores of all effects, best first.
     scores: list[Score] = []
-    #: Decrease of the squared held-out residuals by smooth residual forces and sensor errors, by place.
-    forces: dict[str, Number] = {}
     #: Parameters of the file that the refit changed significantly. Their change is not a hypothesis, because
     #: the file states no standard error or the model is a black box.
     moved: dict[str, ChangedValue] = {}
@@ -271,8 +263,6 @@ class GapFile(yamlio.ResultFile):
     unreproduced: dict[str, Number] = {}
     #: Coefficients that are at a bound in the refit without effects, with the value of the bound.
     at_bound: dict[str, float] = {}
-    #: Reasons why larger sets of effects were accepted or rejected.
-    rounds: list[str] = []
     #: Reasons for the verdict, and reasons why the causes are not certain. Each reason is a clause.
     reasons: list[str] = []
     unsure: list[str] = []
@@ -292,8 +282,7 @@ class GapFile(yamlio.ResultFile):
     def _largest_first(self) -> GapFile:
         """Sort every list by size, largest first; unknown values come last.
 
-        Scores of refitted effects come first, sorted by gain. The other scores are sorted by the gain that
-        the screen predicted.
+        Scores without a gain keep the order of the screen.
         """
         where = self.where
         where.channels.sort(key=lambda c: -_size(c.share))
@@ -304,18 +293,13 @@ class GapFile(yamlio.ResultFile):
         order = {c.channel: place for place, c in enumerate(where.channels)}
         for cause in self.causes:
             cause.shrinkage.sort(key=lambda s: order.get(s.channel, len(order)))
-        self.scores.sort(key=lambda s: (not s.refitted, -_size(s.gain if s.refitted else s.screened)))
+        self.scores.sort(key=lambda s: -_size(s.gain))
         return self
 
     @property
     def changed(self) -> bool:
         """Return whether a changed parameter is among the causes."""
         return any(isinstance(v, ChangedValue) for c in self.causes for v in c.parameters.values())
-
-    @property
-    def told_of_gap(self) -> bool:
-        """Return whether the probability of no gap is unknown or larger than one half."""
-        return self.no_gap is None or self.no_gap > 0.5
 
     @property
     def closing(self) -> list[Shrinkage]:

@@ -10,15 +10,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from swimid.blackbox import model as arx
-from swimid.diagnosis import refutation, remainder, shrinkage
+from swimid.diagnosis import remainder, shrinkage
 from swimid.diagnosis.candidates import Refitted
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.floor import Floor, by_channel, excess, repeats, rms, split
+from swimid.diagnosis.floor import Floor, by_channel, excess, measured, repeats, rms, split
 from swimid.diagnosis.gap_file import Remaining, Verdict
 from swimid.diagnosis.posterior import TENTH, UNSURE
-from swimid.diagnosis.refutation import Compared
 from swimid.diagnosis.search import Round, State
-from swimid.diagnosis.shrinkage import Piece
+from swimid.diagnosis.shrinkage import Misfit, Piece
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
 from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
@@ -43,6 +42,10 @@ DIFFERS = 2.0
 #: Minimum fraction of the squared residuals of all trials, beyond the noise, that belongs to one trial. A
 #: trial with a larger fraction is tested as an outlier.
 MAJORITY = 0.5
+
+
+#: Distances of held-out data from the predictions without and with the causes.
+Predicted = tuple[Misfit, Misfit]
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ def judge(
     state: State,
     held: Sequence[Piece],
     noise: Floor,
-    predicted: Compared | None,
+    predicted: Predicted | None,
     *,
     dropout: bool,
     validation: Sequence[Trial] = (),
@@ -160,7 +163,7 @@ def judge(
         Held-out predictions without and with the causes.
     noise : Floor
         Noise floor of each channel.
-    predicted : Compared or None
+    predicted : tuple of Misfit or None
         Distances of held-out data from the predictions without and with the causes; None without causes.
     dropout : bool
         Whether failed samples are a cause. They explain the gap if nothing else is missing.
@@ -177,7 +180,7 @@ def judge(
         told = _by_remaining(told, state, left)
     if validation and told.verdict != "unexplained":
         model = told.base if told.causes else state.nominal
-        off = refutation.unpredicted(state.context, model, state.noise_model, validation)
+        off = shrinkage.unpredicted(state.context, model, state.noise_model, validation)
         told = replace(told, unpredicted=off)
         if told.causes and told.unpredicted:
             told = _by_prediction(told, state, held, floor)
@@ -206,14 +209,9 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
     if state.context.model.name != arx.NAME:
         return {}
     found = {}
+    outputs = measured(state.context, fit)
     for channel, left in by_channel(fit, fit.residuals).items():
-        measured = [
-            trial.measured[channel][mask]
-            for k, trial in enumerate(state.context.trials)
-            for name, mask in zip(fit.problem.channels[k], fit.problem.masks[k], strict=True)
-            if name == channel
-        ]
-        share = 1.0 - rms(left) / max(float(np.std(np.concatenate(measured))), 1e-300)
+        share = 1.0 - rms(left) / max(float(np.std(outputs[channel])), 1e-300)
         if share < shrinkage.MOST:
             found[channel] = share
     return found
@@ -239,12 +237,15 @@ def _by_held_out(
     state: State,
     held: Sequence[Piece],
     floor: Mapping[str, float],
-    predicted: Compared | None,
+    predicted: Predicted | None,
 ) -> Judgement:
     if not told.causes or predicted is None:
         return told
     refused = replace(told, verdict="unexplained", causes=(), base=state.nominal)
-    if predicted.refuted or not shrinkage.sound(held):
+    before, after = predicted
+    # The causes may increase the squared distance by no more than the gap or the noise.
+    allowed = max(before.distance - before.samples, before.samples)
+    if after.distance - before.distance > allowed or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
     each, gap = shrinkage.gained(held, floor)
     lowered = float(each.sum())
@@ -252,7 +253,7 @@ def _by_held_out(
     if held and not close and not lowered > max(TENTH * gap, shrinkage.chance(each)):
         why = f"{', '.join(told.names)}: held-out errors hardly fall with it"
         return replace(refused, reasons=(why,))
-    if predicted.useless and (predicted.before.shown or lowered < 0.0 or told.verdict == "unexplained"):
+    if after.distance >= before.distance and (before.shown or lowered < 0.0 or told.verdict == "unexplained"):
         why = f"{', '.join(told.names)}: held-out data are no nearer to what the model with it predicts"
         return replace(refused, reasons=(why,))
     if held and not close:
@@ -348,11 +349,11 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
     """
     left = state.left
     if left is None:
-        return Remaining(share=0.0, where="", white=True, gain=0.0)
+        return Remaining(share=0.0, where="", white=True)
     if left.found:
         # Without causes the whole gap remains.
         share = state.posterior.left if base is state.base else 1.0
-        return Remaining(share=share, where=_where(state), white=False, gain=left.gain)
+        return Remaining(share=share, where=_where(state), white=False)
     moving = remainder.drifting(state.low_frequency)
     apart = bool(moving or differs(state))
     share = float(apart)
@@ -360,7 +361,7 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
         whole = excess(state.nominal, residuals, floor)
         still = excess(base, state.nuisance_residuals, floor)
         share = min(sum(still[c] for c in moving) / max(sum(whole.values()), 1e-300), 1.0)
-    return Remaining(share=share, where=_where(state), white=not apart, gain=max(left.gain, 0.0))
+    return Remaining(share=share, where=_where(state), white=not apart)
 
 
 def _where(state: State) -> str:

@@ -121,17 +121,13 @@ def coloured(
         n = int(np.isfinite(x).sum())
         longest = max(int(np.isfinite(s).sum()) for s in series_list)
         order = min(ORDER, longest // PER_ORDER)
-        centred = x - np.nanmean(x) if n else x
-        variance = float(np.nanmean(centred**2)) if n else 1.0
-        a = np.empty(0)
-        if order >= 1 and n > 3 * PER_ORDER and variance > 0:
+        squared = variance = float(np.nanmean(x**2))
+        colour[channel] = np.empty(0)
+        if order >= 1 and n > 3 * PER_ORDER and np.nanvar(x) > 0:
             fitted = fit_autoregression(x, max_order=order)
-            a, variance = fitted.coefficients, fitted.variance
-        else:
-            variance = float(np.nanmean(x**2)) if n else 1.0
-        colour[channel] = a
+            colour[channel], variance = fitted.coefficients, fitted.variance
         size[channel] = float(np.sqrt(max(variance / freedom, 1e-300)))
-        whole[channel] = float(np.sqrt(max(np.nanmean(x**2) / freedom, 1e-300))) if n else 1.0
+        whole[channel] = float(np.sqrt(max(squared / freedom, 1e-300)))
     return replace(noise_model, colour=colour, size=size, whole=whole)
 
 

@@ -52,7 +52,6 @@ class ParameterChange(Effect):
     name: ClassVar[str]
     stage: ClassVar[None] = None  # type: ignore[assignment]
     meaning: ClassVar[str]
-    needs: ClassVar[frozenset[str]] = frozenset()
     smooth: ClassVar[bool] = True
 
     def __init__(self, parameter: Parameter) -> None:
@@ -81,14 +80,6 @@ class ParameterChange(Effect):
         """Return no hooks, because the change is added to the parameter before the simulation."""
         return NONE
 
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return the effect itself, its only form."""
-        return [self]
-
-    def content(self) -> bytes:
-        """Return the name, which identifies the effect within one diagnosis."""
-        return self.name.encode()
-
 
 @dataclass(frozen=True)
 class Begun:
@@ -100,8 +91,8 @@ class Begun:
         Trials of every role, with all channels that are compared with the model.
     given : dict of name to Estimate
         Coefficients of the parameter file.
-    own_data : bool
-        Whether the parameter file was fitted to one of these logs.
+    unweighed : dict of name to Estimate
+        Coefficients that were estimated from other trials and whose change is not a hypothesis.
     prior : dict of name to (mean, sd)
         Prior of each refitted coefficient.
     changes : list of ParameterChange
@@ -112,59 +103,47 @@ class Begun:
 
     trials: list[Trial]
     given: dict[str, Estimate]
-    own_data: bool
+    unweighed: dict[str, Estimate]
     prior: dict[str, tuple[float, float]]
     changes: list[ParameterChange]
     correlation: tuple[list[str], Array]
 
-    @property
-    def unweighed(self) -> dict[str, Estimate]:
-        """Return the coefficients that were estimated from other trials and whose change is not a
-        hypothesis.
-        """
-        weighed = {e.adds_to for e in self.changes}
-        return {} if self.own_data else {n: e for n, e in self.given.items() if n not in weighed}
-
 
 def begun(loaded: Loaded) -> Begun:
     """Return trials and priors at the start of a diagnosis, and give the model its refitted parameters."""
-    model, applied = loaded.experiment.model, loaded.applied
-    given = _given(loaded)
+    experiment, applied = loaded.experiment, loaded.applied
+    model, file = experiment.model, applied.file
+    given: dict[str, Estimate] = {}
+    own_data = False
+    if file is not None:
+        given = {name: e for name, e in file.parameters.items() if "[" not in name}
+        known_logs = set((file.provenance.get("inputs") or {}).values())
+        logs = [p for p in experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
+        own_data = any(digest in known_logs for digest in digests_of(logs).values())
     own = applied.fitted_per_trial()
-    if len(loaded.experiment.trials) >= FEWEST:
+    if len(experiment.trials) >= FEWEST:
         # These parameters are random effects in a diagnosis. Without a prior they would absorb any gap.
         own -= OWN.keys()
     model.parameters = refitted(model.parameters, given, applied.values(), own=own)
-    trials = [widened(t, model.channels) for t in apart(model, loaded.experiment.trials)]
-    same = _own_data(loaded)
-    known = set() if same or model.name == arx.NAME else from_elsewhere(model.parameters, given)
+    runs = [run for trial in experiment.trials for run in model.apart(trial)]
+    known = set()
+    if not own_data and model.name != arx.NAME:
+        stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
+        known = {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
     changes = [ParameterChange(p) for p in model.parameters if p.name in known]
     names, covariance = applied.uncertain()
     mine = [i for i, name in enumerate(names) if name in known]
     sd = np.sqrt(np.diag(covariance))[mine]
     correlation = covariance[np.ix_(mine, mine)] / np.outer(sd, sd)
-    before = prior(model.parameters, given, own_data=same, exact=known)
-    return Begun(trials, given, same, before, changes, ([names[i] for i in mine], correlation))
-
-
-def from_elsewhere(parameters: Sequence[Parameter], given: Mapping[str, Estimate]) -> set[str]:
-    """Return the names of free shared coefficients whose standard error is in the parameter file."""
-    stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
-    return {p.name for p in parameters if p.free and not p.per_trial and p.name in stated}
-
-
-def _given(loaded: Loaded) -> dict[str, Estimate]:
-    file = loaded.applied.file
-    return {} if file is None else {name: e for name, e in file.parameters.items() if "[" not in name}
-
-
-def _own_data(loaded: Loaded) -> bool:
-    file = loaded.applied.file
-    if file is None:
-        return False
-    known = set((file.provenance.get("inputs") or {}).values())
-    logs = [p for p in loaded.experiment.inputs if not isinstance(p, Path) or p.suffix.lower() in LOGS]
-    return any(digest in known for digest in digests_of(logs).values())
+    unweighed = {} if own_data else {n: e for n, e in given.items() if n not in known}
+    return Begun(
+        [widened(t, model.channels) for t in runs],
+        given,
+        unweighed,
+        prior(model.parameters, given, own_data=own_data, exact=known),
+        changes,
+        ([names[i] for i in mine], correlation),
+    )
 
 
 def refitted(
@@ -217,12 +196,13 @@ def prior(
         size = max(abs(p.start), 0.1 * p.scale)
         known = given.get(p.name)
         sd = OWN_PRIOR * max(size, p.scale if known is None else 0.0)
-        if p.name in exact and known is not None and known.stderr:
-            sd = min(sd, known.stderr)
-        elif known is not None and not own_data and known.stderr and math.isfinite(known.stderr):
-            sd = min(sd, math.hypot(known.stderr, OTHER_PRIOR * size))
-        elif known is not None and known.stderr and math.isfinite(known.stderr):
-            sd = max(sd, 3.0 * known.stderr)
+        stderr = known.stderr if known is not None and known.stderr else math.nan
+        if p.name in exact:
+            sd = min(sd, stderr)
+        elif math.isfinite(stderr) and not own_data:
+            sd = min(sd, math.hypot(stderr, OTHER_PRIOR * size))
+        elif math.isfinite(stderr):
+            sd = max(sd, 3.0 * stderr)
         found[p.name] = (p.start, sd)
     return found
 
@@ -268,10 +248,3 @@ def _computed(name: str, values: Array, trial: Trial) -> bool:
     if there.sum() < 20 or np.std(own[there]) == 0:
         return True
     return float(abs(np.corrcoef(rough[there], own[there])[0, 1])) > DERIVED
-
-
-def apart(model: Model, trials: Sequence[Trial]) -> list[Trial]:
-    """Split each trial that is a table of runs into one trial per run, and return all other trials
-    unchanged.
-    """
-    return [run for trial in trials for run in model.apart(trial)]

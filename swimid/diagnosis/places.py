@@ -12,18 +12,15 @@ from swimid.diagnosis import settings
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import split
 from swimid.diagnosis.gap_file import Cell
-from swimid.diagnosis.generic import beat_hz
+from swimid.diagnosis.remainder import beat_hz
 from swimid.fitting.model import Array
 
-#: Number of bins of the stroke phase, and of the time in a trial.
-PHASES, TIMES = 8, 6
+#: Number of bins of the stroke phase.
+PHASES = 8
 #: Maximum number of trials that are listed individually.
 MOST_TRIALS = 30
 #: Duration of the start-up: number of beats, or a fraction of the duration of a trial without a beat.
 START_BEATS, START_SHARE = 3.0, 0.2
-#: Minimum fraction of the variance in time of the squared residuals that a step must explain to be a change
-#: point.
-CHANGED = 0.3
 
 
 class Map:
@@ -47,8 +44,7 @@ class Map:
             known = {
                 "trial": k,
                 "time_s": time,
-                "phase": _bins((time * beat_hz(trial)) % 1.0, PHASES),
-                "part": _bins((time - time[0]) / max(float(np.ptp(time)), 1e-9), TIMES),
+                "phase": np.minimum((time * beat_hz(trial) % 1.0 * PHASES).astype(int), PHASES - 1),
             }
             for channel, series in split(fit, k, residual).items():
                 square = (series / max(floors.get(channel, 1.0), 1e-300)) ** 2
@@ -63,7 +59,7 @@ class Map:
             Cell(
                 kind=kind,
                 label=str(label),
-                ratio=_root_mean(squares),
+                ratio=float(np.sqrt(np.mean(squares.to_numpy()))),
                 share=float(np.clip(np.sum(squares.to_numpy() - 1.0) / self.total, 0.0, 1.0)),
             )
             for label, squares in self.samples["square"].dropna().groupby(labels, sort=False)
@@ -72,15 +68,6 @@ class Map:
     def of_trials(self, values: Sequence[Any]) -> pd.Series:
         """Return, for each sample, the value of the trial to which the sample belongs."""
         return self.samples["trial"].map(dict(enumerate(values)))
-
-
-def _bins(share: Array, count: int) -> Array:
-    """Return the bin index of each value between 0 and 1, for ``count`` bins of equal width."""
-    return np.minimum((share * count).astype(int), count - 1)
-
-
-def _root_mean(squares: pd.Series) -> float:
-    return float(np.sqrt(np.mean(squares.to_numpy())))
 
 
 def regimes(where: Map) -> list[Cell]:
@@ -104,7 +91,7 @@ def phases(where: Map) -> list[Cell]:
 
 
 def times(where: Map) -> list[Cell]:
-    """Return the gap during start-up and steady motion, and after the change points of single trials."""
+    """Return the gap during start-up and steady motion."""
     ends = []
     for t in where.trials:
         if len(t.time_s) < 10:
@@ -115,33 +102,4 @@ def times(where: Map) -> list[Cell]:
         ends.append(t.time_s[0] + start)
     time = where.samples["time_s"]
     early = time <= where.of_trials(ends)
-    cells = where.cells("time", early.map({True: "start-up", False: "steady"}))
-    for k, t in enumerate(where.trials):
-        at = _change(where, k)
-        if at is not None:
-            late = (where.samples["trial"] == k) & (time >= at)
-            cells += where.cells("change", late.map({True: f"{t.id} from {at:.3g} s"}))
-    return cells
-
-
-def _change(where: Map, k: int) -> float | None:
-    """Return the time at which the residuals of a trial grow suddenly, or None."""
-    squares = where.samples["square"][where.samples["trial"] == k].to_numpy()
-    x = np.sum(np.nan_to_num(squares - 1.0).reshape(-1, len(where.trials[k].time_s)), axis=0)
-    n = len(x)
-    edge = max(n // 10, 5)
-    if n < 40 or x.sum() <= 3.0 * n:
-        return None
-    total = np.cumsum(x)
-    cut = np.arange(edge, n - edge)
-    before, after = total[cut - 1] / cut, (total[-1] - total[cut - 1]) / (n - cut)
-    between = cut * (n - cut) / n * (after - before) ** 2
-    best = int(np.argmax(between))
-    spread = float(np.sum((x - x.mean()) ** 2))
-    # Accept a step, but not a ramp: steady growth has no change point.
-    line = np.polynomial.Polynomial.fit(np.arange(n), x, 1)
-    ramp = float(np.sum((line(np.arange(n)) - x.mean()) ** 2))
-    step = between[best] > CHANGED * spread and between[best] > 1.3 * ramp
-    if step and after[best] > 4.0 * max(before[best], 1.0):
-        return float(where.trials[k].time_s[cut[best]])
-    return None
+    return where.cells("time", early.map({True: "start-up", False: "steady"}))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from swimid.effects.base import Effect, Stage
+from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
 
 #: Per-trial parameters of a model that may also differ at random. The value names a shared parameter and the
@@ -75,17 +75,13 @@ class RandomEffect:
         """Return a copy with another standard deviation, limited to the largest one that may be chance."""
         return replace(self, sd=min(sd, self.most))
 
-    @property
-    def width(self) -> float:
-        """Return the between-trial standard deviation, in the unit of the parameter."""
-        return self.sd * self.size
-
     def number(self, parameter: Parameter) -> Parameter:
         """Return the per-trial parameter, with bounds at the largest chance deviation."""
         farthest = FARTHEST * math.hypot(self.sd, UNSURE) * self.size
         lower = max(parameter.lower, parameter.start - farthest)
         upper = min(parameter.upper, parameter.start + farthest)
-        return replace(parameter, scale=self.width, lower=lower, upper=upper, free=True, per_trial=True)
+        scale = self.sd * self.size
+        return replace(parameter, scale=scale, lower=lower, upper=upper, free=True, per_trial=True)
 
     @cached_property
     def acting(self) -> Effect | None:
@@ -100,9 +96,6 @@ class TrialEffect(Effect):
     """An effect of which one parameter has a separate value for each trial."""
 
     name: ClassVar[str] = "chance"
-    stage: ClassVar[Stage] = "sensing"
-    meaning: ClassVar[str] = "It differs from trial to trial."
-    needs: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, kind: RandomEffect, effect: Effect) -> None:
         self.kind, self.effect = kind, effect

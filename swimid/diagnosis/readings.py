@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from swimid.diagnosis.words import READING
+from swimid.diagnosis.gap_file import READING
 from swimid.effects.base import STAGES, Effect, Stage
-from swimid.errors import InputError, UsageError, suggestion
+from swimid.errors import InputError
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
 from swimid.robots.file import RobotFile
@@ -51,18 +50,15 @@ class Reread:
     def __init__(self, path: Path, nominal: Swimmer) -> None:
         self._file, self._nominal = RobotFile(path), nominal
         self._models: dict[tuple[float, frozenset[tuple[str, str]]], Swimmer] = {}
-        self._lock = threading.Lock()
 
     def model(self, model: Model, question: str, option: str) -> Model:
         """Return the model in which one question about the source has another answer."""
         assert model.swimmer is not None
         chosen = {key: reading.chosen for key, reading in model.swimmer.robot.readings.items()}
         key = model.swimmer.max_step, frozenset({**chosen, question: option}.items())
-        with self._lock:
-            if key not in self._models:
-                robot = self._file.read(dict(key[1]))
-                self._models[key] = model.swimmer.read_otherwise(robot)
-            return self._models[key]
+        if key not in self._models:
+            self._models[key] = model.swimmer.read_otherwise(self._file.read(dict(key[1])))
+        return self._models[key]
 
     def stand(self, answers: Mapping[str, str]) -> bool:
         """Return whether the given answers can be combined in a model that is comparable with the nominal
@@ -74,7 +70,10 @@ class Reread:
                 model = self.model(model, question, option)
         except InputError:
             return False
-        return _comparable(model, self._nominal)
+        names = [
+            [p.name for p in m.parameters] + [c.name for c in m.channels] for m in (model, self._nominal)
+        ]
+        return names[0] == names[1]
 
 
 class OtherReading(Effect):
@@ -97,7 +96,6 @@ class OtherReading(Effect):
     name: ClassVar[str]
     stage: ClassVar[Stage]
     meaning: ClassVar[str]
-    needs: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, question: str, option: str, *, meaning: str, stage: Stage, reread: Reread) -> None:
         # Each robot file has its own questions. Attributes that belong to the class of other effects
@@ -117,10 +115,6 @@ class OtherReading(Effect):
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
         """Return one point, which has no parameters."""
         return [np.empty(0)]
-
-    def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return the effect itself, its only form."""
-        return [self]
 
     def joins(self, effects: Sequence[Effect]) -> bool:
         """Return whether the reading can be combined with effects; its own options exclude each other."""
@@ -185,24 +179,10 @@ def others(experiment: Experiment, trials: Sequence[Trial]) -> tuple[list[OtherR
     return found, left_out
 
 
-def asked(names: Collection[str], experiment: Experiment) -> tuple[list[str], set[str]]:
-    """Return the names of requested effects and, separately, of requested interpretations.
-
-    Raises
-    ------
-    UsageError
-        If the robot file has no such question or answer, or has already chosen that answer.
-    """
-    robot = experiment.robot
-    known = [f"{READING}{key}={option}" for key, r in robot.readings.items() for option in r.options]
-    chosen = [f"{READING}{key}={r.chosen}" for key, r in robot.readings.items()]
-    mine = [name for name in names if name.startswith(READING)]
-    for name in mine:
-        if name not in known:
-            raise UsageError(f"the robot '{robot.name}' has no {name}", hint=suggestion(name, known))
-        if name in chosen:
-            raise UsageError(f"the robot '{robot.name}' is read so already: {name}")
-    return [name for name in names if name not in mine], set(mine)
+def names(experiment: Experiment) -> list[str]:
+    """Return the names of all interpretations of the robot except the chosen ones."""
+    questions = experiment.robot.readings.items()
+    return [f"{READING}{key}={option}" for key, r in questions for option in r.options if option != r.chosen]
 
 
 def _stage(places: Sequence[str]) -> Stage:
@@ -213,12 +193,6 @@ def _stage(places: Sequence[str]) -> Stage:
         next((stage for word, stage in PLACES if word in place), "structure") for place in places
     ]
     return min(stages, key=STAGES.index, default="structure")
-
-
-def _comparable(model: Model, nominal: Model) -> bool:
-    """Return whether two models have the same parameters and channels."""
-    names = [[p.name for p in m.parameters] + [c.name for c in m.channels] for m in (model, nominal)]
-    return names[0] == names[1]
 
 
 def _away(model: Model) -> Array:

@@ -1,23 +1,27 @@
 """Test whether the remaining residuals have structure, and in which part of the data.
 
-The test fits a generic description to the residuals: smooth terms without a physical cause
-(:mod:`swimid.diagnosis.generic`).
+The test fits a generic description to the residuals: smooth forces, stroke changes and sensor errors without
+a physical cause. They are never reported as a cause. They are a model discrepancy with a prior, as in Kennedy
+and O'Hagan (2001).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
+from numba import cfunc
 from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval
 from swimid.diagnosis.candidates import within
 from swimid.diagnosis.context import Fit, FitContext
-from swimid.diagnosis.generic import Description, descriptions
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.fitting.model import Array
+from swimid.effects.base import Effect
+from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
 from swimid.fitting.problem import Problem, map_in_processes
 
 #: Candidate prior standard deviations of the coefficients of a generic description, in typical scales.
@@ -238,3 +242,284 @@ def drifting(found: dict[str, LowFrequency]) -> list[str]:
         return []
     least = max(min(s.ratio for s in found.values()), 1.0)
     return [c for c, s in found.items() if s.ratio > SURE or (s.ratio > SLOW and s.ratio > AGAINST * least)]
+
+
+#: Terms of the residual force on a robot, in the order of their factors.
+TERMS = (
+    "constant", "speed", "speed squared", "sway", "yaw rate", "time", "cos phase", "sin phase", "cos 2 phase",
+    "sin 2 phase", "cos phase x time", "sin phase x time",
+)  # fmt: skip
+#: Constants for the levels of a setting in a table of runs: minimum number of runs that share a level,
+#: relative tolerance of the setting within a level, and maximum number of levels. With more levels, none is
+#: used.
+SHARED, LEVEL, LEVELS = 3, 1e-3, 12
+AXES = {"surge": 0, "sway": 1, "yaw": 2}
+
+
+@traceable(on="base", constants=17)
+def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """Add a smooth force along one axis (a moment for yaw) to the wrench.
+
+    The constants are the axis, the beat frequency (Hz), the start time and duration of the trial (s), the
+    typical speed (m/s), and one factor for each of :data:`TERMS`.
+    """
+    u, v, r = velocity[0] / constants[4], velocity[1] / constants[4], velocity[2]
+    late = (t - constants[2]) / constants[3]
+    phase = 2.0 * math.pi * constants[1] * t
+    c, s = math.cos(phase), math.sin(phase)
+    f = constants[5] + constants[6] * u + constants[7] * u * abs(u) + constants[8] * v + constants[9] * r
+    f += constants[10] * late + constants[11] * c + constants[12] * s
+    f += constants[13] * (c * c - s * s) + constants[14] * 2.0 * c * s
+    f += (constants[15] * c + constants[16] * s) * late
+    # Add the force to the selected axis only. A traceable function must not branch on values.
+    for axis in range(3):
+        wrench[axis] += f * max(1.0 - abs(constants[0] - axis), 0.0)
+
+
+#: Terms of the residual force on the body of a rig, which has one coordinate, in the order of their factors.
+RIG_TERMS = (
+    "constant", "speed", "speed squared", "speed cubed", "place", "place squared", "place cubed", "time",
+)  # fmt: skip
+#: Terms of the error of a sensor channel.
+SENSOR_TERMS = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
+
+
+@cfunc(FORCE_SIGNATURE, cache=True)
+def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
+    """Add a smooth force on the body of a rig to the wrench.
+
+    The constants are the start time and duration of the trial (s), the typical speed and position, and one
+    factor for each of :data:`RIG_TERMS`.
+    """
+    late = (t - constants[0]) / constants[1]
+    u, x = velocity[0] / constants[2], pose[0] / constants[3]
+    f = constants[4] + constants[5] * u + constants[6] * u * abs(u) + constants[7] * u**3
+    wrench[0] += f + constants[8] * x + constants[9] * x * x + constants[10] * x**3 + constants[11] * late
+
+
+class Description(Effect):
+    """Smooth effect without physics: a sum of terms, each with a free factor."""
+
+    name: ClassVar[str] = "residual"
+    #: Place in the simulation where the effect acts, in words.
+    place: str = ""
+    #: Names of the terms, prefix of these names, and unit and typical scale of the factors.
+    terms: tuple[str, ...] = ()
+    prefix: str = ""
+    unit: str = "1"
+    size: float
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        """Return the factor of each term as a parameter."""
+        return tuple(
+            Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
+            for term in self.terms
+        )
+
+    def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
+        """Return one point for each factor, at which all other factors are zero.
+
+        The factor has its typical scale. One size is enough, because the change by a factor is nearly linear.
+        """
+        return [np.eye(len(parameters))[k] * p.scale for k, p in enumerate(parameters)]
+
+
+class ResidualForce(Description):
+    """Smooth force on the base link of a robot along one axis (a moment for yaw)."""
+
+    terms = TERMS
+
+    def __init__(self, axis: str, size: float, speed: float) -> None:
+        self.axis, self.size, self.speed = axis, size, speed
+        self.prefix = f"{axis} "
+        self.unit, kind = ("N m", "moment") if axis == "yaw" else ("N", "force")
+        self.place = f"{axis} {kind}"
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return the hook that adds the force in one trial."""
+        known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
+        return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
+
+
+class ResidualPush(Description):
+    """Smooth force on the body of a rig, which has one coordinate."""
+
+    place = "surge force"
+    terms = RIG_TERMS
+    prefix = "surge "
+    unit = "N"
+
+    def __init__(self, size: float, speed: float, span: float) -> None:
+        self.size, self.speed, self.span = size, speed, span
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return the hook that adds the force in one trial."""
+        known = [*_window(trial), self.speed, self.span]
+        return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
+
+
+class StrokeDeviation(Description):
+    """Smooth change of the commanded joint angle: gain, bias, phase and cubic distortion.
+
+    The gain and the bias may drift.
+    """
+
+    place = "stroke"
+    terms = ("gain", "gain x time", "bias", "bias x time", "quarter-beat", "cubic")
+    size = 0.03
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return the hook that changes the joint angles in one trial."""
+        begin, length = _window(trial)
+        quarter = 0.25 / beat_hz(trial)
+
+        def change(time: Array, angle: Array, joint: int) -> Array:
+            late = (time - begin) / length
+            ease = np.clip((time - begin) / 0.5, 0.0, 1.0)
+            ease = ease * ease * (3.0 - 2.0 * ease)
+            top = max(float(np.nanmax(np.abs(angle))), 1e-9)
+            shifted = np.interp(time - quarter, time, angle)
+            parts = (angle, angle * late, top * ease, top * ease * late, shifted, angle**3 / top**2)
+            return np.asarray(angle + sum(v * p for v, p in zip(values, parts, strict=True)))
+
+        return Hooks(command=(change,))
+
+
+class SensorTerm(Description):
+    """Smooth error of one sensor channel."""
+
+    size = 0.02
+
+    def __init__(self, channel: str, top: float, *, dynamic: bool) -> None:
+        self.channel, self.top = channel, top
+        self.terms = SENSOR_TERMS if dynamic else ("gain", "quadratic")
+        self.prefix = f"{channel} "
+        self.place = f"sensor of {channel}"
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return the hook that adds the error to the channel in one trial."""
+        begin, length = _window(trial)
+        turn = 2.0 * math.pi * beat_hz(trial)
+
+        def change(channels: dict[str, Array], time: Array) -> dict[str, Array]:
+            y = channels[self.channel]
+            late = (time - begin) / length
+            first = y[0] if len(y) > 1 else 0.0
+            by_name = {
+                "gain": y - first,
+                "drift": self.top * late,
+                "drift squared": self.top * late**2,
+                "cos phase": self.top * np.cos(turn * time),
+                "sin phase": self.top * np.sin(turn * time),
+                "quadratic": (y - first) * np.abs(y - first) / self.top,
+            }
+            error = sum(v * by_name[name] for v, name in zip(values, self.terms, strict=True))
+            return {**channels, self.channel: y + error}
+
+        return Hooks(output=(change,))
+
+
+class StrokeTable(Description):
+    """Smooth factor on the thrust of the steady runs of a table.
+
+    The logarithm of the factor is quadratic in the logarithms of frequency and amplitude, and linear in the
+    order of the runs. It has one more term for each fin and for each level of frequency and amplitude.
+    """
+
+    place = "thrust"
+    curve = (
+        "frequency", "frequency squared", "amplitude", "amplitude squared", "product", "order",
+    )  # fmt: skip
+    size = 0.1
+
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        frequency, amplitude = (
+            np.concatenate([t.inputs[name] for t in trials if name in t.inputs])
+            for name in ("frequency_hz", "amplitude_rad")
+        )
+        self.frequency_hz, self.amplitude_rad = float(np.median(frequency)), float(np.median(amplitude))
+        self.order = {t.id: k / max(len(trials) - 1, 1) - 0.5 for k, t in enumerate(trials)}
+        self.levels = {"frequency": _levels(frequency), "amplitude": _levels(amplitude)}
+        fins = list(dict.fromkeys(t.cruise.fin for t in trials if t.cruise.fin))
+        self.fins = fins if len(fins) > 1 else []
+        each = [f"{kind} {level:.4g}" for kind, levels in self.levels.items() for level in levels]
+        self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return the hook that changes the thrust in one trial."""
+
+        def change(stroke):  # type: ignore[no-untyped-def]
+            f = np.log(stroke.frequency_hz / self.frequency_hz)
+            a = np.log(stroke.amplitude_rad / self.amplitude_rad)
+            parts = [f, f**2, a, a**2, f * a, self.order.get(trial.id, 0.0)]
+            for kind, levels in self.levels.items():
+                mine = trial.inputs[f"{kind}_{'hz' if kind == 'frequency' else 'rad'}"]
+                parts += [np.isclose(mine, level, rtol=LEVEL) for level in levels]
+            parts += [float(name == trial.cruise.fin) for name in self.fins]
+            factor = np.exp(np.clip(sum(v * p for v, p in zip(values, parts, strict=True)), -3.0, 3.0))
+            return replace(stroke, thrust=stroke.thrust * factor)
+
+        return Hooks(stroke=(change,))
+
+
+def _levels(values: Array) -> list[float]:
+    """Return the levels of a setting that several runs of a table share.
+
+    The result is empty if there is only one such level, or more than :data:`LEVELS`.
+    """
+    rounded = np.unique(values.round(6))
+    shared = [float(v) for v in rounded if np.isclose(values, v, rtol=LEVEL).sum() >= SHARED]
+    return shared if 1 < len(shared) <= LEVELS else []
+
+
+def _window(trial: Trial) -> tuple[float, float]:
+    """Return the start time and the duration of a trial, s."""
+    return float(trial.time_s[0]), max(float(trial.time_s[-1] - trial.time_s[0]), 1e-9)
+
+
+def beat_hz(trial: Trial) -> float:
+    """Return the beat frequency of a trial in Hz; without a beat, the lowest that the trial resolves."""
+    drive = trial.swim.drive
+    if drive is not None and drive.frequency_hz > 0:
+        return float(drive.frequency_hz)
+    if trial.surge.frequency_hz > 0:
+        return trial.surge.frequency_hz
+    length = float(trial.time_s[-1] - trial.time_s[0])
+    return 1.0 / length if length > 0 else 1.0
+
+
+def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
+    """Return all smooth effects for which the model has hooks and the trials have data."""
+    found: list[Description] = []
+    dynamic = any(len(t.time_s) > 1 for t in trials)
+    channels = sorted({c for t in trials for c in t.measured})
+
+    def top(name: str, least: float) -> float:
+        """Return the largest absolute change of a channel since the start of a trial, but at least
+        ``least``.
+        """
+        series = (t.measured[name][np.isfinite(t.measured[name])] for t in trials if name in t.measured)
+        return max([least, *(float(np.max(np.abs(y - y[0]))) for y in series if len(y) > 1)])
+
+    length = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=1.0) or 1.0
+    if "force" in model.offers and dynamic:
+        if model.body is None:
+            span = max((top(c, 1e-3) for c in channels if not c.endswith(("_s", "_s2"))), default=1.0)
+            inertia = [t.rig.inertia for t in trials if not math.isnan(t.rig.inertia)]
+            mass = float(np.median(inertia)) if inertia else 1.0
+            pushes = [abs(t.rig.pull) for t in trials]
+            swing = [0.01 * mass * span * (2 * math.pi * beat_hz(t)) ** 2 for t in trials]
+            found.append(ResidualPush(0.02 * max(*pushes, *swing, 1e-9), max(span / length, 1e-3), span))
+        elif model.body.free:
+            arm = sum(model.body.lengths_m)
+            distance = max((top(c, 1e-3) for c in channels if c.endswith("_m")), default=1.0)
+            speed = max(distance / length, 1e-3)
+            push = 0.02 * model.scales(trials).inertia * speed**2 / max(arm, 1e-3)
+            for axis in AXES:
+                found.append(ResidualForce(axis, push * (arm if axis == "yaw" else 1.0), speed))
+    if "command" in model.offers and dynamic:
+        found.append(StrokeDeviation())
+    if "stroke" in model.offers and any({"frequency_hz", "amplitude_rad"} <= t.inputs.keys() for t in trials):
+        found.append(StrokeTable(trials))
+    found += [SensorTerm(channel, top(channel, 1e-6), dynamic=dynamic) for channel in channels]
+    return found

@@ -9,7 +9,6 @@ depend on the other requested effects.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -20,13 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.context import (
-    FINE,
-    STEPS,
-    Fit,
-    FitContext,
-    Optimum,
-)
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, Optimum
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
@@ -105,11 +98,6 @@ class Hypothesis:
         return frozenset(e.name for e in self.fit.effects)
 
     @property
-    def misfit(self) -> float:
-        """Return the held-out squared residuals, summed over all folds."""
-        return float(self.misfits.sum())
-
-    @property
     def ends(self) -> list[str]:
         """Return the parameters of the effects that are near a bound in :attr:`Effect.inside`.
 
@@ -121,7 +109,7 @@ class Hypothesis:
         return [
             label
             for j, label in enumerate(fit.labels)
-            if label in wanted and abs(fit.theta[j] - ends[wanted[label]][j]) < fit.scale[j]
+            if label in wanted and abs(fit.theta[j] - ends[wanted[label]][j]) < problem.scale[j]
         ]
 
 
@@ -172,13 +160,10 @@ class State:
     rounds: list[Round] = field(default_factory=list)
     left: Left | None = None
     random_effects: list[RandomEffect] = field(default_factory=list)
-    out_of_time: bool = False
     low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
     nuisance_residuals: list[Array] = field(default_factory=list)
     #: Number of effects that apply and are requested.
     tried: int = 0
-    #: Reasons why a larger set was accepted or rejected.
-    told: list[str] = field(default_factory=list)
 
     @property
     def changed(self) -> bool:
@@ -235,8 +220,6 @@ class Search:
         Effects that may be random effects.
     step : callable
         Function that is called with the name of each fitted effect.
-    late : callable
-        Function that returns whether the time budget is used up.
     """
 
     context: FitContext
@@ -245,7 +228,6 @@ class Search:
     scattering: Sequence[Effect]
     rng: np.random.Generator
     step: Callable[[str], None] = lambda _: None
-    late: Callable[[], bool] = lambda: False
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     null: Hypothesis = field(init=False)
     random_effects: list[RandomEffect] = field(init=False, default_factory=list)
@@ -255,7 +237,6 @@ class Search:
     returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
     #: Keys of hypotheses that were fitted in a few steps only.
     hopeless: set[Key] = field(init=False, default_factory=set)
-    out_of_time: bool = field(init=False, default=False)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
     # ------------------------------------------------------------ fits
@@ -265,11 +246,9 @@ class Search:
         inner = crossval.normal_equations(self.context, fit, self.noise_model)
         inside = inner.products[:, -1, -1]
         score = fit.cost + self.penalty(fit)
-        single = [p for p in tried.parameters if p.per_trial] if tried is not None else []
-        if not single or parent is None or tried is None:
+        if parent is None or tried is None or not any(p.per_trial for p in tried.parameters):
             return Hypothesis(fit, crossval.held_out(inner), inside, score, tried)
-        own = [candidates.own(fit, f"{tried.effect.name}/{p.name}", p.scale) for p in single]
-        gains = candidates.own_gains(self.context, parent.fit, self.noise_model, own)
+        gains = candidates.own_gains(self.context, parent.fit, self.noise_model, candidates.own(fit, tried))
         return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
 
     def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
@@ -294,8 +273,8 @@ class Search:
 
         Otherwise an effect could seem to explain the difference between a poor optimum and the best one.
         """
-        fit = based(self.context, self.noise_model, start)
-        self.null = self.judged(fit)
+        starts = self.context.begins(self.context.problem((), self.noise_model.random_effects), start)
+        self.null = self.judged(self.context.fit((), self.noise_model, starts, tolerance=FINE))
         self.pool[self.null.key] = self.null
         return self.null
 
@@ -320,41 +299,35 @@ class Search:
             self.screens[parent.key] = found
         return self.screens[parent.key]
 
-    def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> list[Hypothesis]:
-        """Return each parent with one more effect, fitted jointly: all effects, or the ``most`` promising
-        ones.
+    def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
+        """Fit each parent with one more effect, and put the results into the pool.
+
+        All effects are fitted, or the ``most`` promising ones.
         """
         context = self.context
         promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
         for parent in parents:
             for t in self.screened(parent).tried:
                 key = parent.key | {id(t.effect)}
-                expected = parent.misfit - t.gain
+                expected = float(parent.misfits.sum()) - t.gain
                 if key not in promised or expected < promised[key][0]:
                     promised[key] = expected, parent, t
         order = sorted(promised.values(), key=lambda p: p[0])
-        work = [(parent, t) for _, parent, t in order[:most]]
-
-        new = [(p, t) for p, t in work if p.key | {id(t.effect)} not in self.pool]
+        new = [(p, t) for _, p, t in order[:most] if p.key | {id(t.effect)} not in self.pool]
         acting = [(*parent.fit.acting, tried.effect) for parent, tried in new]
         apart = [effects for effects in acting if context.affected(effects).model.together == 1]
         self.prepared(apart, share=FITTED / RUNS)
 
-        def one(item: tuple[Hypothesis, Tried]) -> Optimum | None:
-            return None if self.late() and item is not new[0] else self.fitted(*item)
+        def one(item: tuple[Hypothesis, Tried]) -> Optimum:
+            return self.fitted(*item)
 
-        for (parent, tried), found in zip(new, map_in_processes(one, new, self.context.jobs), strict=True):
-            if found is None:
-                self.out_of_time = True
-                continue
+        for (parent, tried), found in zip(new, map_in_processes(one, new, context.jobs), strict=True):
             effects = (*parent.fit.effects, tried.effect)
-            self.checkpoint.put(self._name(effects), found.theta)
+            self.checkpoint.put(self._name(effects), found[0])
             fit = context.fitted(effects, self.noise_model, found)
             h = self.judged(fit, tried, parent)
             self.pool[h.key] = h
             self.step(tried.effect.name)
-        keys = [parent.key | {id(tried.effect)} for parent, tried in work]
-        return [self.pool[key] for key in keys if key in self.pool]
 
     def _name(self, effects: Sequence[Effect]) -> str:
         """Return the key of a cached optimum: effects in their forms, and number of random effects."""
@@ -432,7 +405,7 @@ class Search:
         found = [h for h in self.pool.values() if len(h.fit.effects) == size and not h.ends]
         first: dict[frozenset[str], Hypothesis] = {}
         for h in sorted(found, key=lambda h: h.score):
-            first.setdefault(frozenset(e.name for e in h.fit.effects), h)
+            first.setdefault(h.names, h)
         return list(first.values())
 
     # ------------------------------------------------------------ noise
@@ -551,12 +524,8 @@ class Search:
 
     def weighed(self) -> Posterior:
         """Return the posterior probability of each set of effects fitted so far."""
-        found = [h for size in range(1, COMBINED + 1) for h in self.best(size)]
-        return posterior.posterior(
-            self._candidate(self.null),
-            [self._candidate(h) for h in found],
-            record=self.record,
-        )
+        found = [self._candidate(h) for size in range(1, COMBINED + 1) for h in self.best(size)]
+        return posterior.posterior(self._candidate(self.null), found, record=self.record)
 
     @property
     def count(self) -> int:
@@ -638,16 +607,6 @@ def _belongs(label: str, effects: Sequence[Effect]) -> bool:
     return label.split("/")[0] in {e.name for e in effects}
 
 
-def based(context: FitContext, noise_model: NoiseModel, begin: Array) -> Fit:
-    """Fit the model without effects, from the prior means as well if its start values are far from them."""
-    return context.fit(
-        (),
-        noise_model,
-        context.begins(context.problem((), noise_model.random_effects), begin),
-        tolerance=FINE,
-    )
-
-
 def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
     """Return the context without failed samples, with the noise model and the fit of the model without
     effects.
@@ -679,7 +638,6 @@ def run(
     asked: Collection[str] | None = None,
     seed: int = 0,
     most: int = COMBINED,
-    budget_s: float | None = None,
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
 ) -> State:
@@ -693,18 +651,13 @@ def run(
     asked : collection of str, optional
         Names of the effects that may be causes; all effects by default.
     """
-    begun = time.monotonic()
     rng = np.random.default_rng(seed)
-
-    def late() -> bool:
-        return budget_s is not None and time.monotonic() - begun > budget_s
-
     with threadpool_limits(limits=1, user_api="blas"):
         context, noise_model, fit, dropouts = context_of(given, effects)
         allowed = [e for e in effects if asked is None or e.name in asked]
         with progress("effects", total=2 * len(effects)) as shown:
             search = Search(
-                context, noise_model, effects, effects, rng=rng, late=late,
+                context, noise_model, effects, effects, rng=rng,
                 checkpoint=checkpoint or Checkpoint(),
                 step=lambda name: show(shown, name),
             )  # fmt: skip
@@ -733,12 +686,11 @@ def chosen(
     Larger sets are tried as long as the remaining excess could make one of them more probable.
     """
     search.pool = {key: h for key, h in search.pool.items() if key <= set(allowed)}
-    told: list[str] = []
     search.finish()
     found = search.lessened()
     best = search.likeliest(found)
     count = search.count
-    while 0 < len(best.names) < min(most, count) and not search.out_of_time:
+    while 0 < len(best.names) < min(most, count):
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
         # The noise was estimated from the residuals of the best hypothesis and may contain part of its
@@ -760,43 +712,29 @@ def chosen(
         search.learn(larger)
         search.finish()
         found = search.lessened()
-        told.append(_told(best.names, larger.names, found))
         best = search.likeliest(found)
         if len(best.names) <= size:
             break  # with the noise model of the larger set, that set is not needed
-    while not search.out_of_time:
+    while True:
         for effect in best.fit.effects if len(best.names) > 1 else ():
             search.beside([search.without(best, effect)], RIVALS)
         found = search.lessened()
         if search.likeliest(found).names == best.names:
             break
         best = search.likeliest(found)
-    return rounds(search, best, found, dropouts, told)
+    return rounds(search, best, found, dropouts)
 
 
-def _told(smaller: frozenset[str], larger: frozenset[str], found: Posterior) -> str:
-    """Return a text with the evidence for a larger set."""
-    first, second = (
-        f"{' with '.join(sorted(n))} ({found.sets.get(n, 0.0):.2g}, leaving {found.excess.get(n, 0.0):.3g})"
-        for n in (smaller, larger)
-    )
-    return f"probability, and squared residuals beyond the noise: {first}; {second}"
-
-
-def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropouts, told: list[str]) -> State:
+def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropouts) -> State:
     """Arrange the result by causes: each cause and its alternatives, while all other causes are in the
     model.
     """
     best = in_parameters(search, best, found)
     null = search.null
-    ones = search.best(1)
-    ended = {label for h in search.pool.values() if h.score < null.score for label in h.ends}
-    why = "ends at a bound, where it could stand for other effects: no hypothesis"
-    told = [*told, *(f"{label} {why}" for label in sorted(ended))]
     state = State(
-        search.context, search.noise_model, search.null.fit, best.fit, dropouts,
-        search.screened(null), search.ranked(null, ones), found,
-        random_effects=search.random_effects, out_of_time=search.out_of_time, tried=search.count, told=told,
+        search.context, search.noise_model, null.fit, best.fit, dropouts,
+        search.screened(null), search.ranked(null, search.best(1)), found,
+        random_effects=search.random_effects, tried=search.count,
     )  # fmt: skip
     for effect in best.fit.effects:
         base = search.without(best, effect)

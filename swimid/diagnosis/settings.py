@@ -1,4 +1,7 @@
-"""Describe the settings of trials, and find repeats."""
+"""Describe the settings of trials, find repeats, and divide the data into folds.
+
+A fold is the repeats of one setting, a part of a table of runs, or a segment of a trial.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.fitting.model import Trial
+from swimid.fitting.model import Array, Trial
 from swimid.logs.beat import find_beat
 from swimid.logs.log import FREQUENCY_RTOL
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quantity:
     """A quantity that was set in a trial, for example the beat frequency.
 
@@ -34,10 +37,12 @@ class Quantity:
     def __str__(self) -> str:
         return f"{self.value:.{self.digits}g} {self.unit}"
 
-    def same(self, other: Quantity) -> bool:
+    def __eq__(self, other: object) -> bool:
         """Return whether two values are equal to within the tolerance between a stated and a logged beat
         frequency.
         """
+        if not isinstance(other, Quantity):
+            return False
         size = max(abs(self.value), abs(other.value), self.against, other.against)
         return abs(self.value - other.value) <= FREQUENCY_RTOL * size
 
@@ -95,9 +100,9 @@ def _steady(trial: Trial) -> tuple[float, float]:
     beat.
     """
     frequency_hz, amplitude_rad = trial.steady
-    return (
-        (float(frequency_hz[0]), float(amplitude_rad[0])) if len(frequency_hz) == 1 else (math.nan, math.nan)
-    )
+    if len(frequency_hz) != 1:
+        return math.nan, math.nan
+    return float(frequency_hz[0]), float(amplitude_rad[0])
 
 
 def words(trial: Trial) -> dict[str, str]:
@@ -142,7 +147,7 @@ def count(trials: Sequence[Trial]) -> int:
             mine |= {"waveform": beat.waveform, "asymmetry": Quantity(beat.asymmetry, "", 1.0)}
         if not mine:
             unknown.add(repeated(trial))
-        elif not any(_alike(mine, other) for other in kinds):
+        elif mine not in kinds:
             kinds.append(mine)
     return len(kinds) + len(unknown)
 
@@ -156,11 +161,61 @@ def _drop(trial: Trial) -> dict[str, float]:
     return {name: value for name, value in known.items() if not math.isnan(value)}
 
 
-def _alike(one: dict[str, Quantity | str], other: dict[str, Quantity | str]) -> bool:
-    return one.keys() == other.keys() and all(_same(value, other[name]) for name, value in one.items())
+#: Minimum number of settings or trials for folds of whole trials. With fewer, segments of trials are held
+#: out.
+FEWEST = 4
+#: Minimum total number of segments into which a few trials are divided.
+STRETCHES = 8
+#: Number of folds of a table of runs. A table with at most this number of settings has one fold for each
+#: setting.
+TABLE_FOLDS = 10
 
 
-def _same(one: Quantity | str, other: Quantity | str) -> bool:
-    if isinstance(one, Quantity) and isinstance(other, Quantity):
-        return one.same(other)
-    return one == other
+@dataclass(frozen=True)
+class Folds:
+    """Parts of the data that are held out in turn.
+
+    Attributes
+    ----------
+    whole : bool
+        True if whole trials are held out; the start state of a held-out trial is then fitted to this trial.
+        False if segments of trials are held out.
+    owner : list of ndarray of int
+        Fold of each row of each trial, shape (n_k,).
+    count : int
+        Number of folds.
+    """
+
+    whole: bool
+    owner: list[Array]
+    count: int
+
+
+def folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
+    """Divide trials into folds. A few trials are divided into segments of equal duration.
+
+    Parameters
+    ----------
+    times : sequence of ndarray, shape (n_k,)
+        Time of each row of each trial. The rows are the samples of all channels.
+    """
+    names = [repeated(t) for t in trials]
+    groups = list(dict.fromkeys(names))
+    if len(groups) < FEWEST <= len(trials):
+        names = [t.id for t in trials]
+        groups = list(dict.fromkeys(names))
+    if len(groups) >= FEWEST:
+        count = len(groups)
+        if all(len(t) == 1 for t in times):
+            # Runs are assigned to the folds in turn, so that neighbouring rows of the table are in different
+            # folds.
+            count = min(count, TABLE_FOLDS)
+        owner = [np.full(len(t), groups.index(n) % count) for t, n in zip(times, names, strict=True)]
+        return Folds(True, owner, count)
+    per = -(-STRETCHES // len(trials))
+    owner = []
+    for k, time in enumerate(times):
+        begin = np.min(time, initial=np.inf)
+        span = max(np.max(time, initial=-np.inf) - begin, 1e-12)
+        owner.append(per * k + np.minimum(((time - begin) / span * per).astype(int), per - 1))
+    return Folds(False, owner, per * len(trials))

@@ -1,5 +1,9 @@
-"""Compute how much of the gap the causes close on held-out data: validation trials, or cross-validation
-folds.
+"""Compute how much of the gap the causes close on held-out data, and whether held-out data contradict them.
+
+Held-out data are validation trials or cross-validation folds. The coefficients are uncertain after a fit.
+This uncertainty can move the prediction of a held-out trial far off, with or without a cause. A model is
+contradicted only by an error that no probable coefficients explain. The error is measured as the Mahalanobis
+distance in the predictive distribution.
 """
 
 from __future__ import annotations
@@ -7,12 +11,14 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
-from swimid.diagnosis.context import Fit, FitContext
+from swimid.diagnosis import crossval, remainder
+from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond
 from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import output_error
@@ -62,13 +68,6 @@ class Piece:
         return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
 
 
-def _range(found: Sequence[Piece]) -> float:
-    """Return the measured range of the held-out samples of a channel that no fitted trial has; 1 if it is
-    zero.
-    """
-    return float(np.ptp(np.concatenate([p.seen(p.measured) for p in found]))) or 1.0
-
-
 def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
     """Return the held-out samples, grouped by channel."""
     parts: dict[str, list[Piece]] = {}
@@ -82,9 +81,9 @@ def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapp
     itself.
     """
     parameters = tuple(
-        p if p.per_trial else replace(p, start=shared.get(p.name, p.start)) for p in model.parameters
+        replace(p, start=shared.get(p.name, p.start), free=p.free and p.name not in trial.held)
+        for p in model.parameters
     )
-    parameters = tuple(replace(p, free=False) if p.name in trial.held else p for p in parameters)
     found = output_error.estimate_start(model, parameters, trial, sd, tolerance=TOLERANCE)
     return np.array([found.get(f"{p.name}[{trial.id}]", p.start) for p in parameters])
 
@@ -122,27 +121,28 @@ def pieces(
         Coefficients as given.
     """
     found: list[Piece] = []
+    pair, folds = (before, after), context.folds
     causes = {e.name for e in after.effects}
-    plain = context.affected(())
-    nominal, model = (_average(context, f, causes if f is before else ()) for f in (before, after))
+    nominal, model = _average(context, before, causes), _average(context, after, ())
+    models = context.affected(()), nominal, model
+    for trial in validation:
+        found += _whole(trial, models, (shipped, *(_numbers(fit, fit.theta) for fit in pair)), sd)
+        step()
     if validation:
-        shared = [_numbers(f, f.theta) for f in (before, after)]
-        for trial in validation:
-            found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd)
-            step()
         return found
-    thetas = [context.without_each(f, noise_model) for f in (before, after)]
-    for f in range(context.folds.count):
-        shared = [_numbers(fit, t[f]) for fit, t in zip((before, after), thetas, strict=True)]
+    thetas = list(zip(*(context.without_each(fit, noise_model) for fit in pair), strict=True))
+    for f, held_out in enumerate(thetas):
+        fits = list(zip(pair, held_out, strict=True))
         for k, trial in enumerate(context.trials):
-            if f not in context.folds.owner[k]:
+            if f not in folds.owner[k]:
                 continue
-            if context.folds.whole:
-                near = [_near(trial, k, fit) for fit in (before, after)]
-                found += _whole(trial, (plain, nominal, model), (shipped, *shared), sd, near)
+            if folds.whole:
+                near = [
+                    replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)}) for fit in pair
+                ]
+                found += _whole(trial, models, (shipped, *(_numbers(*fit) for fit in fits)), sd, near)
             else:
-                pair = zip((before, after), thetas, strict=True)
-                vectors = [fit.problem.vector(theta[f], k) for fit, theta in pair]
+                vectors = [fit.problem.vector(theta, k) for fit, theta in fits]
                 found += _stretch(context, k, f, (nominal, model), vectors, shipped)
             step()
     return found
@@ -176,15 +176,18 @@ def _whole(
         for m, values, begun in zip(models, shared, (first, first, last), strict=True)
     ]
     return [
-        Piece(trial, c, trial.time_s, y, runs[0][c], runs[1][c], runs[2][c])
+        _piece(trial, c, runs, slice(None))
         for c, y in trial.measured.items()
         if c in runs[0] and np.isfinite(y).any()
     ]
 
 
-def _near(trial: Trial, k: int, fit: Fit) -> Trial:
-    """Return the trial with the start state of a fit as starting point of a search."""
-    return replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)})
+def _piece(
+    trial: Trial, channel: str, runs: Sequence[Mapping[str, Array]], rows: slice | NDArray[np.intp]
+) -> Piece:
+    """Return some samples of a channel and of its three predictions."""
+    series = (trial.time_s, trial.measured[channel], *(run[channel] for run in runs))
+    return Piece(trial, channel, *(values[rows] for values in series))
 
 
 def _stretch(
@@ -205,17 +208,9 @@ def _stretch(
         if not p.per_trial and p.name in shipped:
             as_given[i] = shipped[p.name]
     runs = [nominal.simulate(v, trial) for v in (as_given, vectors[0])] + [model.simulate(vectors[1], trial)]
-    found, at = [], 0
-    for channel, mask in zip(context.shape.channels[k], context.shape.masks[k], strict=True):
-        count = int(mask.sum())
-        rows = np.flatnonzero(mask)[inside[at : at + count]]
-        at += count
-        if len(rows):
-            found.append(
-                Piece(trial, channel, trial.time_s[rows], trial.measured[channel][rows],
-                      runs[0][channel][rows], runs[1][channel][rows], runs[2][channel][rows])
-            )  # fmt: skip
-    return found
+    parts = context.shape.by_channel(k, inside)
+    chosen = ((channel, np.flatnonzero(mask)[part]) for channel, mask, part in parts)
+    return [_piece(trial, channel, runs, rows) for channel, rows in chosen if len(rows)]
 
 
 def shrinkages(
@@ -253,7 +248,8 @@ def shrinkages(
         for p in mine:
             sums = [float(np.sum(p.squares(y))) for y in (p.shipped, p.before, p.after)]
             squares[trials.index(p.trial.id)] += [*sums, np.isfinite(p.measured).sum()]
-        size = ranges.get(channel) or _range(mine)
+        own_range = float(np.ptp(np.concatenate([p.seen(p.measured) for p in mine])))
+        size = ranges.get(channel) or own_range or 1.0
         shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / size
         floor = floors.get(channel, math.nan) / size
         picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
@@ -413,3 +409,155 @@ def worst(found: Sequence[Piece], floors: Mapping[str, float], which: str) -> li
         series = {name: np.concatenate([getattr(p, name) for p in parts])[order] for name in names}
         whole.append(Piece(parts[0].trial, parts[0].channel, **series))
     return whole
+
+
+#: Relative tolerance of the fit of validation trials to their prediction, and its maximum number of steps.
+PREDICTED_RTOL, STEPS = 1e-3, 12
+#: Probability that at least one validation trial is reported as unpredicted although the model is correct.
+CHANCE = 0.025
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Distance of held-out data from the prediction of a model.
+
+    Attributes
+    ----------
+    distance : float
+        Squared Mahalanobis distance. For a correct model it is about ``samples``.
+    samples : int
+        Number of held-out samples.
+    slow : bool
+        Whether the residuals vary more slowly than noise, or are too short to decide.
+    chance : dict of channel to float
+        Expected mean square of the changes of validation trials by random effects, given the samples of the
+        trials. Its unit is that of the channel, squared.
+    """
+
+    distance: float
+    samples: int
+    slow: bool = True
+    chance: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def shown(self) -> bool:
+        """Return whether more than half of the squared distance is not noise."""
+        return self.distance > self.samples / (1.0 - MOST)
+
+    @property
+    def times(self) -> float:
+        """Return the ratio of the root-mean-square error to the one expected of a correct model."""
+        return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
+
+
+def unpredicted(
+    context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
+) -> dict[str, float]:
+    """Return the validation trials that a model does not predict, the largest error first.
+
+    The value is the ratio of the root-mean-square error to the one expected of a correct model. More than
+    half of the squared distance of such a trial is not noise. A trial is left out if its residuals are larger
+    than the noise of the other trials, but not slower.
+    """
+    inner = crossval.normal_equations(context, fit, noise_model)
+    found = {}
+    for trial in validation:
+        seen = _of_trials(context, fit, noise_model, inner, [trial])
+        largest = float(special.chdtri(max(seen.samples, 1), CHANCE / len(validation)))
+        if seen.slow and seen.shown and seen.distance > largest:
+            found[trial.id] = seen.times
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
+    """Return the distance of validation trials from their prediction.
+
+    Without validation trials, return the distance of each fold from the fit to the other folds.
+    """
+    inner = crossval.normal_equations(context, fit, noise_model)
+    if validation:
+        return _of_trials(context, fit, noise_model, inner, validation)
+    return Misfit(float(crossval.predictive(inner).sum()), int(inner.samples.sum()))
+
+
+def _of_trials(
+    context: FitContext,
+    fit: Fit,
+    noise_model: NoiseModel,
+    inner: crossval.NormalEquations,
+    validation: Sequence[Trial],
+) -> Misfit:
+    shared = [fit.labels[j] for j in context.shared(fit)]
+    known = dict(zip(fit.labels, fit.theta, strict=True))
+    ended = {
+        label: known[label]
+        for label, (_, owner) in zip(fit.labels, fit.problem.slots, strict=True)
+        if owner is None and label not in shared
+    }
+    problem = context.problem(fit.effects, noise_model.random_effects, trials=validation, known=ended)
+    _weigh(problem, fit, noise_model)
+    begin = np.array([known.get(n, start) for n, start in zip(problem.labels, problem.start, strict=True)])
+    # Per-trial values of the fitted trials carry no information about a held-out trial.
+    common = np.array([label in problem.labels for label in shared], dtype=bool)
+    normal = inner.products.sum(axis=0)[:-1, :-1] + inner.prior
+    mixed = normal[np.ix_(~common, common)]
+    told = normal[np.ix_(common, common)] - mixed.T @ crossval.solved(normal[np.ix_(~common, ~common)], mixed)
+    sizes, vectors = np.linalg.eigh(told)
+    places = [problem.labels.index(label) for label in shared if label in problem.labels]
+    mean, weight = context.expected(problem)
+    mean[places], weight[places] = begin[places], 0.0
+    root = np.zeros((len(places) + len(begin), len(begin)))
+    root[: len(places), places] = np.sqrt(np.maximum(sizes, 0.0))[:, None] * vectors.T
+    root[len(places) :] = np.diag(weight)
+    found = context.search(problem, noise_model, [begin], PREDICTED_RTOL, STEPS, (mean, root))
+    left = [problem.trial_residuals(found.x, k) for k in range(len(validation))]
+    chance = _chance(problem, found.x, fit, noise_model)
+    moving = remainder.low_frequency(problem, left)
+    slow = not moving or any(channel.ratio > remainder.SLOW for channel in moving.values())
+    return Misfit(float(found.cost), sum(len(r) for r in left), slow, chance)
+
+
+def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
+    """Return the expected mean square of the changes of validation trials by random effects, for each
+    channel.
+
+    The expectation is conditional on the samples of the trials. Start states are refitted, and random effects
+    are limited to probable values.
+    """
+    if not problem.random_effects:
+        return {}
+    centre, scale = fit.centre(), problem.scale
+    squares: dict[str, list[Array]] = {}
+    for k, jacobian in enumerate(problem.trial_jacobians(theta)):
+        mine = problem.differing(k)
+        names = [problem.parameters[problem.slots[j][0]].name for j in mine]
+        away = (theta[mine] - [centre[name] for name in names]) / scale[mine]
+        likely = special.chdtri(len(mine), CHANCE)
+        away *= math.sqrt(min(1.0, likely / max(float(away @ away), likely)))
+        rows = jacobian[:, mine] * scale[mine]
+        own = problem.begun(k)
+        seen = noise_model.whiten(problem, k, np.column_stack((rows, jacobian[:, own] * scale[own])))
+        seen = beyond(seen[:, len(mine) :], seen[:, : len(mine)])
+        # Square root of the covariance matrix of the random effects.
+        root = np.linalg.inv(np.linalg.qr(np.vstack((seen, np.eye(len(mine)))), mode="r"))
+        moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
+        changes = np.column_stack((np.sum(moved**2, axis=1), problem.sample_weights(k) ** 2))
+        for channel, _, part in problem.by_channel(k, changes):
+            squared, weights = part.T
+            # The noise of a channel that no fitted trial has is unknown.
+            if weights.all():
+                squares.setdefault(channel, []).append(squared / weights)
+    return {c: float(np.mean(np.concatenate(v))) for c, v in squares.items()}
+
+
+def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:
+    """Give trials the median weight that each channel has in the fit."""
+    weights: dict[str, list[Array]] = {}
+    for channels, sds in zip(fit.problem.channels, noise_model.sd, strict=True):
+        for channel, sd in zip(channels, sds, strict=True):
+            weights.setdefault(channel, []).append(sd)
+    typical = {channel: float(np.median(np.concatenate(sds))) for channel, sds in weights.items()}
+    problem.sd = [
+        [np.full(len(m), typical.get(c, np.inf)) for c, m in zip(channels, masks, strict=True)]
+        for channels, masks in zip(problem.channels, problem.masks, strict=True)
+    ]

@@ -14,6 +14,7 @@ from swimid.diagnosis import random_effects, remainder
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.floor import nuisance_residuals, repeats
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
+from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import FEWEST, RandomEffect
 from swimid.effects.base import Effect
 from swimid.fitting import noise as sample_noise
@@ -63,7 +64,8 @@ def random_effect_columns(
     value = {p.name: p.start for p in context.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
     for kind in random_effects.kinds(context.model, context.parameters, context.trials, effects, value):
         if kind.effect is None:
-            half = context.moved(fit, kind.place, 0.5 * kind.size)
+            change = ParameterChange(context.parameters[kind.place])
+            half = context.changes(fit, change, [np.array([0.5 * kind.size])])[0]
         else:
             point = np.array(kind.null)
             upper = kind.effect.parameters(context.model, context.trials)[kind.place].upper
@@ -74,8 +76,8 @@ def random_effect_columns(
             columns.append([2.0 * c for c in half])
             found.append(kind)
     stacked = [
-        np.column_stack([c[k] for c in columns]) if columns else np.empty((len(fit.residuals[k]), 0))
-        for k in range(len(context.trials))
+        np.column_stack([np.empty((len(r), 0)), *(c[k] for c in columns)])
+        for k, r in enumerate(fit.residuals)
     ]
     return stacked, found
 

@@ -232,7 +232,7 @@ def apply_play(signal: Array, width: float) -> Array:
     -------
     ndarray, shape (n,)
     """
-    return common.hold_back(signal, np.full(len(signal), 0.5 * width))
+    return np.asarray(common.hold_back(signal, np.full(len(signal), 0.5 * width)))
 
 
 class ServoDelay(common.Actuation):

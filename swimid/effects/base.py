@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import pickle
-import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,9 +27,8 @@ Inside = Mapping[str, Literal["lower", "upper"]]
 #: Sizes at which an effect is tried, in the scales of its parameters.
 SIZES = (0.5, 1.2, 3.0)
 
-#: Serial numbers of effects whose attributes cannot be compared.
-_NUMBERS: weakref.WeakKeyDictionary[Effect, int] = weakref.WeakKeyDictionary()
-_COUNT = itertools.count()
+#: Effects whose attributes cannot be compared. They are kept, so that no other object gets the same id.
+_KEPT: dict[int, Effect] = {}
 
 
 class Effect(ABC):
@@ -140,12 +138,8 @@ class Effect(ABC):
             return pickle.dumps((kind.__module__, kind.__qualname__, sorted(vars(self).items())))
         except (pickle.PicklingError, AttributeError, TypeError):
             # An effect that contains a function is identical only to itself.
-            if self not in _NUMBERS:
-                _NUMBERS[self] = next(_COUNT)
-            return f"{kind.__qualname__} {_NUMBERS[self]}".encode()
-
-    def __repr__(self) -> str:
-        return f"<effect {self.name}>"
+            _KEPT[id(self)] = self
+            return f"{kind.__qualname__} {id(self)}".encode()
 
 
 #: Forms in which an effect is tried.

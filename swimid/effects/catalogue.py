@@ -9,63 +9,26 @@ import inspect
 import pkgutil
 import sys
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
 
 from swimid.effects.base import STAGES, Effect
-from swimid.errors import InputError, UsageError, suggestion
+from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Model, Trial
 
 #: Names of the hooks that an effect may use.
 PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
-#: Attributes that every effect must define.
-STATED = ("name", "stage", "meaning", "needs")
-
-
-def catalogue() -> list[Effect]:
-    """Return every effect of this package in the order of `STAGES`, and by name within a stage.
-
-    Raises
-    ------
-    ValueError
-        If two effects have the same name.
-    """
-    return list(_catalogue())
 
 
 @functools.cache
-def _catalogue() -> tuple[Effect, ...]:
-    effects: dict[str, Effect] = {}
+def catalogue() -> tuple[Effect, ...]:
+    """Return every effect of this package in the order of `STAGES`, and by name within a stage."""
+    effects: list[Effect] = []
     for module in pkgutil.iter_modules([str(Path(__file__).parent)], "swimid.effects."):
-        for kind in _kinds(importlib.import_module(module.name)):
-            if inspect.isabstract(kind):
-                continue
-            if kind.name in effects:
-                raise ValueError(f"two effects are called '{kind.name}'")
-            effects[kind.name] = kind()
-    return tuple(sorted(effects.values(), key=lambda e: (STAGES.index(e.stage), e.name)))
-
-
-def names() -> list[str]:
-    """Return the names of the effects, in the order of :func:`catalogue`."""
-    return [effect.name for effect in catalogue()]
-
-
-def chosen(names: Iterable[str]) -> list[Effect]:
-    """Return the effects with the given names, each effect once.
-
-    Raises
-    ------
-    UsageError
-        If a name is unknown.
-    """
-    known = {effect.name: effect for effect in catalogue()}
-    wanted = list(dict.fromkeys(names))
-    for name in wanted:
-        if name not in known:
-            raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, list(known)))
-    return [known[name] for name in wanted]
+        kinds = _kinds(importlib.import_module(module.name))
+        effects += [kind() for kind in kinds if not inspect.isabstract(kind)]
+    return tuple(sorted(effects, key=lambda e: (STAGES.index(e.stage), e.name)))
 
 
 def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
@@ -91,22 +54,18 @@ def from_file(path: str | Path) -> list[Effect]:
     path = Path(path)
     module = _run(path)
     effects: dict[str, Effect] = {}
-    taken = set(names())
+    taken = [e.name for e in catalogue()]
     for kind in _kinds(module):
         if inspect.isabstract(kind) and not hasattr(kind, "name"):
             continue
-        _check(kind, path)
-        if kind.name in taken or kind.name in effects:
-            raise InputError(
-                f"there is an effect '{kind.name}' already", file=path, line=_line(kind), column="name"
-            )
+        _check(kind, path, [*taken, *effects])
         try:
             effects[kind.name] = kind()
         except Exception as error:
             raise InputError(
                 f"the effect {kind.__name__} cannot be made: {error}",
                 file=path,
-                line=_raised(error, path) or _line(kind),
+                line=_raised(error, path) or inspect.getsourcelines(kind)[1],
             ) from error
     if not effects:
         raise InputError(
@@ -154,18 +113,10 @@ def _raised(error: Exception, path: Path) -> int | None:
     return lines[-1] if lines else None
 
 
-def _line(kind: type[Effect]) -> int | None:
-    """Return the line at which a class begins; None if it is unknown."""
-    try:
-        return inspect.getsourcelines(kind)[1]
-    except (OSError, TypeError):
-        return None
-
-
-def _check(kind: type[Effect], path: Path) -> None:
+def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     """Raise an error if a user's effect lacks an attribute or has an invalid one."""
     problem, hint = None, None
-    missing = [name for name in STATED if not hasattr(kind, name)]
+    missing = [name for name in ("name", "stage", "meaning", "needs") if not hasattr(kind, name)]
     unwritten = sorted(kind.__abstractmethods__)
     if missing or unwritten:
         problem = f"lacks {', '.join([*missing, *(f'{name}()' for name in unwritten)])}"
@@ -177,5 +128,8 @@ def _check(kind: type[Effect], path: Path) -> None:
     elif isinstance(kind.needs, str) or not set(kind.needs) <= PLACES:
         problem = f"needs {kind.needs!r}, which are no hooks"
         hint = f"a set of: {', '.join(sorted(PLACES))}"
+    elif kind.name in taken:
+        problem = f"has a name that is used already: '{kind.name}'"
     if problem:
-        raise InputError(f"the effect {kind.__name__} {problem}", file=path, line=_line(kind), hint=hint)
+        line = inspect.getsourcelines(kind)[1]
+        raise InputError(f"the effect {kind.__name__} {problem}", file=path, line=line, hint=hint)

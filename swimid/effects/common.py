@@ -93,6 +93,39 @@ def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
     return Force(function, constants, body.hull, x, y)
 
 
+def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: int) -> Hooks:
+    """Return hooks that add a force on the body of a rig.
+
+    Parameters
+    ----------
+    **places : int
+        Indices of the constants that are coefficients of the model, by the name of the coefficient.
+    """
+    values = np.array(constants, dtype=float)
+
+    def take(coefficients: dict[str, float]) -> None:
+        for name, place in places.items():
+            values[place] = coefficients[name]
+
+    return Hooks(coefficients=(take,), force=(Force(function, values),))
+
+
+def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> Hooks:
+    """Return hooks that change the springs and dampers of all passive joints.
+
+    Parameters
+    ----------
+    change : callable
+        Function that returns the changes (``stiffness``, ``cubic``, ``damping``) for a given stiffness.
+    """
+
+    def springs(tables: dict[str, Any]) -> None:
+        for k in range(len(body.passive)):
+            body.stiffen(tables, k, **change(body.stiffness(tables, k)))
+
+    return Hooks(tables=(springs,))
+
+
 class RigCoefficient(Effect, ABC):
     """An addition to one coefficient of a rig's equation of motion that the model does not estimate.
 
@@ -186,7 +219,8 @@ def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
     return command
 
 
-def hold_back(signal: Array, half: Array) -> Array:
+@numba.njit(cache=True, nogil=True)
+def hold_back(signal, half):  # type: ignore[no-untyped-def]
     """Follow a signal with a play operator: the output moves only if its distance from the signal would
     exceed ``half``.
 
@@ -203,11 +237,6 @@ def hold_back(signal: Array, half: Array) -> Array:
     ndarray, shape (n,)
         Output, whose first value is that of the signal.
     """
-    return np.asarray(_play(signal, half))
-
-
-@numba.njit(cache=True, nogil=True)
-def _play(signal, half):  # type: ignore[no-untyped-def]
     output = signal.copy()
     for i in range(1, len(signal)):
         output[i] = min(max(output[i - 1], signal[i] - half[i]), signal[i] + half[i])
@@ -278,6 +307,27 @@ def has_camera_clock(model: Model, trials: Trials) -> bool:
     measured = {c for t in trials for c in t.measured}
     rates = any(c.endswith("_rate_rad_s") for c in measured)
     return "output" in model.offers and rates and bool(measured & set(POSES))
+
+
+class Clock(Effect, ABC):
+    """An error of the clock of a log, or of the clock of the camera alone.
+
+    Parameters
+    ----------
+    camera : bool
+        Whether only the poses have the clock with the error.
+    """
+
+    needs = frozenset({"clock"})
+    smooth = True
+
+    def __init__(self, *, camera: bool = False) -> None:
+        self.camera = camera
+
+    def variants(self, model: Model, trials: Trials) -> Sequence[Effect]:
+        """Return the form for the clock of the log, and that for the camera if it has its own clock."""
+        forms = [*super().variants(model, trials)]
+        return [*forms, type(self)(camera=True)] if has_camera_clock(model, trials) else forms
 
 
 def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:

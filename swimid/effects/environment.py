@@ -393,12 +393,7 @@ class Wall(Effect):
             side = {"max": 1.0, "min": -1.0}[end]
             place = [side * (axis == "x"), side * (axis != "x"), side * self.extreme_m]
             return Hooks(force=(common.force_at_hull(body, push_off, np.array([*values, *place])),))
-        constants = np.array([0.0, *values, self.extreme_m])
-
-        def take(c: dict[str, float]) -> None:
-            constants[0] = c["quadratic"]
-
-        return Hooks(coefficients=(take,), force=(Force(blockage, constants),))
+        return common.force_on_rig(blockage, [0.0, *values, self.extreme_m], quadratic=0)
 
 
 class _Push(Wall):
@@ -519,10 +514,6 @@ class _Travelling(Waves):
 
     meaning = "oscillatory (orbital) flow that differs from place to place: waves or their reflections"
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return no forms, because the class is itself a form of ``waves``."""
-        return []
-
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return frequency (Hz), wavenumber (rad/m), direction in a horizontal plane (rad), and amplitudes
         (m/s).
@@ -609,8 +600,7 @@ def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     values = np.array(
         [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
     )
-    with np.errstate(all="ignore"):
-        series = model.simulate(values, trial).get(channel)
+    series = model.attempt(values, trial).get(channel)
     if series is None or not np.isfinite(series).all():
         return np.zeros(len(trial.time_s))
     return series

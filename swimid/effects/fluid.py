@@ -10,7 +10,7 @@ import numpy as np
 from swimid.effects import common
 from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
 from swimid.effects.common import parameter
-from swimid.fitting.model import Force, traceable
+from swimid.fitting.model import traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
 #: Minimum inertia that may remain, as a fraction of the rigid body's inertia.
@@ -42,13 +42,11 @@ class AddedMass(Effect):
         if body is not None:
             masses = body.masses_kg
             own, across = sum(masses), body.words[4]
-            return tuple(
-                parameter(name, "kg", 0.05 * own, f"{words} added mass", lower=-least)
-                for name, least, words in (
-                    ("surge_kg", LEAST * own, "surge"),
-                    ("sway_kg", LEAST * own, across),
-                    ("tail_kg", 0.5 * LEAST * masses[-1], f"{across} of the last link's"),
-                )
+            size, tail = 0.05 * own, f"{across} of the last link's added mass"
+            return (
+                parameter("surge_kg", "kg", size, "surge added mass", lower=-LEAST * own),
+                parameter("sway_kg", "kg", size, f"{across} added mass", lower=-LEAST * own),
+                parameter("tail_kg", "kg", size, tail, lower=-0.5 * LEAST * masses[-1]),
             )
         linear, angular = ("added_kg", "kg", "added mass"), ("added_kg_m2", "kg m^2", "added inertia")
         name, unit, words = common.pick_by_motion(model, linear, angular)
@@ -143,10 +141,7 @@ class DragReynolds(Effect):
 
             return Hooks(tables=(read,), force=(common.force_at_hull(body, changed_drag, constants),))
 
-        def take(c: dict[str, float]) -> None:
-            constants[0] = c["quadratic"]
-
-        return Hooks(coefficients=(take,), force=(Force(changed_drag, constants),))
+        return common.force_on_rig(changed_drag, constants, quadratic=0)
 
 
 class LiftDamping(Effect):

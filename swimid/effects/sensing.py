@@ -114,10 +114,6 @@ class _Lens(CameraScale):
 
     meaning = "The measured lengths are too long or too short, more so far from the centre of the picture."
 
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return no forms, because the class is itself a form of ``camera-scale``."""
-        return []
-
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the relative scale error at the centre, the distortion (1/m2) and the centre of the image
         (m).
@@ -195,18 +191,13 @@ def _places(model: Model, trial: Trial) -> Array:
 LARGEST = 0.1
 
 
-class ClockRate(Effect):
+class ClockRate(common.Clock):
     """A clock that runs fast: the time stamp ``t`` belongs to the event at ``t_0 + (t - t_0) / (1 + rate)``.
 
     The clocks of log and drive agree at ``t_0``, where the drive or the run begins (the first sample of a
     recorded command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn
     rates in addition to poses, the clock of the camera alone may run at another rate than the clock of the
     robot.
-
-    Parameters
-    ----------
-    camera : bool
-        Whether only the poses have the clock with the wrong rate.
     """
 
     name = "clock-rate"
@@ -215,20 +206,6 @@ class ClockRate(Effect):
         "Atmel, ATmega328P data sheet (internal oscillator within 10 % as it leaves the factory)",
         "SMPTE 170M (29.97 frames per second, often called 30)",
     )
-    needs = frozenset({"clock"})
-    smooth = True
-
-    def __init__(self, *, camera: bool = False) -> None:
-        self.camera = camera
-
-    def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for the clock of the log, and the form for the camera alone if it has its own
-        clock.
-        """
-        forms = list(super().variants(model, trials))
-        if common.has_camera_clock(model, trials):
-            forms.append(ClockRate(camera=True))
-        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the fraction by which the clock of the log runs fast.
@@ -341,13 +318,11 @@ class MarkerOffset(Effect):
         """Return the position of the tracked point ahead of and beside the reference point, m, and its
         direction, rad.
         """
-        return tuple(
-            parameter(name, unit, size, words, -most, most)
-            for name, unit, size, words, most in (
-                ("along_m", "m", 0.01, "tracked point ahead of the reference", FARTHEST_M),
-                ("across_m", "m", 0.01, "tracked point beside the reference", FARTHEST_M),
-                ("heading_rad", "rad", 0.03, "tracked against true heading", math.pi),
-            )
+        ends = -FARTHEST_M, FARTHEST_M
+        return (
+            parameter("along_m", "m", 0.01, "tracked point ahead of the reference", *ends),
+            parameter("across_m", "m", 0.01, "tracked point beside the reference", *ends),
+            parameter("heading_rad", "rad", 0.03, "tracked against true heading", -math.pi, math.pi),
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
@@ -379,16 +354,11 @@ class MarkerOffset(Effect):
 LARGEST_S = 2.0
 
 
-class TimeOffset(Effect):
+class TimeOffset(common.Clock):
     """A clock with a constant offset, so that the log shows events earlier and a timed run takes longer.
 
     If a log contains turn rates in addition to poses, the clock of the camera alone may be late relative to
     the clock of the robot.
-
-    Parameters
-    ----------
-    camera : bool
-        Whether only the poses have the clock with the offset.
     """
 
     name = "time-offset"
@@ -397,12 +367,7 @@ class TimeOffset(Effect):
         "boxfish, section 3.4 (time read from a video to 0.1 s)",
         "sea lion, section II (time zero is the frame of release)",
     )
-    needs = frozenset({"clock"})
-    smooth = True
     scatters = True
-
-    def __init__(self, *, camera: bool = False) -> None:
-        self.camera = camera
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for a clock that the model does not estimate.
@@ -413,10 +378,7 @@ class TimeOffset(Effect):
             return [self]
         if model.estimates("clock_offset"):
             return []
-        forms = list(super().variants(model, trials))
-        if common.has_camera_clock(model, trials):
-            forms.append(TimeOffset(camera=True))
-        return forms
+        return super().variants(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the time by which the log is late, s."""

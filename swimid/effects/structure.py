@@ -161,9 +161,9 @@ def _typical(trials: Trials) -> tuple[float, float]:
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def cubic(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the force ``-k_3 (x - rest)^3``. Constants: cubic stiffness and rest position."""
-    off = pose[0] - constants[1]
-    wrench[0] -= constants[0] * off * off * off
+    """Add the force ``-h k (x - rest)^3``. Constants: relative growth h, stiffness k and rest position."""
+    off = pose[0] - constants[2]
+    wrench[0] -= constants[0] * constants[1] * off * off * off
 
 
 class Hardening(Effect):
@@ -203,18 +203,8 @@ class Hardening(Effect):
         """Return hooks that add a cubic term to the springs."""
         body = model.body
         if body is not None:
-
-            def springs(tables: dict[str, Any]) -> None:
-                for k in range(len(body.passive)):
-                    body.stiffen(tables, k, cubic=max(body.stiffness(tables, k), 0.0) * values[0])
-
-            return Hooks(tables=(springs,))
-        constants = np.zeros(2)
-
-        def take(c: dict[str, float]) -> None:
-            constants[:] = c["stiffness"] * values[0], c["rest"]
-
-        return Hooks(coefficients=(take,), force=(Force(cubic, constants),))
+            return common.change_springs(body, lambda own: {"cubic": max(own, 0.0) * values[0]})
+        return common.force_on_rig(cubic, [values[0], 0.0, 0.0], stiffness=1, rest=2)
 
 
 def _deflection(model: Model, trials: Trials) -> float:
@@ -261,13 +251,7 @@ class JointDamping(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add to the damping."""
-        body = common.require_links(model)
-
-        def damp(tables: dict[str, Any]) -> None:
-            for k in range(len(body.passive)):
-                body.stiffen(tables, k, damping=values[0])
-
-        return Hooks(tables=(damp,))
+        return common.change_springs(common.require_links(model), lambda _: {"damping": values[0]})
 
 
 #: Maximum locked fraction of a joint. The second value is the stiffness that a locked fraction of one half
@@ -381,13 +365,10 @@ class JointStiffness(Effect):
         """Return hooks that change the springs."""
         body = model.body
         if body is not None:
-
-            def springs(tables: dict[str, Any]) -> None:
-                for k in range(len(body.passive)):
-                    own = body.stiffness(tables, k)
-                    body.stiffen(tables, k, stiffness=own * values[0], cubic=own * values[1])
-
-            return Hooks(tables=(springs,))
+            stiffer, harder = values
+            return common.change_springs(
+                body, lambda own: {"stiffness": own * stiffer, "cubic": own * harder}
+            )
 
         def restoring(c: dict[str, float]) -> None:
             c["stiffness"] *= 1.0 + values[0]
@@ -499,7 +480,7 @@ class LoadFriction(Friction):
 
             def command(time_s: Array, angle: Array, joint: int) -> Array:
                 def stuck(time: Array, told: Array) -> Array:
-                    return common.hold_back(told, share * _torque(loads[joint], time, told))
+                    return np.asarray(common.hold_back(told, share * _torque(loads[joint], time, told)))
 
                 return common.bridge_missing(stuck, time_s, angle)
 
@@ -513,11 +494,7 @@ class LoadFriction(Friction):
         constants = np.array([share, slow, 0.0, 0.0])
         if measured is not None:
             constants = np.concatenate([constants, trial.time_s, measured])
-
-        def take(c: dict[str, float]) -> None:
-            constants[2:4] = c["stiffness"], c["rest"]
-
-        return Hooks(coefficients=(take,), force=(Force(loaded, constants),))
+        return common.force_on_rig(loaded, constants, stiffness=2, rest=3)
 
 
 def _loads(model: Model) -> list[tuple[float, float]]:
@@ -610,7 +587,7 @@ class Stribeck(Friction):
             if len(time_s) < 2:
                 return angle
             rate = np.gradient(angle, time_s)
-            return common.hold_back(angle, rise * np.exp(-np.square(rate / slow)))
+            return np.asarray(common.hold_back(angle, rise * np.exp(-np.square(rate / slow))))
 
         def command(time_s: Array, angle: Array) -> Array:
             return common.bridge_missing(stuck, time_s, angle)

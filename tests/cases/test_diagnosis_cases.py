@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from swimid.diagnosis.diagnosed import Diagnosis
+from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ChangedValue, GapFile
 from swimid.simulation.compare_series import ComparisonFile
 from tests.conftest import Ran
