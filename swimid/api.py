@@ -57,6 +57,7 @@ NAMES = {
     "Simulation": "swimid.simulation.simulate",
     "Comparison": "swimid.simulation.compare",
     "Diagnosis": "swimid.diagnosis.evidence",
+    "DetectionPower": "swimid.diagnosis.power",
     "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
     "PerformanceMap": "swimid.optimisation.performance_map",
     "StiffnessRule": "swimid.optimisation.optimise_stiffness",

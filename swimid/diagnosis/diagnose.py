@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, evidence, nominal, readings, search
+from swimid.diagnosis import answer, evidence, nominal, power, readings, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
@@ -58,7 +59,7 @@ def diagnose(
     options: DiagnoseOptions,
     output: Path | None = None,
     progress: Progress = silent,
-) -> Diagnosis:
+) -> Diagnosis | power.DetectionPower:
     """Find the effect behind the gap between a model and its trials.
 
     Without a parameter file the refit starts at the values of the robot file, which are not used as a prior.
@@ -76,7 +77,8 @@ def diagnose(
 
     Returns
     -------
-    Diagnosis
+    Diagnosis or DetectionPower
+        With ``power=True`` the detection power of the trials, otherwise the diagnosis.
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
         parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
         with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
@@ -148,8 +150,27 @@ def diagnose(
         context = FitContext(
             model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs
         )
+        applicable = effect_catalogue.applicable(known, model, fitted)
+        given, reasons = ROBOT_FILE, [NOT_GIVEN]
+        if options.params is not None:
+            given, reasons = str(parameters_format.place(options.params)), []
+        about: dict[str, Any] = {
+            "model": model.name,
+            "robot": experiment.robot.name,
+            "experiment": experiment.name,
+            "params": given,
+            "trials": [t.id for t in experiment.trials],
+            "provenance": origin,
+        }
+        if options.power:
+            with threadpool_limits(limits=1, user_api="blas"):
+                rows, without = power.shown(context, applicable, asked, seed=options.seed)
+            keep.done()
+            could = power.PowerFile(**about, effects=rows, left_out=without)
+            shown = power.evidence(could, blocks.notices(notices))
+            return power.DetectionPower.of(could, shown).saved(output)
         others, alike = readings.others(experiment, fitted)
-        effects = [*effect_catalogue.applicable(known, model, fitted), *others, *begun.changes]
+        effects = [*applicable, *others, *begun.changes]
         state = search.run(
             context, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
             progress=progress,
@@ -158,18 +179,9 @@ def diagnose(
             file, worst = answer.answer(
                 state, validation, begun, fitted, seed=options.seed, progress=progress
             )
-    given, reasons = ROBOT_FILE, [*file.reasons, NOT_GIVEN]
-    if options.params is not None:
-        given, reasons = str(parameters_format.place(options.params)), file.reasons
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
-    about = {
-        "model": model.name,
-        "robot": experiment.robot.name,
-        "experiment": experiment.name,
-        "params": given,
-        "trials": [t.id for t in experiment.trials],
-        "provenance": origin,
-        "reasons": reasons,
+    about |= {
+        "reasons": [*file.reasons, *reasons],
         "left_out": left_out | file.left_out,
         "as_given": as_given,
     }

@@ -30,6 +30,7 @@ class DiagnoseOptions(
       swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
       swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
       swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
+      swimid diagnose trials.yaml --params tfish.yaml --power -o power.yaml
       swimid report gap.yaml -o gap.html
     """
 
@@ -54,6 +55,12 @@ class DiagnoseOptions(
     jobs: int | None = fits.jobs("Effects refitted at the same time. Default: one for each processor core.")
     seed: int = option(0, ge=0, help="Of the random draws behind intervals.")
     max_causes: int = option(3, ge=1, le=5, help="Combine at most so many effects.")
+    power: bool = option(
+        False,
+        recorded=False,
+        help="Say what these trials could show, not what they do: the smallest size of each effect that is "
+        "seen, and which effects are never distinguished.",
+    )
     robot: str | None = simulations.robot()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step("max_step_s")

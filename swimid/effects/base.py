@@ -141,6 +141,9 @@ class Effect(ABC):
             _KEPT[id(self)] = self
             return f"{kind.__qualname__} {id(self)}".encode()
 
+    def __repr__(self) -> str:
+        return f"<effect {self.name}>"
+
 
 #: Forms in which an effect is tried.
 Effects = Sequence[Effect]

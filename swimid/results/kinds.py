@@ -14,6 +14,7 @@ FORMATS = {
     "swimid-parameters/1": "swimid.results.parameters:Fitted",
     "swimid-comparison/1": "swimid.simulation.compare:Comparison",
     "swimid-gap/1": "swimid.diagnosis.evidence:Diagnosis",
+    "swimid-power/1": "swimid.diagnosis.power:DetectionPower",
     "swimid-sensitivity/2": "swimid.sensitivity_analysis.sensitivity:Sensitivity",
     "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
     "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
@@ -29,7 +30,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : path
-        A parameter, comparison, gap, sensitivity, map, rule or gait file, or a log.
+        A parameter, comparison, gap, power, sensitivity, map, rule or gait file, or a log.
 
     Returns
     -------

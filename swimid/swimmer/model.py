@@ -254,13 +254,6 @@ class Swimmer(Model):
             return []
         return [a.column for a in self.driven if a.driven is not None and a.driven.servo is None]
 
-    def with_buoyancy(self, factor: float) -> Self | None:
-        """Return the same model with every displaced volume multiplied by ``factor``.
-
-        None if no element of the robot displaces water.
-        """
-        return None
-
     def check(self, values: Array) -> None:
         """Raise an error if the coefficients give physically impossible masses or inertias.
 

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.rotation import angles, from_angles
-from swimid.robots.spatial import Hydrostatics
 from swimid.swimmer.model import Run, Swimmer
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly
@@ -78,26 +77,6 @@ class MultibodyModel(Swimmer):
         ]
         return [p.name for p in self.parameters if p.name.startswith("initial_") and p.name not in blind]
 
-    def with_buoyancy(self, factor: float) -> MultibodyModel | None:
-        """Return the same model with every displaced volume multiplied by ``factor``.
-
-        None if no element of the robot displaces water.
-        """
-        body = self.robot.multibody
-        if body is None or not any(isinstance(e, Hydrostatics) and e.volume_m3 for e in body.elements):
-            return None
-        elements = list(body.elements)
-        for k, element in enumerate(elements):
-            if isinstance(element, Hydrostatics):
-                volume = _times(factor, element.volume_m3)
-                elements[k] = element.model_copy(update={"volume_m3": volume})
-        changed = body.model_copy(update={"elements": elements})
-        other = MultibodyModel(self.robot.model_copy(update={"multibody": changed}), max_step=self.max_step)
-        other.parameters = self.parameters
-        return other
-
-    # -------------------------------------------------------- simulation
-
     def _posed(self, values: Array, trial: Trial) -> Array:
         """Return the pose of the reference point at the first sample, shape (6,)."""
         pose = np.array(trial.swim.posed(6), dtype=float)
@@ -137,13 +116,6 @@ class MultibodyModel(Swimmer):
         roll, pitch, heading = (np.where(broken, np.nan, a) for a in angles(turn))
         pose = (x + c * dx - s * dy, y + s * dx + c * dy, place[:, 2], roll, pitch, heading + yaw)
         return dict(zip((*self.pose, *self.velocity), (*pose, *velocity.T, *(spin * SIGNS).T), strict=True))
-
-
-def _times(factor: float, quantity: float | str) -> float | str:
-    """Return a quantity of a robot file multiplied by a factor."""
-    if isinstance(quantity, str):
-        return f"{factor!r} * {quantity}"
-    return factor * quantity
 
 
 def _sound(quaternions: Array) -> Array:

@@ -1,0 +1,315 @@
+"""Compute the detection power of trials (``swimid-power/1``).
+
+The results are the smallest detectable size of each effect, and the effects that cannot be distinguished. No
+cause is sought. The change of these trials by each effect, with the model's parameters projected out, is
+compared with the noise of the trials. The decision rule is that of a diagnosis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.special import chndtrinc
+
+from swimid.diagnosis import candidates, crossval, posterior
+from swimid.diagnosis.candidates import Trialled
+from swimid.diagnosis.context import FitContext
+from swimid.diagnosis.posterior import CALIBRATED, UNSURE, Record
+from swimid.diagnosis.search import Search, context_of
+from swimid.effects.base import Effect
+from swimid.files import yamlio
+from swimid.files.yamlio import Number
+from swimid.fitting.model import Array, Parameter
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.result import FileResult
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT: Literal["swimid-power/1"] = "swimid-power/1"
+
+
+class Row(yamlio.Document):
+    """Detection power of one effect."""
+
+    effect: str
+    stage: str
+    #: Parameter that states the size of the effect. ``size`` is its smallest value that is detected with 90 %
+    #: power; null if no value within its bounds is detected.
+    parameter: str
+    size: Number = None
+    unit: str
+    #: Fraction of the squared change by the effect that the model's parameters imitate.
+    absorbed: Number = None
+    #: Effects that these trials cannot distinguish from this one, however large it is.
+    alike: list[str] = []
+
+
+class PowerFile(yamlio.ResultFile):
+    """Content of a power file."""
+
+    kind: ClassVar[str] = "power file"
+    format: Literal["swimid-power/1"] = FORMAT
+    model: str
+    robot: str
+    experiment: str
+    params: str
+    trials: list[str]
+    effects: list[Row]
+    #: Effects that could not be evaluated, with the reason.
+    left_out: dict[str, str] = {}
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+
+def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:
+    """Return the evidence of a power file: its table, and the number of detectable effects."""
+    blind = [r.effect for r in file.effects if r.size is None]
+    twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
+    seen = len(file.effects) - len(blind)
+    answer = (
+        f"Of {len(file.effects)} effects these trials would show {seen}, {twins} of them never distinguished."
+    )
+    unseen = f"not seen at any size within their bounds: {', '.join(blind)}"
+    check = ev.check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
+    rows: list[list[Any]] = [
+        [
+            r.effect,
+            r.parameter,
+            numbers.number(r.size, 2, r.unit),
+            None if r.absorbed is None else 100.0 * r.absorbed,
+            ", ".join(r.alike),
+        ]
+        for r in file.effects
+    ]
+    return ev.Evidence(
+        command="diagnose",
+        title=f"What trials could show: {file.robot}, {file.experiment}",
+        verdict=ev.judged(answer, [check]),
+        facts={"Trials": f"{len(file.trials)} against {file.params}"},
+        notes=[f"{name}: {why}." for name, why in file.left_out.items()],
+        checks=[check],
+        tables=[
+            ev.Table(
+                id="power",
+                title="The smallest size of each effect that is seen with 90 % power",
+                columns=["effect", "parameter", "smallest size", "imitated (%)", "never distinguished from"],
+                rows=rows,
+                caption="Imitated: share of its squared change that the coefficients take up.",
+            )
+        ],
+        notices=list(notices),
+        methods=[
+            "The change that an effect makes in the trials, the coefficients of the model projected out, was "
+            "held against their noise: seen is what leaves less than 10 % to there being no gap, nine times "
+            "in ten (noncentral chi-square); never distinguished: effects whose changes are so alike that a "
+            "very large one leaves the other more than 10 %.",
+        ],
+        provenance=dict(file.provenance),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionPower(FileResult[PowerFile]):
+    """Detection power of trials: the result of ``diagnose`` with ``power=True``.
+
+    Attributes
+    ----------
+    effects : DataFrame
+        One row for each effect, with the columns ``effect``, ``stage``, ``parameter``, ``size``, ``unit``,
+        ``absorbed`` and ``alike``. ``size`` is the smallest value of the parameter that is detected with 90 %
+        power; NaN if no value within its bounds is detected. ``absorbed`` is the fraction of the squared
+        change by the effect that the model's parameters imitate. ``alike`` lists the effects from which the
+        effect is never distinguished.
+    file : PowerFile
+        The file that :meth:`save` writes.
+    """
+
+    file_type = PowerFile
+
+    @property
+    def effects(self) -> pd.DataFrame:
+        """Return a table with one row for each effect."""
+        import pandas as pd
+
+        return pd.DataFrame([r.model_dump() for r in self.file.effects])
+
+    def bare(self) -> ev.Evidence:
+        """Return the evidence for the report of a power file that contains none."""
+        return evidence(self.file)
+
+
+# ---------------------------------------------------------------- computation
+
+#: Probability with which an effect of the reported size is detected.
+POWER = 0.9
+#: Minimum fraction of a squared change that remains after the model's parameters are projected out. A smaller
+#: remainder is rounding error.
+ROUNDING = 1e-9
+
+
+def needed(record: Record, kinds: int) -> float:
+    """Return the minimum excess of the model without an effect for which a gap is reported, if the effect
+    closes the whole gap.
+    """
+    costs = CALIBRATED.number * kinds - posterior.prior(1, record.effects)
+    wanted = costs + math.log((1.0 - UNSURE) / UNSURE)
+    directions = CALIBRATED.directions * record.parts
+    share = math.expm1(2.0 * wanted / directions)
+    # The excess that is no evidence grows with the gap. Without room for it, no excess is enough.
+    room = 1.0 - CALIBRATED.form * share
+    return share * posterior.unit(record, 0.0) / room if room > 0 else math.inf
+
+
+def noncentrality(drop: float, numbers: int) -> float:
+    """Return the squared change, in units of the noise variance, that reduces the cost by at least ``drop``.
+
+    The probability of such a reduction is 90 %.
+    """
+    return float(chndtrinc(drop, numbers, 1.0 - POWER)) if math.isfinite(drop) else math.inf
+
+
+def told_apart(record: Record, cosine: float) -> bool:
+    """Return whether a very large effect can be distinguished from another effect.
+
+    The cosine is the one between the changes of the trials by the two effects.
+    """
+    left = max(1.0 - cosine**2, 0.0)
+    return 0.5 * CALIBRATED.directions * record.parts * math.log1p(left / CALIBRATED.form) > math.log(
+        (1.0 - UNSURE) / UNSURE
+    )
+
+
+class _Line(NamedTuple):
+    """An effect whose size varies along one direction of its parameters.
+
+    Attributes
+    ----------
+    parameter : Parameter
+        Parameter that states the size of the effect. Further parameters that are not at their null values
+        state place and time.
+    values : ndarray, shape (n,)
+        Tried values of the parameter.
+    places : ndarray of int, shape (n,)
+        Column indices of the changes of the trials at these values.
+    """
+
+    tried: Trialled
+    parameter: Parameter
+    values: Array
+    places: NDArray[np.intp]
+
+
+def shown(
+    given: FitContext, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
+) -> tuple[list[Row], dict[str, str]]:
+    """Return the detection power of each effect, and the reason for each effect that has none.
+
+    The noise is estimated from the residuals of the model. Structure that a generic description finds in
+    these residuals (:mod:`swimid.diagnosis.remainder`) does not count as noise.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        All effects that apply, in every form.
+    asked : collection of str or None
+        Names of the requested effects; None for all effects.
+
+    Returns
+    -------
+    list of Row
+        One row for each effect, in the order given.
+    dict of name to reason
+        Effects without a detection power.
+    """
+    context, noise_model, fit, _ = context_of(given, effects)
+    search = Search(context, noise_model, effects, effects, rng=np.random.default_rng(seed))
+    search.begin(context.start((), noise_model, fit))
+    search.learn(search.null)
+    base, record = search.null.fit, search.record
+    wanted = [e for e in effects if asked is None or e.name in asked]
+    columns: list[list[Array]] = []
+    lines: list[_Line] = []
+    left_out: dict[str, str] = {}
+    for tried in candidates.simulate(context, base, wanted):
+        found = _lines(tried, columns)
+        lines += found
+        if not found:
+            nothing = "it changes nothing that was measured in these trials"
+            left_out.setdefault(
+                tried.effect.name, nothing if tried.points else "the model breaks down with it"
+            )
+    inner = crossval.normal_equations(context, base, search.noise_model, columns)
+    left = crossval.projected(inner)[:-1, :-1]
+    whole = inner.products.sum(axis=0).diagonal()[inner.shared : -1]
+    best: dict[str, tuple[float, Row, int]] = {}
+    for line in lines:
+        effect, p, kinds = line.tried.effect, line.parameter, len(line.tried.parameters)
+        of_trials = sum(one.per_trial for one in line.tried.parameters)
+        shared, per_trial = kinds - of_trials, of_trials * len(context.trials)
+        penalty = posterior.penalty(shared, per_trial, record.samples, len(context.trials))
+        needs = noncentrality(needed(record, kinds) + penalty, shared + per_trial)
+        squares = np.maximum(left.diagonal()[line.places], 0.0)
+        total = whole[line.places]
+        strengths = np.abs(line.values - p.start) / p.scale
+        strength, at = _strength(strengths, np.where(squares > ROUNDING * total, squares, 0.0), needs)
+        if effect.name not in best or strength < best[effect.name][0]:
+            size = float(p.start + (line.values[at] - p.start) * strength / strengths[at])
+            row = Row(
+                effect=effect.name,
+                stage=effect.stage,
+                parameter=p.name,
+                size=size if p.lower <= size <= p.upper else None,
+                unit=p.unit,
+                absorbed=float(np.clip(1.0 - squares[at] / total[at], 0.0, 1.0)),
+            )
+            best[effect.name] = strength, row, int(line.places[at])
+    for name, (_, row, place) in best.items():
+        if row.size is not None:
+            row.alike = [
+                other
+                for other, (_, _, there) in best.items()
+                if other != name and not told_apart(record, _cosine(left, place, there))
+            ]
+    return [row for _, row, _ in best.values()], {n: why for n, why in left_out.items() if n not in best}
+
+
+def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
+    """Return the directions in which an effect is tried, and append the changes of the trials to
+    ``columns``.
+    """
+    null = np.array([p.start for p in tried.parameters])
+    groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
+    for point, changed in tried.points:
+        moved = tuple(np.flatnonzero(point != null).tolist())
+        if moved and sum(float(c @ c) for c in changed) > candidates.NOTHING:
+            groups.setdefault(moved, []).append((float(point[moved[0]]), len(columns)))
+            columns.append(changed)
+    return [
+        _Line(tried, tried.parameters[moved[0]], *(np.array(part) for part in zip(*members, strict=True)))
+        for moved, members in groups.items()
+    ]
+
+
+def _cosine(products: Array, i: int, j: int) -> float:
+    """Return the cosine between two changes, from the matrix of their products; 0 if one is zero."""
+    norm = np.sqrt(max(products[i, i], 0.0) * max(products[j, j], 0.0))
+    return float(products[i, j] / norm) if norm > 0 else 0.0
+
+
+def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:
+    """Return the distance from the null value at which the squared change reaches ``wanted``.
+
+    The second value is the index of the nearest tried value. The squared change is assumed to be quadratic in
+    the distance. The distance is infinite if the effect changes nothing.
+    """
+    with np.errstate(divide="ignore"):
+        reached = strengths * np.sqrt(wanted / squares)
+    nearest = int(np.argmin(np.abs(np.log(reached / strengths))))
+    return float(reached[nearest]), nearest
