@@ -164,7 +164,7 @@ class TestYaml:
             ("- a\n- b\n", ["top level"]),
             ("a: [1, 2\n", ["not valid YAML", "line"]),
             ("a: 1\nb: 2\na: 3\n", ["line 3", "duplicate key"]),
-            ("a: &a [*a]\n", ["not valid YAML"]),
+            ("a: &a [*a]\n", ["line 1, 'a'"]),
             ("a: " + "[" * 3000 + "]" * 3000, ["not valid YAML"]),
             ("a: !!python/object/apply:os.system [echo]\n", ["x.yaml"]),
             ("a: \x00\n", ["x.yaml"]),

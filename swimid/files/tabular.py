@@ -55,7 +55,8 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
     """
     names = [name.strip().strip('"') for name in header.split(",")]
     if len(names) == 1 and re.search(r"[;\t]", header):
-        raise InputError("its columns must be separated by commas", file=path, line=line)
+        text = "its columns must be separated by commas, not by semicolons or tabs"
+        raise InputError(text, file=path, line=line)
     for name in names:
         if names.count(name) > 1:
             raise InputError("two columns have this name", file=path, line=line, column=name)
