@@ -358,7 +358,7 @@ class Checkpoint:
     Raises
     ------
     UsageError
-        If another run holds the lock of the output.
+        If another run holds the lock of the output, or if the file is not a checkpoint.
     InputError
         If the file cannot be read or written.
 
@@ -455,6 +455,8 @@ class Checkpoint:
         """Sort the lines of the file into lines of this run, lines of other runs and damaged lines."""
         raw = path.read_bytes() if path.is_file() else b""
         lines = [line.decode("utf-8", "replace") for line in raw.splitlines() if line.strip()]
+        if lines and not lines[0].startswith('{"key"'):
+            raise UsageError(f"{path} is not a checkpoint of swimid", hint="move it away, or delete it")
         damaged = 0
         for line in lines:
             key, name, values = _parsed(line)
