@@ -269,7 +269,6 @@ def drag(folder: Path, name: str = "drag.yaml", *, proof: bool = True) -> Path:
                 bounds=(0.0, 5.0),
                 status="estimated",
                 meaning="drag coefficient C_d",
-                ci95=(0.642, 0.771),
             ),
             "added_mass": Estimate(
                 value=0.6852, stderr=0.0372, unit="kg", bounds=(0.0, None), status="estimated"

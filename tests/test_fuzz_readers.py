@@ -90,7 +90,7 @@ format: swimid-parameters/1
 model: falling-weight
 robot: boxfish
 parameters:
-  drag_coefficient: {value: 0.7, stderr: 0.01, unit: "1", bounds: [0, 5], status: estimated, ci95: [0.6, 0.8]}
+  drag_coefficient: {value: 0.7, stderr: 0.01, unit: "1", bounds: [0, 5], status: estimated}
   added_mass: {value: 0.68, stderr: null, unit: kg, bounds: [null, null], status: fixed}
 correlation: {names: [drag_coefficient], matrix: [[1.0]]}
 poles:

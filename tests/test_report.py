@@ -130,7 +130,7 @@ def test_page_has_its_parts_in_order(mixture: Path) -> None:
 def test_parameters_are_shown_as_the_standard_error_supports(mixture: Path) -> None:
     """Rounded estimates with intervals; words for what is not identifiable; fixed without interval."""
     words = outline(mixture).words
-    assert "drag_coefficient 0.705 ± 0.033 0.642 … 0.771 estimated drag coefficient C_d 0 … 5" in words
+    assert "drag_coefficient 0.705 ± 0.033 0.640 … 0.770 estimated drag coefficient C_d 0 … 5" in words
     assert "added_mass 0.685 ± 0.037 kg 0.612 … 0.758 estimated – ≥ 0" in words
     assert "pulley_inertia (4.51 ± 0.12) × 10⁻⁵ kg·m² (4.28 … 4.75) × 10⁻⁵ estimated – free" in words
     assert "string_stiffness – – not identifiable – ≥ 0" in words

@@ -21,16 +21,13 @@ from scipy import optimize, special
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as noise_model
 from swimid.fitting import output_error
-from swimid.fitting.covariance import UNIDENTIFIABLE, orthogonal_part, sandwich
+from swimid.fitting.covariance import orthogonal_part, sandwich
 from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array
 
 #: Minimum number of trials for an estimate of the standard deviation between trials, and for a search for an
 #: outlier.
 MIN_TRIALS = 4
-#: Maximum number of fits with an updated standard deviation between trials, and the relative change of that
-#: standard deviation at which the fits end.
-MAX_SPREAD_ITERATIONS, SPREAD_RTOL = 8, 0.05
 #: Minimum eigenvalue of an information matrix, as a fraction of the largest one. Smaller eigenvalues are
 #: rounding errors.
 MIN_INFORMATION = 1e-12
@@ -82,7 +79,7 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     parameters = []
     for p in result.parameters:
         if p.name == name:
-            p = replace(p, free=True, spread=math.inf)
+            p = replace(p, free=True)
         elif p.name == common:
             p = replace(p, free=False, start=result.value(common))
         parameters.append(p)
@@ -183,80 +180,6 @@ def _reml(variances: Array, values: Array, column: Array) -> tuple[float, float]
     low, high = grid[best - 1], grid[min(best + 1, len(grid) - 1)]
     between = float(optimize.minimize_scalar(minus, bounds=(low, high), method="bounded").x)
     return between, minus(0.0) - minus(between)
-
-
-def fit_random_effect(
-    result: FitResult, name: str, common: str, *, near: FitResult | None = None
-) -> tuple[FitResult, Spread]:
-    """Fit a model in which a per-trial parameter is a random effect about a shared parameter.
-
-    Parameters
-    ----------
-    result : FitResult
-        Fit without the random effect. Its estimates are the starting point of the search, and its settings of
-        all other parameters are used.
-    name, common : str
-        Per-trial parameter, whose start value is the mean of the random effect, and the shared parameter from
-        which it deviates.
-    near : FitResult, optional
-        Alternative starting point of the search: a fit of the same trials, or of some of them.
-
-    Returns
-    -------
-    result : FitResult
-        Fit with the random effect. The standard errors of shared parameters allow for the number of trials
-        (Student's t).
-    spread : Spread
-        Standard deviation between trials. If the trials show none, ``sd`` is 0 and the result is the given
-        one.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        If a fit does not converge.
-    """
-    now, last = replace(near or result, trials=result.trials), 0.0
-    found = Spread(0.0, 0.0, 1.0)
-    rounds: list[FitResult] = []
-    for _ in range(MAX_SPREAD_ITERATIONS):
-        own = estimate_own_values(now, name, common)
-        if len(own.trials) < MIN_TRIALS:
-            return result, Spread(0.0, 0.0, 1.0)
-        found = estimate_spread(own)
-        if found.sd == 0.0:
-            return result, found
-        if abs(found.sd - last) <= SPREAD_RTOL * last:
-            break
-        last = found.sd
-        parameters = []
-        for p in result.parameters:
-            if p.name == name:
-                # a value known to within the standard deviation between trials counts as identifiable
-                p = replace(p, free=True, spread=last, scale=max(p.scale, last / UNIDENTIFIABLE))
-            elif not p.per_trial:
-                p = replace(p, start=now.value(p.name))
-            parameters.append(p)
-        now = output_error.fit(result.model, result.trials, parameters=parameters, tested=False)
-        rounds.append(now)
-    now = output_error.check_by_restarts(now, jobs=1)
-    earlier = sum(r.evaluations for r in (result, *rounds[:-1]))
-    now = replace(now, evaluations=now.evaluations + earlier)
-    return _widened(now, name), found
-
-
-def _widened(result: FitResult, name: str) -> FitResult:
-    """Return the result with a covariance that allows for the small number of random effects."""
-    mine = np.array([label.startswith(f"{name}[") for label in result.labels])
-    others = np.flatnonzero(~mine & np.isfinite(np.diag(result.covariance)))
-    if not len(others) or mine.sum() < 2:
-        return result
-    root = result.information_root[:, others]
-    alone = np.linalg.pinv(root.T @ root, rcond=MIN_INFORMATION, hermitian=True)
-    widen = float(special.stdtrit(int(mine.sum()) - 1, 0.975) / special.ndtri(0.975)) ** 2
-    covariance = result.covariance.copy()
-    place = np.ix_(others, others)
-    covariance[place] += (widen - 1.0) * (covariance[place] - alone)
-    return replace(result, covariance=covariance)
 
 
 # ---------------------------------------------------------------- the outlier among the trials

@@ -234,10 +234,9 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
 
     At least one parameter of a group is not identifiable, and at least one is shared by all trials. The
     members take part in the same undetermined combination, and each has a standard error above :data:`VAGUE`
-    of its magnitude. Random effects, and parameters that do not affect the residuals, are in no group.
+    of its magnitude. Parameters that do not affect the residuals are in no group.
     """
-    index = [i for i in _usable(result) if math.isinf(result.parameter(result.labels[i]).spread)]
-    vague = [i for i in index if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
+    vague = [i for i in _usable(result) if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
     if len(vague) < 2:
         return []
     _, singular, vt = np.linalg.svd(_marginal(result, vague))

@@ -61,9 +61,6 @@ class Parameter:
         Description and source of the parameter, for the report.
     known : float, optional
         Known value from another source: published, or measured in another way.
-    spread : float
-        Standard deviation between trials of a random effect, which has a normal distribution about the start
-        value. Infinite if the parameter is no random effect.
     kinked : bool
         Whether the simulation is a non-smooth function of the parameter, as for a body that sticks and slips.
         Searches then start from several values.
@@ -80,7 +77,6 @@ class Parameter:
     meaning: str = ""
     source: str = ""
     known: float | None = None
-    spread: float = math.inf
     kinked: bool = False
 
     @property

@@ -175,11 +175,8 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
 
 
 def _objective(result: FitResult) -> float:
-    """Return twice the negative log-likelihood, without its constant and including random effects."""
-    own = [result.parameter(label) for label in result.labels]
-    # the spread of a parameter that is no random effect is infinite
-    effects = sum(float((e - p.start) / p.spread) ** 2 for e, p in zip(result.estimate, own, strict=True))
-    return result.samples * math.log(max(result.cost, 1e-300)) + effects
+    """Return twice the negative log-likelihood, without its constant."""
+    return result.samples * math.log(max(result.cost, 1e-300))
 
 
 def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult | None = None) -> FitResult:
@@ -306,10 +303,8 @@ class _Search:
         self.message = ""
         self.iterations = 0
         # with one channel of constant error all weights stay equal, so that one search is enough
-        self.equal = (
-            not problem.random.any()
-            and len({c for names in problem.channels for c in names}) == 1
-            and not any(t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in problem.trials)
+        self.equal = len({c for names in problem.channels for c in names}) == 1 and not any(
+            t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in problem.trials
         )
 
     def run(self, budget: int, progress: Progress) -> None:
@@ -435,11 +430,8 @@ def _result(search: _Search, task: _Task) -> FitResult:
     """Return the estimates, their covariance and their status at the end of a search."""
     problem, theta = search.problem, search.theta
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
-    raw, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
-    autoregressions = noise_model.autoregressions(problem, raw)
-    priors = problem.random_residuals(theta)
-    rows = [np.vstack((a, b * problem.scale)) for a, (_, b) in zip(rows, priors, strict=True)]
-    residuals = [np.concatenate((a, b)) for a, (b, _) in zip(raw, priors, strict=True)]
+    residuals, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
+    autoregressions = noise_model.autoregressions(problem, residuals)
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0
@@ -483,7 +475,7 @@ def _result(search: _Search, task: _Task) -> FitResult:
         message=search.message,
         evaluations=problem.evaluations + sum(t.role != "fit" for t in task.trials),
         interrupted=search.interrupted,
-        cost=_cost(problem, raw),
+        cost=_cost(problem, residuals),
         information_root=root,
     )
     return replace(result, series=_series(problem, result))

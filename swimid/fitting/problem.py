@@ -73,11 +73,9 @@ class Problem:
         Number of simulations of single trials so far.
     near : float
         Maximum step after which derivatives are used again, as in :data:`NEAR`.
-    random : ndarray of bool, shape (p,)
-        Unknowns that are random effects (:attr:`Parameter.spread`).
     prior : tuple of ndarray, shapes (p,) and (m, p)
         Prior of the unknowns: mean, and square root of the precision matrix. They add the rows ``root @
-        (theta - mean)`` to the residuals. The default is the prior of the random effects.
+        (theta - mean)`` to the residuals. The default is no prior.
     whiten : callable
         Function that is called with the index of a trial and its weighted residuals or their derivatives. It
         returns independent residuals of unit variance, or their derivatives. The default returns its
@@ -122,12 +120,10 @@ class Problem:
         self.sd = [[np.ones(len(t.time_s)) for _ in names] for t, names in of_trials]
         self._values = np.array([p.start for p in self.parameters])
         own = [self.parameters[i] for i, _ in self.slots]
-        self.lower, self.upper, self.scale, spread, mean = (
-            np.array([getattr(p, name) for p in own])
-            for name in ("lower", "upper", "scale", "spread", "start")
+        self.lower, self.upper, self.scale, mean = (
+            np.array([getattr(p, name) for p in own]) for name in ("lower", "upper", "scale", "start")
         )
-        self.random = np.isfinite(spread)
-        self.prior = mean, np.diag(1.0 / spread)[self.random]
+        self.prior = mean, np.zeros((0, len(own)))
         self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
         # the log of a trial may suggest a better start value than that of the parameter
         known = [{} if owner is None else self.trials[owner].starts for _, owner in self.slots]
@@ -217,14 +213,6 @@ class Problem:
             (slice(end - n, end), numbers)
             for end, n, (_, numbers) in zip(ends, self._samples, self.taken, strict=True)
         ]
-
-    def random_residuals(self, theta: Array) -> list[tuple[Array, Array]]:
-        """Return residuals and derivatives of the random effects by trial, shapes (m_k,) and (m_k, p)."""
-        mean, root = self.prior
-        residuals = root @ (theta - mean)
-        owners = [self.slots[j][1] for j in np.flatnonzero(self.random)]
-        mine = [[i for i, owner in enumerate(owners) if owner == k] for k in range(len(self.trials))]
-        return [(residuals[rows], root[rows]) for rows in mine]
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
         """Return the derivatives of each trial's residuals by all unknowns, shape (n_k, p) each.

@@ -28,7 +28,7 @@ from swimid.results.evidence import (
     leaves,
     sidecar,
 )
-from swimid.results.parameters import Estimate, Fitted, interval95, value_text
+from swimid.results.parameters import Estimate, Fitted, value_text
 from swimid.results.result import Result
 
 #: Symbol and word for each level of a verdict, so that the level can be read without colour.
@@ -242,7 +242,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> Evidence:
 def _panel(name: str, unit: str, held: Sequence[Estimate], names: list[str]) -> Panel:
     """Return a panel with the estimates of one parameter and their 95 % intervals."""
     known = [(k, e) for k, e in enumerate(held) if e.status == "estimated"]
-    low, high = np.array([interval95(e) or (np.nan, np.nan) for _, e in known]).T
+    low, high = np.array([numbers.confidence95(e.value, e.stderr) or (np.nan, np.nan) for _, e in known]).T
     x, y = [k for k, _ in known], [e.value for _, e in known]
     points = Trace(x=x, y=y, y_error=(high - low) / 2, style="points")
     return Panel(x_label="", y_label=f"{name} ({unit or '1'})", traces=[points], x_categories=names)

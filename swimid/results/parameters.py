@@ -38,8 +38,6 @@ class Estimate(yamlio.Document):
     status: Status
     #: Meaning of the parameter in words.
     meaning: str = ""
-    #: Profile-likelihood interval (95 %), if it was requested.
-    ci95: tuple[float | None, float | None] | None = None
 
 
 def spoken(name: str, meaning: str) -> str:
@@ -113,9 +111,8 @@ class ParameterFile(yamlio.ResultFile):
         """Write the file, complete or not at all. Floating-point numbers are not rounded."""
         data = self.model_dump(mode="python", exclude_none=False)
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
-            for key in ("meaning", "ci95"):
-                if not estimate[key]:
-                    del estimate[key]
+            if not estimate["meaning"]:
+                del estimate["meaning"]
         optional = ("identifiability", "derived", "settings")
         kept = {k: value for k, value in data.items() if value is not None and (value or k not in optional)}
         yamlio.write(path, kept)
@@ -329,11 +326,9 @@ def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: b
     """Return a table of estimates, rounded to two significant digits of their standard errors."""
     rows: list[list[Any]] = []
     for name, e in estimates.items():
-        band, ends = "", interval95(e)
+        band, ends = "", numbers.confidence95(e.value, e.stderr)
         if e.status == "estimated" and ends is not None:
             band = numbers.interval(*ends, e.stderr)
-        elif e.status == "estimated" and e.ci95 is not None:
-            band = numbers.bounds_text(e.ci95)
         status = STATUS.get(e.status, e.status)
         rows.append([name, value_text(e), band, status, e.meaning, numbers.bounds_text(e.bounds)])
     columns = ["parameter", "value ± sd", "95 % interval", "status", "meaning", "allowed"]
@@ -408,20 +403,15 @@ def _poles(file: ParameterFile) -> Table:
     return Table(id="poles", title="Poles", columns=columns, rows=rows)
 
 
-def interval95(estimate: Estimate) -> tuple[float, float] | None:
-    """Return the 95 % interval: from the profile likelihood if it is known, else from the standard error."""
-    low, high = estimate.ci95 or (None, None)
-    if low is not None and high is not None:
-        return low, high
-    return numbers.confidence95(estimate.value, estimate.stderr)
-
-
 def _estimates_frame(estimates: dict[str, Estimate]) -> pd.DataFrame:
     import pandas as pd
 
     nothing = (float("nan"), float("nan"))
     return pd.DataFrame(
-        [(e.value, e.stderr, *(interval95(e) or nothing), e.unit, e.status) for e in estimates.values()],
+        [
+            (e.value, e.stderr, *(numbers.confidence95(e.value, e.stderr) or nothing), e.unit, e.status)
+            for e in estimates.values()
+        ],
         columns=["value", "stderr", "low95", "high95", "unit", "status"],
         index=pd.Index(list(estimates), name="parameter"),
     )
