@@ -27,7 +27,6 @@ KINDS = {
     "mat": "",
     "mat 7.3": "",
     "parquet": "",
-    "json lines": "",
     "mcap": "/pose",
     "ulog": "",
 }

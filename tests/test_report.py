@@ -168,7 +168,6 @@ def test_bare_log_shows_its_gaps(mixture: Path) -> None:
     # Samples 500..559 of x and 1500..1699 of yaw are missing, 0.02 s apart.
     assert spans["x (m)"] == [pytest.approx((9.98, 11.2))]
     assert spans["yaw (rad)"] == [pytest.approx((29.98, 34.0))]
-    assert "2100 samples are drawn as their envelope" in figure.caption
     assert "bare.csv has no evidence beside it" in outline(mixture).words
 
 
