@@ -165,6 +165,11 @@ class TestYaml:
             ("a: [1, 2\n", ["not valid YAML", "line"]),
             ("a: 1\nb: 2\na: 3\n", ["line 3", "duplicate key"]),
             ("a: &a [*a]\n", ["line 1, 'a'"]),
+            (
+                "a0: &a0 [1, 2]\n"
+                + "".join(f"a{k}: &a{k} [{', '.join(10 * [f'*a{k - 1}'])}]\n" for k in range(1, 10)),
+                ["anchors"],
+            ),
             ("a: " + "[" * 3000 + "]" * 3000, ["not valid YAML"]),
             ("a: !!python/object/apply:os.system [echo]\n", ["x.yaml"]),
             ("a: \x00\n", ["x.yaml"]),

@@ -21,6 +21,8 @@ from swimid.files import atomic
 
 #: Maximum size of a file, bytes. A larger file is refused before it is parsed.
 MAX_BYTES = 20_000_000
+#: Maximum number of nodes of a document with all its aliases written out. A larger document is refused.
+MAX_NODES = 500_000
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -140,7 +142,8 @@ def load(path: str | Path) -> CommentedMap:
         raise InputError(f"has {len(raw)} bytes; a YAML input may have {MAX_BYTES}", file=path)
     try:
         data = _yaml().load(io.StringIO(text))
-        plain(data)  # fails for an anchor inside itself
+        if _expanded(data, {}) > MAX_NODES:
+            raise ValueError(f"it has more than {MAX_NODES} nodes with its anchors written out")
     except Exception as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
         place = mark and mark.line + 1
@@ -168,6 +171,17 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
     if data.get("format") != form:
         raise InputError(f"is no {what}: its 'format' must be {form}", file=path, line=1, column="format")
     return data
+
+
+def _expanded(node: Any, known: dict[int, int]) -> int:
+    """Return the number of nodes of a document with every alias written out."""
+    if not isinstance(node, dict | list):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = MAX_NODES + 1  # a node inside itself never ends
+        inner = node.values() if isinstance(node, dict) else node
+        known[id(node)] = min(1 + sum(_expanded(part, known) for part in inner), MAX_NODES + 1)
+    return known[id(node)]
 
 
 def validated(path: str | Path, model: type[M]) -> M:
