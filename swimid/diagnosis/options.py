@@ -54,7 +54,7 @@ class DiagnoseOptions(
     )
     jobs: int | None = fits.jobs("Effects refitted at the same time. Default: one for each processor core.")
     seed: int = option(0, ge=0, help="Of the random draws behind intervals.")
-    max_causes: int = option(3, ge=1, le=5, help="Combine at most so many effects.")
+    max_causes: int = option(3, ge=1, le=5, help="Largest number of effects that act together.")
     power: bool = option(
         False,
         recorded=False,

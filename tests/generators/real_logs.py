@@ -392,6 +392,7 @@ def main(data: Path, folder: Path) -> None:
     for name, write in (("roll", write_roll), ("drive", write_screw_drive), ("tanks", write_tanks)):
         (folder / name).mkdir(parents=True, exist_ok=True)
         print(write(folder / name, data))
+    (folder / "ramp").mkdir(parents=True, exist_ok=True)
     tracked = {name: folder / "ramp" / f"{name}-px.csv" for name in ("R1", "R3")}
     if all(path.is_file() for path in tracked.values()):
         print(write_ramp(folder / "ramp", tracked))
