@@ -462,7 +462,7 @@ def _parameter_file(
     }
     if options.start_state != "auto":
         settings["start_state"] = options.start_state
-    method = "output error, linear loss"
+    method = "output error"
     if options.method == "nsga2":
         method = "point of a Pareto front"
     file = fit_common.parameter_file(
