@@ -201,7 +201,7 @@ def test_hybrid_ends_with_least_squares(swimid: Run, tmp_path: Path) -> None:
     assert stages.columns[2:] == ["untuned", "chosen on the front", "least squares"]
     file = parameters_format.read(out)
     assert file.fit is not None
-    assert file.fit.method == "output error, linear loss"
+    assert file.fit.method == "output error"
     plain = tmp_path / "plain.yaml"
     assert swimid("fit-graybox", trials, *ONLY, "-o", plain).status == 0
     straight = parameters_format.read(plain)
