@@ -114,10 +114,9 @@ def _seen(speed: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Estimate:
-    """What a fit says of each coefficient: value, standard error or None, status."""
+    """Value and status of each coefficient after a fit."""
 
     values: dict[str, float]
-    errors: dict[str, float | None]
     status: dict[str, str]
 
 
@@ -150,7 +149,6 @@ def estimate(folder: Path, method: Method) -> Estimate:
     entries = file["parameters"]
     return Estimate(
         {n: entries[n]["value"] for n in NAMES},
-        {n: entries[n].get("stderr") for n in NAMES},
         {n: entries[n]["status"] for n in NAMES},
     )
 
@@ -208,19 +206,8 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _number(value: float) -> str:
-    return f"{value:.3f}" if value < 1 else f"{value:.2f}"
-
-
-def _said(e: Estimate, name: str) -> str:
-    error = e.errors[name]
-    if e.status[name] != "estimated" or error is None:
-        return {"unidentifiable": "not identifiable", "fixed": "held"}.get(e.status[name], e.status[name])
-    return f"{_number(e.values[name])} ± {_number(error)}"
-
-
-def run() -> tuple[list[dict[str, float]], list[Estimate], list[Score], list[Score], Score]:
-    """Hand-tuned values, estimates, the scores of both, and the score of the start."""
+def run() -> tuple[list[Estimate], list[Score], list[Score], Score]:
+    """Return the estimates, the scores of the hands and of the estimates, and the score of the start."""
     true_runs = held_out()
     measured = swum(PUBLISHED_HZ, STIFFNESS)["u_m_s"]
     hands = []
@@ -231,7 +218,6 @@ def run() -> tuple[list[dict[str, float]], list[Estimate], list[Score], list[Sco
         estimates = [estimate(Path(folder) / str(k), method) for k, method in enumerate(METHODS)]
     start = score({n: swimmer.DOLPHIN[n] for n in NAMES}, true_runs)
     return (
-        hands,
         estimates,
         [score(h, true_runs) for h in hands],
         [score(e.values, true_runs) for e in estimates],
@@ -240,7 +226,7 @@ def run() -> tuple[list[dict[str, float]], list[Estimate], list[Score], list[Sco
 
 
 def section() -> str:
-    hands, estimates, by_hand, by_fit, start = run()
+    estimates, by_hand, by_fit, start = run()
     order = sorted(by_hand, key=lambda s: s.mean)
     rows = [
         _cells("start (published coefficients)", start),
@@ -252,23 +238,11 @@ def section() -> str:
     scores = _table(
         ["method", "mean speed, cm/s", "worst beat, cm/s", "surge, cm/s", "pitch rate", "fluke, deg"], rows
     )
-    true = truth()
-    lines = []
-    for name in NAMES:
-        found = [h[name] for h in hands]
-        lines.append(
-            [
-                f"`{name}`",
-                _number(true[name]),
-                _number(swimmer.DOLPHIN[name]),
-                f"{_number(min(found))} to {_number(max(found))}",
-                _said(estimates[-1], name),
-            ]
-        )
-    values = _table(["coefficient", "truth", "start", "by hand", METHODS[-1].name], lines)
+    status = estimates[-1].status
+    unknown = [f"`{n}`" for n in NAMES if status[n] != "estimated"]
     return TEXT.format(
         scores=scores,
-        values=values,
+        unknown=" and ".join(unknown),
         spread=100 * SPREAD,
         rate=RATE_HZ,
         duration=DURATION_S,
@@ -300,13 +274,9 @@ The table has the error of the mean speed, its maximum, and root mean squares ov
   the others with `--fix`. Whether hand or estimator is nearer on one speed curve depends on the random
   coefficients (`SEED`).
 - More data help. Other beats improve the mean speed. The pitch and the angle of the fluke improve
-  everything: with all channels of four records every mean speed is within 0.1 cm/s.
-- The frictions of head and trunk act as one sum in all of these records and cannot be separated.
-- The model and the simulated dolphin have the same elements, unlike a model and a real robot.
-
-{values}
-
-Standard errors follow ±."""
+  everything: with all channels of four records every mean speed is within 0.1 cm/s. Not identifiable are
+  then {unknown}: the frictions of head and trunk act as one sum.
+- The model and the simulated dolphin have the same elements, unlike a model and a real robot."""
 
 
 if __name__ == "__main__":
