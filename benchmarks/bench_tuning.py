@@ -25,7 +25,7 @@ from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
 from swimid.notices import SwimidWarning
 from swimid.swimmer.fit_graybox import fit_graybox
-from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.trials import robot_model
 from tests.generators import swimmer
 
@@ -58,7 +58,7 @@ def _drive(f: float) -> dict[str, float]:
 
 
 @cache
-def dolphin() -> MultilinkModel:
+def dolphin() -> Swimmer:
     return robot_model("dolphin")[1]
 
 
