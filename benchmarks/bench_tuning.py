@@ -268,7 +268,7 @@ The table has the error of the mean speed, its maximum, and root mean squares ov
 {scores}
 
 - Several sets of coefficients reproduce the speed curve, and nothing in it distinguishes the better set from
-  the worse. The result of the hand is a matter of luck.
+  the worse.
 - One speed curve does not determine nine coefficients. `fit-graybox` reports all of them as not identifiable,
   and its pitch is worse than at the start. It is better to free three coefficients of the trunk and to hold
   the others with `--fix`. Whether hand or estimator is nearer on one speed curve depends on the random
