@@ -270,13 +270,12 @@ The table has the error of the mean speed, its maximum, and root mean squares ov
 - Several sets of coefficients reproduce the speed curve, and nothing in it distinguishes the better set from
   the worse.
 - One speed curve does not determine nine coefficients. `fit-graybox` reports all of them as not identifiable,
-  and its pitch is worse than at the start. It is better to free three coefficients of the trunk and to hold
-  the others with `--fix`. Whether hand or estimator is nearer on one speed curve depends on the random
-  coefficients (`SEED`).
+  and its pitch is worse than at the start. It is better to free three coefficients of the trunk only. Whether
+  hand or estimator is nearer on one speed curve depends on the random coefficients (`SEED`).
 - More data help. Other beats improve the mean speed. The pitch and the angle of the fluke improve
   everything: with all channels of four records every mean speed is within 0.1 cm/s. Not identifiable are
   then {unknown}: the frictions of head and trunk act as one sum.
-- The model and the simulated dolphin have the same elements, unlike a model and a real robot."""
+- Model and simulated dolphin have the same elements, unlike a model and a real robot."""
 
 
 if __name__ == "__main__":
