@@ -1,10 +1,9 @@
-"""Prints the page that holds the built-in multi-link robots against their papers.
+"""Print the page that compares the built-in robots with links with their papers, and write its pictures.
 
 python docs/reproduction.py
 
-Every figure of a model is computed here, from the robot files, with the package's own functions.
-Published figures are those of the tables and the text, named where they stand. The pictures of the page are
-written to docs/figures.
+Every result of a model is computed here from the robot files. Published values are those of the tables and of
+the text of the papers. The pictures are written to docs/figures.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -25,19 +24,16 @@ from scipy.optimize import minimize_scalar
 
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import Trial
-from swimid.logs.kinematics import PER_CYCLE
-from swimid.optimisation.optimise_stiffness import RuleFile, StiffnessRule, optimise_stiffness
-from swimid.optimisation.performance import Performance
+from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance_map import performance_map
 from swimid.results import blocks, drawing
 from swimid.results.evidence import Figure, Panel, Trace
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
-from swimid.simulation.swim_quantities import SwimRun
 from swimid.swimmer.planar.model import MultilinkModel
 
 SAMPLE_RATE_HZ = 100
-#: The tank is 5 m long: the fish has 10 to 20 s.
+#: Duration of a run in the tank of 5 m, of a run that becomes steady, and of a run of the dolphin, s.
 TANK_S, STEADY_S, SHORT_S = 15.0, 60.0, 10.0
 TFISH_CYCLES, DOLPHIN_CYCLES = 3, 4
 
@@ -47,17 +43,15 @@ TFISH_CYCLES, DOLPHIN_CYCLES = 3, 4
 
 @dataclass(frozen=True)
 class Figures:
-    """What the papers print of a run; angles in degrees.
+    """Quantities of a run as the papers print them, angles in degrees.
 
-    ``surge`` is the mean over the window of the nose's velocity along the head; ``yaw_peak`` the
-    largest magnitude of the head's rate in it; ``rear`` and ``pitch`` half the ranges of the last
-    joint's angle and of the head's.
+    ``surge`` is the mean velocity of the nose along the head. ``yaw_peak`` is the largest magnitude of the
+    head's rate. ``rear`` is half the range of the last joint's angle.
     """
 
     surge: float
     yaw_peak: float
     rear: float
-    pitch: float
 
 
 @cache
@@ -66,7 +60,7 @@ def robot(name: str, readings: tuple[tuple[str, str], ...] = ()) -> Robot:
 
 
 def changed(original: Robot, joint: str, **update: Any) -> Robot:
-    """The robot with one joint's fields replaced."""
+    """Return the robot with the fields of one joint replaced."""
     body = original.multilink
     assert body is not None
     joints = [j.model_copy(update=update) if j.name == joint else j for j in body.joints]
@@ -74,7 +68,7 @@ def changed(original: Robot, joint: str, **update: Any) -> Robot:
 
 
 def cranked(crank_m: float) -> Robot:
-    """The tendon fish with another crank."""
+    """Return the tendon fish with another crank."""
     original = robot("tfish")
     assert original.multilink is not None
     passive = next(j.passive for j in original.multilink.joints if j.passive is not None)
@@ -84,14 +78,14 @@ def cranked(crank_m: float) -> Robot:
 
 
 def doubled(name: str, *coefficients: str) -> dict[str, float]:
-    """Twice the robot file's values."""
+    """Return twice the values of the robot file."""
     body = robot(name).multilink
     assert body is not None
     return {c: 2.0 * body.coefficients[c].value for c in coefficients}
 
 
 def simulate(body: Robot, beat: Beat, seconds: float, **coefficients: float) -> dict[str, np.ndarray]:
-    """Channels of a run from rest, with the robot file's coefficients unless others are given."""
+    """Return the channels of a run from rest, with the coefficients of the robot file or the given ones."""
     model = MultilinkModel(body)
     assert body.multilink is not None
     known = {name: c.value for name, c in body.multilink.coefficients.items()} | coefficients
@@ -102,7 +96,7 @@ def simulate(body: Robot, beat: Beat, seconds: float, **coefficients: float) -> 
 
 
 def figures(run: Mapping[str, np.ndarray], frequency_hz: float, at_s: float, cycles: int) -> Figures:
-    """Over the last whole beats before an instant."""
+    """Return the quantities over the last whole beats before an instant."""
     time = run["t_s"]
     window = (time > at_s - cycles / frequency_hz + 1e-9) & (time <= at_s + 1e-9)
     turn = "yaw" if "yaw_rad" in run else "pitch"
@@ -111,7 +105,6 @@ def figures(run: Mapping[str, np.ndarray], frequency_hz: float, at_s: float, cyc
         float(run["u_m_s"][window].mean()),
         math.degrees(np.abs(run[f"{turn}_rate_rad_s"][window]).max()),
         0.5 * math.degrees(np.ptp(run[rear][window])),
-        0.5 * math.degrees(np.ptp(run[f"{turn}_rad"][window])),
     )
 
 
@@ -138,7 +131,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def wrapped(parts: Iterable[str]) -> str:
-    """Markdown blocks with paragraphs and list items filled to the page's width."""
+    """Return Markdown blocks with paragraphs and list items filled to the width of the page."""
     found = []
     for block in re.split(r"\n\s*\n", "\n\n".join(parts).strip()):
         text = block.strip()
@@ -161,14 +154,14 @@ def rms_deviation(values: Sequence[float], published: Sequence[float]) -> float:
 # ------------------------------------------------------------------ tendon fish
 
 #: Table IV: frequency (Hz), amplitude (deg), E_V (m/s), its normalised value, E_Omega (deg/s), its
-#: normalised value, and what is wrong with the row. The third row is printed with amplitude 30.
+#: normalised value, and a remark on the row. The third row is printed with amplitude 30.
 TABLE_IV = (
     (1.0, 20.0, 0.019, 0.091, 0.816, 0.029, ""),
     (1.0, 30.0, 0.016, 0.053, 1.186, 0.028, ""),
-    (1.4, 20.0, 0.019, 0.070, 0.390, 0.014, "label"),
-    (1.4, 30.0, 0.016, 0.053, 1.186, 0.049, "repeats row 2"),
+    (1.4, 20.0, 0.019, 0.070, 0.390, 0.014, "doubtful"),
+    (1.4, 30.0, 0.016, 0.053, 1.186, 0.049, "doubtful"),
     (1.8, 20.0, 0.028, 0.076, 1.198, 0.034, ""),
-    (1.8, 30.0, 0.046, 0.069, 1.856, 0.054, "above the paper's own maximum"),
+    (1.8, 30.0, 0.046, 0.069, 1.856, 0.054, "doubtful"),
 )
 CLEAN_YAW = ((1.0, 20.0), (1.0, 30.0), (1.4, 20.0))
 TOP_SPEED = (2.2, 35.0, 0.47)
@@ -187,19 +180,19 @@ def published_yaw(f: float, a: float) -> float:
 
 @cache
 def straight(f: float, a: float) -> dict[str, np.ndarray]:
-    """The tendon fish swimming straight for a minute."""
+    """Return a straight run of the tendon fish of a minute."""
     return simulate(robot("tfish"), beat(f, a), STEADY_S)
 
 
 def tfish_yaw_deviations(cycles: int) -> list[float]:
-    """Of the yaw peaks at the clean rows of Table IV."""
+    """Return the relative deviations of the yaw peaks at the rows of Table IV that are not doubtful."""
     return [
         figures(straight(f, a), f, TANK_S, cycles).yaw_peak / published_yaw(f, a) - 1.0 for f, a in CLEAN_YAW
     ]
 
 
 def rise_time(run: Mapping[str, np.ndarray], f: float) -> float:
-    """Until the mean surge over a beat reaches 63 % of its end, s."""
+    """Return the time at which the mean surge over a beat reaches 63 % of its last value, s."""
     count = round(SAMPLE_RATE_HZ / f)
     mean = np.convolve(run["u_m_s"], np.ones(count) / count, "valid")
     return float(run["t_s"][int(np.argmax(mean >= (1.0 - math.exp(-1.0)) * mean[-1]))] + 0.5 / f)
@@ -228,8 +221,8 @@ def tfish_straight() -> str:
             continue
         known = published_yaw(f, a)
         cells = [label, f"{known:.1f}"]
-        for at, cycles in ((TANK_S, 1), (TANK_S, TFISH_CYCLES), (STEADY_S, TFISH_CYCLES)):
-            peak = figures(run, f, at, cycles).yaw_peak
+        for cycles in (1, TFISH_CYCLES):
+            peak = figures(run, f, TANK_S, cycles).yaw_peak
             cells += [f"{peak:.1f}", deviation(peak, known)]
         yaw.append(cells)
     speeds = table(
@@ -251,28 +244,24 @@ def tfish_straight() -> str:
             "deviation",
             f"{TFISH_CYCLES} beats",
             "deviation",
-            f"at {STEADY_S:g} s",
-            "deviation",
         ],
         yaw,
     )
     return f"""### Straight swimming: Table IV and the top speed
 
 Table IV gives errors and normalised errors. Their quotient is the range of the measured speed, which is the
-speed reached from rest, and the measured peak of the yaw rate. Three of its rows are suspect: the third
-carries the label of the fourth (its amplitude can only be 20°), the fourth repeats the errors of the second
-with another normalised yaw error, and the sixth needs 0.667 m/s of a fish whose top speed is given as 0.47
-m/s.
+speed reached from rest, or the measured peak of the yaw rate. Three rows are doubtful. The third row carries
+the label of the fourth (its amplitude can only be 20°). The fourth row repeats the errors of the second with
+another normalised yaw error. The sixth row needs 0.667 m/s of a fish whose top speed is given as 0.47 m/s.
 
-The speed is the mean surge of the nose over the last {TFISH_CYCLES} beats before {TANK_S:g} s, about the
-time the 5 m tank leaves, and before {STEADY_S:g} s, when it no longer rises. In the model the speed takes
-{min(rises):.0f} to {max(rises):.0f} s to come within 37 % of its end, because the published friction is so
-small; the paper does not say how long its runs were.
+The speed is the mean surge of the nose over the last {TFISH_CYCLES} beats before {TANK_S:g} s, about the time
+that the 5 m tank allows, and before {STEADY_S:g} s, when it is steady. The paper does not say how long its
+runs were. The published friction is small: the model needs {min(rises):.0f} to
+{max(rises):.0f} s to reach 63 % of its last speed.
 
 {speeds}
 
-Yaw peak, deg/s: over the last beat before {TANK_S:g} s, over the last {TFISH_CYCLES} beats, and steady. As
-the fish gains speed its head swings less: which beats are meant matters.
+Yaw peak, deg/s, over the last beat and over the last {TFISH_CYCLES} beats before {TANK_S:g} s:
 
 {peaks}"""
 
@@ -291,7 +280,7 @@ TURN_HZ, TURN_ASYMMETRY, TURN_AMPLITUDE_DEG, TURN_S, TURN_CYCLES = 1.0, 0.4, 35.
 
 @cache
 def turning(bias_deg: float, asymmetry: float, amplitude_deg: float) -> tuple[float, float, float, float]:
-    """Radius (m) of the mean path, range of the yaw in one beat (deg), largest and mean yaw rate (deg/s)."""
+    """Return radius (m), range of the yaw in a beat (deg), largest and mean yaw rate (deg/s) of a turn."""
     command = beat(TURN_HZ, amplitude_deg, bias_deg, asymmetry, "a-cpg")
     run = simulate(robot("tfish"), command, TURN_S)
     per_beat = round(SAMPLE_RATE_HZ / TURN_HZ)
@@ -310,7 +299,7 @@ def turning(bias_deg: float, asymmetry: float, amplitude_deg: float) -> tuple[fl
 
 
 def table_v_row(bias_deg: float, mode: str) -> tuple[float, float, float, float]:
-    """What the model has for a row of Table V."""
+    """Return the quantities of the model for a row of Table V."""
     return turning(bias_deg, TURN_ASYMMETRY if mode == "A-CPG" else 0.0, TURN_AMPLITUDE_DEG)
 
 
@@ -323,13 +312,11 @@ def tfish_turning() -> str:
         for value, known, digits in zip(found, published, (2, 0, 0, 1), strict=True):
             cells += [f"{known:g}", f"{value:.{digits}f}", deviation(value, known)]
         rows.append(cells)
-    alone = turning(0.0, TURN_ASYMMETRY, TURN_AMPLITUDE_DEG)
     tighter = [
         100 * (1 - turning(b, TURN_ASYMMETRY, a)[0] / turning(b, 0.0, a)[0])
         for a in (30.0, TURN_AMPLITUDE_DEG)
         for b in (25.0, 30.0, 35.0)
     ]
-    other = turning(25.0, 0.0, 30.0)
     smallest = min(turning(b, TURN_ASYMMETRY, TURN_AMPLITUDE_DEG)[0] for b in (25.0, 30.0, 35.0))
     paths = ", ".join(f"{row[2] * math.radians(row[5]):.2f}" for row in TABLE_V if row[1] == "CPG")
     columns = ["bias, mode"]
@@ -337,85 +324,25 @@ def tfish_turning() -> str:
         columns += [name, "model", "deviation"]
     return f"""### Turning: Table V
 
-Beat at {TURN_HZ:g} Hz, asymmetry {TURN_ASYMMETRY:g}; the amplitude is not stated, {TURN_AMPLITUDE_DEG:g}°
-is used. Last {TURN_CYCLES} beats of {TURN_S:g} s. R is the radius of the path averaged over a beat, ξ the
-range of the yaw within one beat.
+The beat is 1 Hz with asymmetry {TURN_ASYMMETRY:g}. The paper does not state the amplitude;
+{TURN_AMPLITUDE_DEG:g}° is used. The table holds for the last {TURN_CYCLES} beats of {TURN_S:g} s. R is the
+radius of the path averaged over a beat, ξ the range of the yaw within one beat.
 
 {table(columns, rows)}
 
 ![Published and modelled turns](figures/steering.svg)
 
-With an amplitude of 30° the first row becomes R {other[0]:.2f} m, ξ {other[1]:.0f}°, ω max {other[2]:.0f}
-deg/s, ω mean {other[3]:.1f} deg/s.
+As in the paper, the turn tightens and quickens with the bias. Asymmetry tightens it further, by
+{min(tighter):.0f} to {max(tighter):.0f} % at amplitudes of 30° and 35° (published: 36 % at a bias of 35°).
 
-As in the paper: the turn tightens and quickens with the bias, and asymmetry tightens it further, here by
-{min(tighter):.0f} to {max(tighter):.0f} % over both amplitudes against the published 36 % at a bias of 35°.
-Unlike the paper: the largest yaw rate is {min(slower):.0f} to {max(slower):.0f} % below the published one,
-the radius does not fall below
-{smallest:.2f} m, ξ rises with the asymmetry where it should fall, and asymmetry without bias hardly turns
-the fish ({alone[3]:.1f} deg/s). The published rows do not agree among themselves: radius times mean yaw
-rate is the speed along the path, and gives {paths} m/s for the three biases of the CPG.
+Unlike in the paper, the largest yaw rate is {min(slower):.0f} to {max(slower):.0f} % below the published one,
+the radius does not fall below {smallest:.2f} m, and ξ rises with the asymmetry. The published rows do not
+agree among themselves: radius times mean yaw rate is the speed along the path, and gives {paths} m/s for the
+three biases of the CPG.
 """
 
 
-PRETENSIONS_M = (0.0, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.10, 0.12, 0.15, 0.20)
-PUBLISHED_PRETENSION_M = 0.03
-SPRING_BEATS = tuple((a, f) for a in (20.0, 30.0, 35.0) for f in (1.0, 1.5, 2.0, 2.2))
-
-
-def best_pretension(a: float, f: float) -> tuple[float, Figures, Figures]:
-    """Fastest pretension within its grid, its figures, and those at 30 mm."""
-    found = {
-        d: figures(simulate(robot("tfish"), beat(f, a), TANK_S, d_p=d), f, TANK_S, TFISH_CYCLES)
-        for d in PRETENSIONS_M
-    }
-    best = max(found, key=lambda d: found[d].surge)
-    return best, found[best], found[PUBLISHED_PRETENSION_M]
-
-
-def tfish_spring() -> str:
-    rows = []
-    for a, f in SPRING_BEATS:
-        best, fastest, usual = best_pretension(a, f)
-        rows.append(
-            [
-                f"{f:g} Hz, {a:g}°",
-                f"{1e3 * best:g}",
-                f"{usual.surge:.3f}",
-                f"{fastest.surge:.3f}",
-                f"{100 * (fastest.surge / usual.surge - 1):.0f} %",
-                f"{usual.yaw_peak:.0f}",
-                f"{fastest.yaw_peak:.0f}",
-            ]
-        )
-    grid = ", ".join(f"{1e3 * d:g}" for d in PRETENSIONS_M)
-    springs = table(
-        [
-            "beat",
-            "best d_p, mm",
-            "V at 30 mm, m/s",
-            "V at best",
-            "gain",
-            "yaw peak at 30 mm, deg/s",
-            "at best",
-        ],
-        rows,
-    )
-    return f"""### The stiffness of the caudal joint
-
-Pretension of the passive spring that swims fastest, among {grid} mm, against the 30 mm the paper compares
-with; speeds at {TANK_S:g} s.
-
-{springs}
-
-As in the paper: an optimum exists for every beat, and it rises with the frequency; above 1.5 Hz the gain
-rises with frequency and amplitude (published: from 0.32 to 0.45 m/s, which is 41 % of the smaller and 29 %
-of the larger speed; the paper prints 29 %). Unlike the paper: wherever the fastest spring is stiffer than
-that of 30 mm the head swings more with it; the paper's Fig 10 shows it swinging less, at 1.5 Hz and 20°.
-"""
-
-
-#: Of Algorithm 1 (section IV.B): frequencies in Hz, amplitudes in degrees.
+#: Grid of Algorithm 1 (section IV.B): frequencies in Hz, amplitudes in degrees.
 RULE_HZ, RULE_DEG = (0.6, 2.0, 8), (15.0, 35.0, 5)
 #: Published highest speeds with the fixed and with the variable stiffness, m/s (section V.C).
 PUBLISHED_GAIN = (0.32, 0.45)
@@ -426,70 +353,14 @@ RULE = {"robot": "tfish", "over": {"frequency_hz": RULE_HZ, "amplitude_deg": RUL
 
 @cache
 def stiffness_rule() -> StiffnessRule:
-    """The rule of Algorithm 1, as ``swimid optimise stiffness`` gives it."""
+    """Return the rule of Algorithm 1 as ``swimid optimise stiffness`` finds it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return optimise_stiffness(**RULE)
 
 
-def rule() -> RuleFile:
-    """The rule itself."""
-    return stiffness_rule().file
-
-
-def sweep(file: RuleFile, amplitude_deg: float) -> tuple[float, float, float]:
-    """Swim once through all frequencies of the rule without a stop.
-
-    Returns the way with the rule, the way with the best fixed pretension, and that pretension, m. Each step
-    lasts whole beats and begins with the motion with which the last one ended.
-    """
-    performance = Performance.of_options(optimise_stiffness.options.of(RULE))
-    model = performance.model
-    frequencies = [float(f) for f in np.linspace(*RULE_HZ)]
-    ruled = [file.stiffness_for(f, amplitude_deg, outside="hold") for f in frequencies]
-    fixed = sorted({*np.linspace(min(ruled), max(ruled), 9).tolist(), file.reference})
-    stiffness = np.vstack([ruled, np.tile(np.array(fixed)[:, None], len(ruled))])
-    states, ways = [performance.values.copy() for _ in stiffness], np.zeros(len(stiffness))
-    for number, frequency in enumerate(frequencies):
-        ramp_s = 0.0 if number else performance.ramp_s
-        point = {"frequency_hz": frequency, "amplitude_deg": amplitude_deg}
-        swim, _ = replace(performance, ramp_s=ramp_s).swim(point)
-        duration_s = math.ceil(performance.duration_s * frequency - 1e-9) / frequency
-        run = SwimRun.driven(model, f"sweep {number}", swim, frequency, duration_s)
-        for values, k in zip(states, stiffness[:, number], strict=True):
-            values[model.index(file.coefficient)] = k
-        columns = model.simulate_many([(values, run.trial) for values in states])
-        paths = np.array([[column[name][::PER_CYCLE] for name in model.pose[:2]] for column in columns])
-        ways += np.hypot(*np.diff(paths, axis=2).transpose(1, 0, 2)).sum(axis=1)
-        for values, seen in zip(states, columns, strict=True):
-            for name, value in model.final_state(seen).items():
-                values[model.index(name)] = value
-        model.forget([run.trial])
-    best = int(np.argmax(ways[1:]))
-    return float(ways[0]), float(ways[1 + best]), fixed[best]
-
-
 def tfish_rule() -> str:
-    file = rule()
-    curves, gains = [], []
-    for curve in file.curves:
-        optima = [o for o in file.optima if o.amplitude_deg == curve.amplitude_deg]
-        values = [1e3 * float(o.stiffness or 0.0) for o in optima]
-        c0, c1, c2 = (f"{1e3 * c:.1f}".replace("-", "−") for c in curve.coefficients)
-        curves.append([f"{curve.amplitude_deg:g}°", *(f"{v:.0f}" for v in values), c0, c1, c2])
-        over = [
-            100 * (float(o.rule_speed_m_s or 0.0) / float(o.reference_speed_m_s or 1.0) - 1) for o in optima
-        ]
-        with_rule, with_fixed, pretension = sweep(file, curve.amplitude_deg)
-        gains.append(
-            [
-                f"{curve.amplitude_deg:g}°",
-                *(f"{v:+.0f} %".replace("-", "−") for v in over[2:]),
-                f"{with_rule:.1f}",
-                f"{with_fixed:.1f}",
-                f"{1e3 * pretension:.0f} mm",
-            ]
-        )
+    file = stiffness_rule().file
     ruled = max(float(o.rule_speed_m_s or 0.0) for o in file.optima)
     fixed = max(float(o.reference_speed_m_s or 0.0) for o in file.optima)
     wider = sum(
@@ -499,39 +370,31 @@ def tfish_rule() -> str:
     )
     stiffer = sum(float(o.stiffness or 0.0) > file.reference for o in file.optima)
     low, high = PUBLISHED_GAIN
-    frequencies = sorted({o.frequency_hz for o in file.optima})
-    heads = [f"{f:g} Hz" for f in frequencies]
-    optima_table = table(["A", *heads, "c0", "c1", "c2"], curves)
-    gain_table = table(["A", *heads[2:], "with the rule, m", "best fixed, m", "which"], gains)
-    return f"""### The stiffness rule: Algorithm 1 and Figs 9 and 11
+    ends = [
+        [f"{1e3 * float(o.stiffness or 0.0):.0f}" for o in file.optima if o.amplitude_deg == a]
+        for a in RULE_DEG[:2]
+    ]
+    ranges = ", ".join(f"{mm[0]} to {mm[-1]} mm at {a:g}°" for mm, a in zip(ends, RULE_DEG, strict=False))
+    return f"""### The stiffness of the caudal joint: Algorithm 1 and Figs 9 and 11
 
-`swimid optimise stiffness` over the paper's grid: the pretension, mm, that NSGA-II finds for the highest mean
-speed from rest ({file.duration_s:g} s), and the rule c0 + c1 f + c2 f² in mm.
-
-{optima_table}
+`swimid optimise stiffness` over the paper's grid finds the pretension with the highest mean speed from rest
+({file.duration_s:g} s) for each amplitude: from {RULE_HZ[0]:g} to {RULE_HZ[1]:g} Hz, {ranges}.
 
 ![The rule for each amplitude](figures/stiffness-rule.svg)
 
-As in Fig 9: a quadratic function of the frequency for each amplitude, rising with both. (The figure has no
-numbers to compare with.) Gain in speed of the rule over a fixed {1e3 * file.reference:.0f} mm; and the
-way in one
-run through all frequencies, with the rule and with the best fixed pretension.
+As in Fig 9, the rule rises with frequency and amplitude. The figure has no values to compare with. The
+highest speed of the grid rises from {fixed:.2f} m/s with the fixed {1e3 * file.reference:.0f} mm to
+{ruled:.2f} m/s with the rule. That is {100 * (ruled / fixed - 1):.0f} % of the smaller and
+{100 * (1 - fixed / ruled):.0f} % of the larger speed. The paper has {low:g} and {high:g} m/s:
+{100 * (high / low - 1):.0f} % and {100 * (1 - low / high):.0f} %, of which it prints the latter.
 
-{gain_table}
-
-The highest speed of the grid rises from {fixed:.2f} to {ruled:.2f} m/s: by
-{100 * (ruled / fixed - 1):.0f} % of the
-smaller and {100 * (1 - fixed / ruled):.0f} % of the larger speed (published: from {low:g} to {high:g} m/s,
-{100 * (high / low - 1):.0f} % and {100 * (1 - low / high):.0f} %, of which the paper prints the latter).
-Unlike
-the paper: the range of the yaw rate is wider at {wider} of the {stiffer} points where the optimum is
-stiffer than
-the fixed spring, where Fig 10 shows it narrower.
+Unlike in Fig 10, where the yaw rate has a smaller range with the best spring, its range is larger at {wider}
+of the {stiffer} points where the best spring is stiffer than the fixed one.
 """
 
 
 def readings_of(name: str) -> list[tuple[str, str, bool]]:
-    """Reading, option, and whether it is the chosen one."""
+    """Return each reading and option, and whether the option is the chosen one."""
     return [
         (key, option, option == reading.chosen)
         for key, reading in robot(name).readings.items()
@@ -542,7 +405,7 @@ def readings_of(name: str) -> list[tuple[str, str, bool]]:
 def _reading_row(
     label: str, values: Sequence[Sequence[float]], targets: Sequence[Sequence[float]], digits: Sequence[int]
 ) -> list[str]:
-    """A row of values, group by group, and the deviation of each group."""
+    """Return a row with the values of each group and their root-mean-square deviation."""
     cells = [label]
     for group, published, d in zip(values, targets, digits, strict=True):
         cells += [f"{v:.{d}f}".replace("-", "−") if np.isfinite(v) else "unstable" for v in group]
@@ -577,11 +440,11 @@ def tfish_readings() -> str:
     ]
     columns = ["reading", *(f"V {f:g}/{a:g}" for f, a in CLEAN_SPEED), "rms"]
     columns += [*(f"yaw {f:g}/{a:g}" for f, a in CLEAN_YAW), "rms"]
-    return f"""### What each reading changes
+    return f"""### Other readings of the paper
 
-One reading at a time is exchanged for a rival (`--reading NAME=OPTION`); speeds in m/s and yaw peaks in
-deg/s over the last {TFISH_CYCLES} beats before {TANK_S:g} s, with the root mean square of their relative
-deviations. The length of the crank is not in the paper: 20 mm is chosen.
+One reading at a time is replaced (`--reading NAME=OPTION`). Speeds are in m/s and yaw peaks in deg/s, over
+the last {TFISH_CYCLES} beats before {TANK_S:g} s, with the root mean square of their relative deviations.
+The paper does not give the length of the crank; 20 mm is chosen.
 
 {table(columns, rows)}
 """
@@ -593,10 +456,7 @@ deviations. The length of the crank is not in the paper: 20 mm is chosen.
 DOLPHIN_SPEEDS = (("JN1", 0.31, 2.9, 0.65), ("JN2", 0.62, 2.89, 0.71), ("JN4", 0.8, 2.88, 0.74))
 WAIST_DEG = 27.0
 MAP_HZ = tuple(1.0 + 0.5 * k for k in range(9))
-MAP_STIFFNESS = (0.1, 0.2, 0.31, 0.5, 0.62, 0.8, 1.4, 3.0)
-#: The paper's own grid of Fig 11a.
-PAPER_STIFFNESS = tuple(0.2 * k for k in range(1, 16))
-RIGID_HZ = (2.0, 2.53, 2.9)
+#: Highest speed with a locked joint: frequency (Hz) and speed (m/s).
 PUBLISHED_RIGID = (2.53, 0.45)
 
 
@@ -616,13 +476,13 @@ def steady_speed(f: float, stiffness: float) -> float:
 
 
 def dolphin_deviations() -> list[float]:
-    """Of the three published top speeds."""
+    """Return the relative deviations from the three published top speeds."""
     return [dolphin(f, SHORT_S, K_s=k).surge / known - 1.0 for _, k, f, known in DOLPHIN_SPEEDS]
 
 
 @cache
 def best_stiffness(f: float) -> float:
-    """Stiffness of the highest steady speed, N m/rad; 0.02 stands for that or less."""
+    """Return the stiffness of the highest steady speed, N m/rad; 0.02 if it is 0.02 or less."""
     grid = np.geomspace(0.02, 4.0, 14)
     at = int(np.argmax([steady_speed(f, float(k)) for k in grid]))
     if at == 0:
@@ -645,56 +505,25 @@ def dolphin_speeds() -> str:
                 f"{found.rear:.0f}°",
             ]
         )
-    case = dolphin(2.53, SHORT_S, K_s=0.31)
     misses = [dolphin(f, SHORT_S, K_s=k).surge - v for _, k, f, v in DOLPHIN_SPEEDS]
     off = 100 * float(np.sqrt(np.mean(np.square(misses))))
-    rigid = [dolphin(f, STEADY_S, rigid_dolphin()).surge for f in RIGID_HZ]
-    flexible = [steady_speed(f, 0.31) for f in RIGID_HZ]
-    locked = ", ".join(f"{v:.2f} m/s at {f:g} Hz" for f, v in zip(RIGID_HZ, rigid, strict=True))
     top_hz, known = PUBLISHED_RIGID
+    rigid, faster = (dolphin(f, STEADY_S, rigid_dolphin()).surge for f in (top_hz, MAP_HZ[-1]))
     return f"""### Top speeds: Figs 8 and 11b, by their values in the text
 
 Mean surge of the nose over the last {DOLPHIN_CYCLES} beats of {SHORT_S:g} s, waist ±{WAIST_DEG:g}°.
 
 {table(["joint", "published, m/s", "model", "deviation", "fluke swings ±"], rows)}
 
-Root mean square over the three: {off:.1f} cm/s (the paper's own, over whole curves: 4.04, 3.88 and 3.97
-cm/s). The published order, stiffer is faster, is not the model's: at 2.88 Hz its optimum is
-{best_stiffness(2.88):.2f} N m/rad, while the measured one is at or above 0.8.
+The root mean square over the three is {off:.1f} cm/s (the paper's own, over whole curves: 4.04, 3.88 and 3.97
+cm/s). In the paper the stiffer joint is faster. In the model the best stiffness at 2.88 Hz is
+{best_stiffness(2.88):.2f} N m/rad.
 
-At the beat of the paper's identification (2.53 Hz, 0.31 N m/rad) the model swims {case.surge:.2f} m/s, its
-fluke swings by ±{case.rear:.0f}° and its head by ±{case.pitch:.1f}°. The paper shows these as curves only.
-
-Locked caudal joint (steady): {locked};
-with 0.31 N m/rad {", ".join(f"{v:.2f}" for v in flexible)}. The paper's maximum is {known:g} m/s at
-{top_hz:g} Hz ({deviation(rigid[1], known)} here). That the
-speed falls above it is not reproduced; its authors call their model unsuitable there too.
-"""
-
-
-def dolphin_map() -> str:
-    rows = []
-    for f in MAP_HZ:
-        speeds = [steady_speed(f, k) for k in MAP_STIFFNESS]
-        top = best_stiffness(f)
-        optimum = f"{top:.2f}" if top > 0.02 else "≤ 0.02"
-        paper = max(PAPER_STIFFNESS, key=lambda k: steady_speed(f, k))
-        rigid = dolphin(f, STEADY_S, rigid_dolphin()).surge
-        rows.append([f"{f:g}", *(f"{v:.3f}" for v in speeds), optimum, f"{paper:.1f}", f"{rigid:.3f}"])
-    short = ", ".join(f"{dolphin(f, SHORT_S, K_s=3.0).surge:.2f}" for f in (1.0, 1.5, 2.0))
-    columns = ["f, Hz", *(f"{k:g}" for k in MAP_STIFFNESS), "K*", "K* on Fig 11a's grid", "rigid"]
-    return f"""### Speed against frequency and stiffness: Fig 11a
-
-Steady speed, m/s, over the stiffness in N m/rad; K* is the stiffness of the highest speed.
-
-{table(columns, rows)}
-
-![Speed over frequency and stiffness](figures/speed-map.svg)
-
-As in the paper: every frequency has its best stiffness, which rises with the frequency; with a stiff joint
-speed rises with frequency, with a soft one it rises and falls; and a yielding joint beats a locked one.
-Slow and stiff beats take longer than {SHORT_S:g} s to become steady: at that time the model swims {short}
-m/s at 1, 1.5 and 2 Hz with 3 N m/rad. The paper prints the map as colours, without numbers.
+With a locked caudal joint the model swims {rigid:.2f} m/s at {top_hz:g} Hz, where the paper has its maximum
+of {known:g} m/s ({deviation(rigid, known)}). With 0.31 N m/rad it swims {steady_speed(top_hz, 0.31):.2f} m/s:
+as in the paper, a compliant joint is faster. In the paper the speed with a locked joint falls above
+{top_hz:g} Hz. In the model it reaches {faster:.2f} m/s at 5 Hz. The authors call their model unsuitable for
+a locked joint.
 """
 
 
@@ -725,16 +554,16 @@ def dolphin_readings() -> str:
         row("polar of a thin aerofoil: lift π sin 2a", usual, fluke_lift=math.pi),
     ]
     columns = ["reading", *(f"{name}, {k:g} N m/rad" for name, k, *_ in DOLPHIN_SPEEDS), "rms"]
-    return f"""### What each reading changes
+    return f"""### Other readings of the paper
 
-Speeds in m/s at the frequencies above.
+Speeds in m/s at the frequencies of the first table.
 
 {table(columns, rows)}
 """
 
 
-#: Least cost of transport measured with a yielding and with a locked joint, J/m (section 4.2.2).
-PUBLISHED_COST = (114.3, 181.2)
+#: Least cost of transport measured with a compliant joint, J/m (section 4.2.2).
+PUBLISHED_COST = 114.3
 
 
 def dolphin_costs() -> str:
@@ -744,29 +573,23 @@ def dolphin_costs() -> str:
         duration_s=STEADY_S,
         over={"frequency_hz": (2.0, 3.0, 3), "K_s": (0.31, 0.62, 2)},
     ).frame
-    rows = [
-        [
-            f"{r['frequency_hz']:g} Hz, {r['K_s']:g} N m/rad",
-            f"{r['mean_speed_m_s']:.2f}",
-            f"{r['mean_positive_power_W']:.2f}",
-            f"{r['cost_of_transport_J_m']:.2f}",
-        ]
-        for _, r in made.iterrows()
-    ]
-    least = float(made["cost_of_transport_J_m"].max())
-    columns = ["beat", "speed, m/s", "power of the joints, W", "cost of transport, J/m"]
+    rows = []
+    for f, at in made.groupby("frequency_hz"):
+        cells = [f"{v:.2f}" for name in ("mean_positive_power_W", "cost_of_transport_J_m") for v in at[name]]
+        rows.append([f"{f:g}", *cells])
+    largest = float(made["cost_of_transport_J_m"].max())
+    columns = ["f, Hz", "W at 0.31 N m/rad", "W at 0.62", "J/m at 0.31", "J/m at 0.62"]
     return f"""### Power and cost of transport: Fig 10
 
-Mechanical power of the waist by `swimid map`, steady.
+Steady mechanical power of the joints and cost of transport by `swimid map`:
 
 {table(columns, rows)}
 
-The paper measures voltage and current: {PUBLISHED_COST[0]:g} J/m at the least with a yielding joint.
-Against that the joints of the model need {100 * least / PUBLISHED_COST[0]:.0f} % or less: what electronics,
-motors, gears and the motor that imitates the spring take is not in the paper, and so the figure is not
-reproduced. As in the
-paper power rises with frequency, is the same for both stiffnesses below 2.1 Hz and larger for the stiffer one
-above it, and the softer joint is the cheaper one.
+The paper measures electrical power: the least cost of transport with a compliant joint is {PUBLISHED_COST:g}
+J/m. The joints of the model need {100 * largest / PUBLISHED_COST:.0f} % of it or less. The losses of
+electronics, motors and gears, and the power of the motor that imitates the spring, are not in the paper, so
+that the values cannot be reproduced. As in the paper, the power rises with the frequency, and the softer
+joint has the lower cost.
 """
 
 
@@ -774,7 +597,7 @@ above it, and the softer joint is the cheaper one.
 
 
 def checks() -> list[tuple[str, bool]]:
-    """What this reproduction claims, and whether it holds."""
+    """Return each claim of the page, and whether it holds."""
     optima_text = ", ".join(f"{best_stiffness(f):.2f}" for f in MAP_HZ)
     peaks = tfish_yaw_deviations(1)
     wider = tfish_yaw_deviations(TFISH_CYCLES)
@@ -786,88 +609,84 @@ def checks() -> list[tuple[str, bool]]:
 
     return [
         (
-            f"dolphin within 10 % at all three stiffnesses ({listed(speeds)})",
+            f"the dolphin's speed is within 10 % at all three stiffnesses ({listed(speeds)})",
             all(abs(v) < 0.10 for v in speeds),
         ),
         (
-            f"dolphin's best stiffness rises with frequency ({optima_text} N m/rad)",
+            "the dolphin's best stiffness rises with the frequency, from 1 to 5 Hz in steps of 0.5 Hz: "
+            f"{optima_text} N m/rad",
             all(b > a for a, b in pairwise(optima)),
         ),
         (
-            "tendon fish's yaw peaks within 5 % at the clean rows 1.0/20, 1.0/30, 1.4/20, last beat before "
-            f"{TANK_S:g} s ({listed(peaks)}; over {TFISH_CYCLES} beats {listed(wider)})",
+            "the tendon fish's yaw peaks are within 5 % at the rows 1.0/20, 1.0/30 and 1.4/20 of Table IV, "
+            f"in the last beat before {TANK_S:g} s ({listed(peaks)}; over {TFISH_CYCLES} beats "
+            f"{listed(wider)})",
             all(abs(v) < 0.05 for v in peaks),
         ),
     ]
 
 
-NOT_REPRODUCED = """## What cannot be reproduced, and why
+FIG_11A = """### Speed against frequency and stiffness: Fig 11a
 
-Tendon fish:
+![Speed over frequency and stiffness](figures/speed-map.svg)
 
-- *Curves over time* (Figs 6 to 8 and 10): printed as pictures; there are no data to hold a simulation
-  against. For the same reason neither the errors of Table IV themselves nor the NRMSE of 6.8 and 3.4 %
-  can be recomputed.
-- *0.667 m/s at 1.8 Hz, 30°, and the row 1.4 Hz, 30°*: these follow from Table IV by the same quotient as
-  the others but contradict the paper's own top speed, or repeat another row.
-- *The speed at 1.0 Hz, 20°* is reached only after a minute. With the published friction the model gathers
-  speed too slowly for the tank; faster beats swim too fast once steady.
-- *The largest yaw rate and the radius in turns, and ξ falling with asymmetry*: see above. The amplitude
-  of those runs is not stated.
-- *Less yaw at the best stiffness*: at 1.5 Hz, 20° the model's best stiffness is the fixed one, and faster
-  beats have the opposite.
-- *The bias of Eq 10*: as printed it drops out of the output; here it is added to the output. *The
-  amplitude of Eq 10* would be the square root of A, reached at a rate that depends on A's unit; here the
-  oscillator has radius one and the amplitude is a gain.
-- *Table II's inertias*: those of links 1 to 4 need the mass farther out than the links reach; only I_0,
-  read about the nose, is consistent.
-- *Weight 3.6 kg and length 0.45 m* (Table I) against 2.472 kg and 0.466 m (sums of Table II): Table II is
-  used.
-
-Dolphin:
-
-- *The RMSE of Figs 8 and 11b and the map of Fig 11a*: pictures without numbers.
-- *Power and cost of transport*: electrical; the model ends at the joints (above). The text assigns the
-  least cost
-  of transport to JN1 but at the speed of JN2.
-- *The fall of the rigid tail's speed above 2.53 Hz*: not in this model; the authors say that theirs does
-  not suit a locked joint.
-- *The order of the three top speeds*: the model's best stiffness at 2.9 Hz lies between the two softer
-  joints.
-- *An independent prediction*: the heights and girths of the body and the polar of the fluke are not
-  given. The profile here follows from the stated dimensions and mass; the polar was chosen to fit the
-  three speeds, so their agreement is a fit with one curve and three points, not a prediction.
-- *L_c = 0.4 m* from the nose to the centre of mass: against the inertias of Table 2, which put it at 0.31
-  m.
+As in the paper, the best stiffness rises with the frequency. With a stiff joint the speed rises with the
+frequency, with a soft joint it rises and falls. The paper prints the map as colours without values.
 """
 
 
-INTRODUCTION = """Printed by `make reproduction` (`docs/reproduction.py`, then
-`benchmarks/bench_tuning.py`). The
-models are the robot files `tfish` and `dolphin` with the published coefficients. Two things the papers
-leave
-out were chosen: the crank of the tendon fish (20 mm), and the dolphin's profile with the polar of its
-fluke."""
+NOT_REPRODUCED = """## What cannot be reproduced, and why
+
+Tendon fish, besides the doubtful rows and the differences named above:
+
+- *Curves over time* (Figs 6 to 8 and 10) are printed as pictures without data. Therefore neither the errors
+  of Table IV themselves nor the NRMSE of 6.8 and 3.4 % can be recomputed.
+- *The speed at 1.0 Hz, 20°* is reached only after a minute. With the published friction the model gathers
+  speed too slowly for the tank, and faster beats are too fast once steady.
+- *Eq 10* is corrected. As printed, the bias drops out of the output; here it is added to the output. The
+  amplitude would be the square root of A, reached at a rate that depends on the unit of A. Here the
+  oscillator has radius one and the amplitude is a gain.
+- *The inertias of links 1 to 4* (Table II) need the mass farther out than the links reach. Only I_0, taken
+  about the nose, is consistent.
+- *Weight 3.6 kg and length 0.45 m* (Table I) contradict the sums of Table II, 2.472 kg and 0.466 m. Table II
+  is used.
+
+Dolphin, besides the differences named above:
+
+- *The RMSE of Figs 8 and 11b and the map of Fig 11a* are pictures without values.
+- *Power and cost of transport* are electrical. The text also assigns the least cost of transport to JN1 but
+  at the speed of JN2.
+- *An independent prediction* is not possible, because the paper does not give the heights and girths of the
+  body and the polar of the fluke. The profile follows from the stated dimensions and mass. The polar was
+  chosen to fit the three speeds, so their agreement is a fit and not a prediction.
+- *L_c = 0.4 m* from the nose to the centre of mass contradicts the inertias of Table 2, which put it at
+  0.31 m.
+"""
+
+
+INTRODUCTION = """This page is printed by `make reproduction` (`docs/reproduction.py`, then
+`benchmarks/bench_tuning.py`). The models are the robot files `tfish` and `dolphin` with the published
+coefficients. The papers do not give the crank of the tendon fish (20 mm is chosen), nor the profile of the
+dolphin and the polar of its fluke."""
 
 
 def page() -> str:
-    """The whole page, Markdown."""
+    """Return the whole page as Markdown."""
     claims = "\n".join(f"- {'holds' if holds else 'FAILS'}: {text}" for text, holds in checks())
     return wrapped(
         [
             "# Reproduction of the published figures",
             INTRODUCTION,
-            "In short:",
+            "The claims of this page:",
             claims,
             "## Tendon fish",
             tfish_straight(),
             tfish_turning(),
-            tfish_spring(),
             tfish_rule(),
             tfish_readings(),
             "## Dolphin",
             dolphin_speeds(),
-            dolphin_map(),
+            FIG_11A,
             dolphin_costs(),
             dolphin_readings(),
             NOT_REPRODUCED,
@@ -876,7 +695,7 @@ def page() -> str:
 
 
 def table_v() -> Figure:
-    """The rows of Table V, published and of the model."""
+    """Return a figure of the rows of Table V, published and of the model."""
     rows = [f"{bias:g} {mode}" for bias, mode, *_ in TABLE_V]
     published = np.array([values for _, _, *values in TABLE_V])
     found = np.array([table_v_row(bias, mode) for bias, mode, *_ in TABLE_V])
@@ -903,7 +722,7 @@ def table_v() -> Figure:
 
 
 def speed_map() -> list[Figure]:
-    """Speed against frequency and stiffness, as ``swimid map`` draws it."""
+    """Return the figures of speed against frequency and stiffness, as ``swimid map`` draws them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = performance_map(
