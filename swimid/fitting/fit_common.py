@@ -32,7 +32,7 @@ from swimid.results import evidence as ev
 from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
 from swimid.robots.file import Robot, locate
 
-#: Minimum absolute correlation of two parameters that are reported as hard to tell apart.
+#: Minimum absolute correlation of two parameters that are reported as hard to separate.
 STRONG = 0.95
 #: Maximum ratio of the held-out error to the error of the fitted trials. A check warns if the ratio is
 #: larger.
@@ -190,7 +190,7 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     for (i, first), (j, second) in itertools.combinations(enumerate(correlation.names), 2):
         rho = correlation.matrix[i][j]
         if abs(rho) > STRONG and result.status[first] == result.status[second] == "estimated":
-            said.append(f"{first} and {second} are hard to tell apart (correlation {rho:+.3f})")
+            said.append(f"{first} and {second} are hard to separate (correlation {rho:+.3f})")
             warn("SWM011", said[-1])
     return said
 

@@ -89,7 +89,7 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
                 return found, count / (made + int(k) + 1)
     raise NoTrustworthyResult(
         "hardly a draw of the coefficients from their covariance is possible",
-        hint="they lie at their bounds or are hardly known; hold them (--set) or fit them better",
+        hint="they lie at their bounds or have large standard errors; hold them (--set) or add trials",
     )
 
 

@@ -160,7 +160,7 @@ def count_check(name: str, passed: int, count: int, text: str, reason: str = "")
 def draws_check(inside: float) -> ev.Check:
     """Check that most random coefficient samples lie within the bounds of the coefficients."""
     value, passed = numbers.percent(inside, 2), inside >= MIN_INSIDE
-    text = "the coefficients are hardly known: fit them better" * (not passed)
+    text = "the coefficients have large standard errors: add trials that identify them" * (not passed)
     name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
     return ev.check(name, value, passed, "half or more", text, reason=reason)
 
@@ -219,7 +219,7 @@ def forwards_check(surge_m_s: Sequence[float | None]) -> list[ev.Check]:
     if not known:
         return []
     backwards = sum(surge <= 0 for surge in known)
-    text = "elsewhere the robot moves tail first: its speed there is none of swimming"
+    text = "with the other gaits the robot moves tail first"
     check = count_check("swims nose first", len(known) - backwards, len(known), text, "gaits swim nose first")
     if backwards == len(known):
         check.verdict = "fail"

@@ -309,7 +309,7 @@ def _motion(track: RawTrack, setup: Setup) -> Check:
     reason = f"marker '{name}' stays within {extent}"
     if still:
         reason += ", which is its noise"
-    reason += ": is it the marker, or a motionless thing of its colour?"
+    reason += ": is it the marker, or a motionless object of its colour?"
     value, limit = f"{radii:.2g} radii", f">= {MIN_RADII:g} radius and {noise:.2g} px of noise"
     passed = radii >= MIN_RADII and not still
     return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
@@ -457,9 +457,9 @@ def _looks(track: RawTrack) -> Iterator[Check]:
     """Check whether another object was taken for a marker first, and whether a colour drifted."""
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
-        value = f"{count} sights of a thing of {area:.0f} px, then one of {now:.0f} px"
-        reason = f"marker '{name}' was first taken for another thing: {value}, which stayed longer"
-        yield _judged("SWM064", f"What is {name}", value, "one thing", False, reason)
+        value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
+        reason = f"marker '{name}' was first confused with another object: {value}, which stayed longer"
+        yield _judged("SWM064", f"Object followed as {name}", value, "one object", False, reason)
     for name, drift in track.drift.items():
         value = f"hue {2 * drift[0]:+.0f} deg, saturation {drift[1] / 255:+.2f}, value {drift[2] / 255:+.2f}"
         warn("SWM046", f"the colour of marker '{name}' drifted ({value}); the colour model followed it")
