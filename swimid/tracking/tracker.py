@@ -723,7 +723,7 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     if any(quality.measure_range(second.track, name)[1] < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{side:.0f}' for side in box)}]" for box in boxes)
-    text = f"a thing of the marker's colour never moves and was left out (box {listed})"
+    text = f"an object of the marker's colour never moves and was left out (box {listed})"
     warn("SWM049", f"{path.name}: {text}; write it into ignore_px to save the second reading")
     return second
 
