@@ -357,7 +357,7 @@ def track() -> None:
 
 @main.group()
 def optimise() -> None:
-    """Find the best stiffness, as a rule for a controller, or the best gait."""
+    """Find the best stiffness for each frequency and amplitude, or the best gait."""
 
 
 for spec in found().values():

@@ -132,7 +132,10 @@ class Floor:
     repeated: bool = False
 
     def less(self, shares: Mapping[str, float]) -> Floor:
-        """Return the noise floor without a given fraction of the squared noise of some channels."""
+        """Return the noise floor after a fraction of the noise variance is removed.
+
+        ``shares`` has this fraction for each channel. Other channels are unchanged.
+        """
         left = {c: float(np.sqrt(1.0 - share)) for c, share in shares.items()}
         levels, inside, within = (
             {c: v * left.get(c, 1.0) for c, v in kind.items()}

@@ -317,9 +317,9 @@ class Description(Effect):
         )
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Return one point for each factor, at which all other factors are zero.
+        """Return one point for each factor: it has its typical scale, and all other factors are zero.
 
-        The factor has its typical scale. One size is enough, because the change by a factor is nearly linear.
+        One size is enough, because the change by a factor is nearly linear.
         """
         return [np.eye(len(parameters))[k] * p.scale for k, p in enumerate(parameters)]
 

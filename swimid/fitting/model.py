@@ -571,7 +571,7 @@ class Model(ABC):
         return {c.name: np.full(len(trial.time_s), np.nan) for c in self.channels}
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the derivative of each channel by time, for trials with uncertain time stamps."""
+        """Return the time derivative of each channel, for trials with uncertain time stamps."""
         step = 1e-4
         late = self.simulate(values, replace(trial, time_s=trial.time_s + step))
         early = self.simulate(values, replace(trial, time_s=np.maximum(trial.time_s - step, 0)))

@@ -107,7 +107,10 @@ def weights(problem: Problem) -> list[Array]:
 
 
 def largest_change(problem: Problem, before: list[Array]) -> float:
-    """Return the largest relative change of a weight since ``before``, compared with the median change."""
+    """Return the largest relative change of a weight since ``before``.
+
+    A factor that is common to all weights does not count as a change.
+    """
     every = np.concatenate(weights(problem)) / np.concatenate(before)
     return float(np.max(np.abs(every / np.median(every) - 1.0), initial=0.0))
 

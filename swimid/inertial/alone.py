@@ -22,7 +22,8 @@ from swimid.inertial.smoother import PARTS, Nominal, Observation, Smoothed, cros
 ORIGIN_SD = 1e-6
 #: Standard deviation of roll and pitch at the first sample, rad.
 START_TILT_SD = 0.05
-#: Maximum number of rests that are excluded one by one. After them all rests are excluded.
+#: Maximum number of rest periods that are excluded one by one. If the motion still contradicts the rest
+#: periods after that, all of them are excluded.
 MAX_SINGLE = 2
 #: Minimum increase in log-likelihood for replacing the stated class of sensor by another one: "strong"
 #: evidence (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572, sec. 3.2).

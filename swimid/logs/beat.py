@@ -34,8 +34,9 @@ TAPERED_SHARE = 0.1
 MIN_KNOWN_SHARE = 0.8
 #: Probability of a false detection: noise of any spectrum, without a beat, is taken for a beat.
 FALSE_ALARM = 0.01
-#: Minimum fraction of the variance about the drift that a channel's largest beat explains, and minimum
-#: fraction for any other beat, such as a stroke whose harmonic is larger than the stroke.
+#: Minimum fraction of the variance about the drift that a beat explains. One beat of a channel at least must
+#: reach the first limit. Every beat must reach the second limit, because a stroke may be weaker than its own
+#: harmonic.
 MIN_SHARE, MIN_FAINT_SHARE = 0.1, 0.02
 #: Relative tolerance for two frequencies that are equal, or of which one is a multiple of the other.
 SAME_RTOL = 0.03

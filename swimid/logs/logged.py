@@ -150,7 +150,11 @@ def _signals(record: Log) -> dict[str, Array]:
 
 
 def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
-    """Return start and end, s, of each period without samples; pauses follow the samples ``after``."""
+    """Return start and end, s, of each gap in a channel.
+
+    A gap is a run of NaN values, or a pause in the time stamps. ``after`` has the index of the last sample
+    before each pause.
+    """
     empty = np.isnan(values)
     blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
     ends = np.vstack([blank, np.add.outer(after, [0, 1])]).clip(0, len(time) - 1)

@@ -396,7 +396,7 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
 
 
 def add_time_error(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
-    """Return a stroke whose standard error includes errors of the first and the last sample time."""
+    """Return the stroke with a standard error that includes errors of the first and last time stamps."""
     error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
     beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
     return replace(stroke, beat=beat)

@@ -712,7 +712,7 @@ def max_added_mass_in_box(
 
 
 def max_added_inertia(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
-    """Return the maximum added moment of inertia of a body that rotates about a point in its box, kg m2.
+    """Return the maximum added inertia, kg m2, of a body that rotates about a point in its bounding box.
 
     Notes
     -----

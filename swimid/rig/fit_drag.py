@@ -46,8 +46,8 @@ POINT_SHARES = (0.255, 0.51)
 #: Half-width of the interval of displacement around a point in which the speed is fitted, as a fraction of
 #: the first displacement.
 HALF_WIDTH = 1 / 6
-#: Minimum number of samples in the interval around a point, and number of samples above which the noise is
-#: estimated.
+#: Minimum number of samples in the interval around a point. The noise is estimated from more than
+#: ``MIN_SCATTER_SAMPLES`` samples.
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3

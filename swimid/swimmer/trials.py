@@ -435,7 +435,7 @@ def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]
 
 
 def _start_values(trial: Trial, log: Log, model: Swimmer) -> dict[str, float]:
-    """Return start values for the initial state, estimated from the opening of the log."""
+    """Return start values for the initial state, estimated from the first samples of the log."""
     lacks_heading = _lacks_heading(model, log)
 
     def at_start(name: str, derivative: int) -> float | None:

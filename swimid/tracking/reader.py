@@ -120,7 +120,7 @@ class Video:
         # decoding uses all cores, and threads for small pictures only cost time
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
-        # a folder, or a pattern that is not a file itself
+        # the path names pictures if it is a folder, or a pattern such as %04d and no file
         if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
             self.files = _listed(self.path)
             self.claimed = len(self.files)
