@@ -203,8 +203,8 @@ class Hypothesis(yamlio.Document):
     #: Sum of squared residuals at the optimum in units of the noise variance, plus the penalty for the
     #: parameters of the effects.
     score: Number
-    #: Value of ``score`` with noise whose correlation lasts long. None if the trials are enough to estimate the
-    #: correlation of the noise.
+    #: Value of ``score`` with noise whose correlation lasts long. None if the trials are enough to estimate
+    #: the correlation of the noise.
     slow: Number = None
     #: Largest squared cosine between the change of the trials by an effect and by another effect, for each
     #: effect of a hypothesis with several effects.

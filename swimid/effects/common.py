@@ -42,7 +42,7 @@ def parameter(
     start: float = 0.0,
     per_trial: bool = False,
 ) -> Parameter:
-    """Return a parameter of an effect. By default the effect has no influence at zero."""
+    """Return a parameter of an effect. The default start value is 0, without influence."""
     return Parameter(name, unit, lower, upper, start, scale, per_trial=per_trial, meaning=meaning)
 
 

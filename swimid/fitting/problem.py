@@ -398,8 +398,8 @@ SECANT_AGREEMENT = 0.75
 #: Maximum number of successive secant updates before new derivatives are computed.
 MAX_SECANT_STEPS = 5
 #: Reasons why a search ended. ``STILL``: the step or the decrease of the cost is below the tolerance.
-#: ``STUCK``: no step lowers the cost, and the predicted decrease is negligible. ``KINKED``: no step lowers the
-#: cost, and the predicted decrease is not negligible; such a search has failed.
+#: ``STUCK``: no step lowers the cost, and the predicted decrease is negligible. ``KINKED``: no step lowers
+#: the cost, and the predicted decrease is not negligible; such a search has failed.
 STILL = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 KINKED = "no step lowers the cost though the gradient does not vanish"

@@ -74,7 +74,7 @@ class GaitFile(StudyFile):
     #: Number of random samples of the coefficients, and fraction of the samples that lie within the bounds.
     draws: int = 0
     inside: Number = None
-    #: 95 % interval of each parameter of the best gait, which is computed for each sample of the coefficients.
+    #: 95 % interval of each parameter of the best gait, computed for each sample of the coefficients.
     at_ci95: dict[str, Pair] = {}
     #: 95 % interval, over the samples of the coefficients, of the goal for the gait ``at``.
     best_ci95: Pair = (None, None)

@@ -154,8 +154,8 @@ class Setup(Document):
     facing: Literal["auto", "right", "left"] = "auto"
     #: Direction of motion. A track in the other direction for most of the path fails a check.
     swims: Literal["head-first", "tail-first"] = "head-first"
-    #: Robot that supplies the position of each marker without ``at_m``. The robot file must have a marker of the
-    #: same name.
+    #: Robot that supplies the position of each marker without ``at_m``. The robot file must have a marker of
+    #: the same name.
     robot: str | None = None
     scale: Scale | None = None
     camera: Camera | None = None
