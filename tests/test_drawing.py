@@ -89,7 +89,11 @@ def test_the_worst_the_best_and_the_worst_held_out_trial_are_shown() -> None:
     trials = [Series(f"t{k}", size) for k, size in enumerate((1.0, 3.0, 0.5, 2.0))]
     trials += [Series("v0", 1.0, "validate"), Series("v1", 4.0, "validate")]
     figure = blocks.measured_and_simulated("f", "t", "c", "time (s)", "x (m)", trials)
-    assert [panel.title for panel in figure.panels] == ["t1 (worst)", "t2 (best)", "v1 (held out)"]
+    assert [panel.title for panel in figure.panels] == [
+        "t1 (largest error)",
+        "t2 (smallest error)",
+        "v1 (held out)",
+    ]
     points, line = figure.panels[0].traces
     np.testing.assert_allclose(points.y, trials[1].measured)
     np.testing.assert_allclose(line.y, trials[1].simulated)

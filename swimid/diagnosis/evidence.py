@@ -362,7 +362,11 @@ def _levels(table: ev.Table) -> ev.Figure:
         traces=traces,
         x_categories=[numbers.quantity(str(name)) for name in names],
     )
-    return ev.Figure(id="errors", title=table.title, caption="Root-mean-square errors.", panels=[panel])
+    caption = (
+        "Root-mean-square error on held-out data over the measured range: with the parameters as given, "
+        "after a refit without and with the identified causes, and of the noise alone."
+    )
+    return ev.Figure(id="errors", title=table.title, caption=caption, panels=[panel])
 
 
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
@@ -370,10 +374,9 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
         factor, unit = numbers.in_degrees(numbers.split_unit(p.channel)[1])
         traces: list[ev.Trace] = []
-        for label, simulated in {"without the causes": p.before, "with the causes": p.after}.items():
+        for label, simulated in {"refitted": p.before, "with causes": p.after}.items():
             x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
-            style = ("points", "line")[len(traces)]
-            traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces), style=style))
+            traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces), style="points"))
         y_label = f"residual of {numbers.quantity(p.channel)} ({numbers.unit_text(unit) or '1'})"
         if not caused:
             traces = traces[:1]
@@ -381,7 +384,10 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     if not panels:
         return []
     trial = worst[0].trial.id
-    caption = f"Measured minus simulated in {trial}, the held-out trial with the largest errors."
+    caption = (
+        f"Measured minus simulated in {trial}, the held-out trial with the largest errors, after a refit "
+        "without and with the identified causes."
+    )
     title = f"Residuals of the worst held-out trial, {trial}"
     return [ev.Figure(id="residuals", title=title, caption=caption, panels=panels)]
 

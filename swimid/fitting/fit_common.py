@@ -482,9 +482,6 @@ def figures(result: FitResult) -> list[ev.Figure]:
         series = result.series_of(channel.name)
         name = channel.meaning or channel.name
         factor, unit = numbers.in_degrees(channel.unit)
-        # the runs of a cruise table have no order in time, so that they have no autocorrelation
-        ordered = not result.model.timed_runs
-        correlation = autocorrelation(_weighted(result, channel.name)) if ordered else None
         found += [
             blocks.measured_and_simulated(
                 f"overlay-{channel.name}",
@@ -501,7 +498,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 "Measured minus simulated over the standard deviation of the noise.",
                 result.model.abscissa,
                 series,
-                correlation,
+                autocorrelation(_weighted(result, channel.name)),
             ),
         ]
     return found

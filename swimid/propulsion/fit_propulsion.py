@@ -298,7 +298,7 @@ def _fit_recoil_law(
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
         tables=[_run_table(points)],
-        figures=[_speed_figure(experiment, result, points), *fit_common.figures(result)[1:]],
+        figures=[_speed_figure(experiment, result, points), _residual_figure(result)],
         methods=[
             "Recoil efficiency and amplitude offset were estimated from the average speeds of "
             f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
@@ -570,6 +570,23 @@ def _speed_figure(experiment: Experiment, result: FitResult, points: list[dict[s
         "the offset as intercept over amplitude."
     )
     return blocks.panels("speeds", "Average speed", about, speeds)
+
+
+def _residual_figure(result: FitResult) -> ev.Figure:
+    """Return the figure of the residuals over frequency and over amplitude."""
+    inputs = {t.id: t.inputs for t in result.trials}
+    panels = []
+    for name, factor, label in (
+        ("frequency_hz", 1.0, "frequency (Hz)"),
+        ("amplitude_rad", 180 / np.pi, "amplitude (°)"),
+    ):
+        traces = []
+        for group, s in enumerate(result.series_of(SPEED)):
+            x = factor * inputs[s.trial][name]
+            traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
+        panels.append(blocks.panel(label, "residual / sd", traces, marks=[ev.Mark(at=0.0)]))
+    caption = "Measured minus fitted average speed over the standard deviation of the noise."
+    return blocks.panels("residuals", "Residuals of the average speed", caption, panels)
 
 
 def _points(runs: list[dict[str, Any]], x: str, power: float, group: int) -> ev.Trace:

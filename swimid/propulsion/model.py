@@ -168,7 +168,6 @@ class RecoilModel(Model):
 
     name = "propulsion"
     channels = (Channel(SPEED, "m/s", "average speed"),)
-    abscissa = "run of the fin"
     offers = frozenset({"stroke", "coefficients", "flow", "output"})
     timed_runs = True
 

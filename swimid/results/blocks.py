@@ -9,15 +9,17 @@ import numpy as np
 
 from swimid.notices import Notice
 from swimid.results import numbers
-from swimid.results.evidence import Figure, Mark, NoticeRecord, Panel, Table, Trace, thinned
+from swimid.results.evidence import Figure, Mark, NoticeRecord, Panel, Span, Table, Trace, thinned
 
 #: Maximum number of points of one trial in a figure of several trials.
 POINTS = 400
-#: Maximum number of measured points of one trial in a figure that also shows a simulated line.
-MAX_MARKS = 150
+#: Maximum number of measured points of one trial over the width of a panel that also shows a simulated line.
+MAX_MARKS = 50
 #: Maximum number of trials in a figure of residuals, and largest residual in it. Each trial is a row of the
 #: figure, which shows weighted residuals between -ROW_SD and ROW_SD standard deviations of the noise.
 MAX_ROWS, ROW_SD = 12, 4.0
+#: Distance of ROW_SD standard deviations from the middle of a row, in rows.
+HALF_ROW = 0.45
 
 Cell = str | float | int | bool | None
 
@@ -123,8 +125,7 @@ def measured_and_simulated(
     """
     drawn: list[Panel] = []
     for name, s in _extremes(shown).items():
-        stride = max(len(s.time_s) // MAX_MARKS, 1)
-        known = np.flatnonzero(np.isfinite(s.measured))[::stride]
+        known = _apart(s.time_s, s.measured)
         x, y = thinned(s.time_s, factor * s.simulated, POINTS)
         measured = factor * s.measured[known]
         traces = [
@@ -133,6 +134,23 @@ def measured_and_simulated(
         ]
         drawn.append(panel(x_label, y_label, traces, title=name))
     return panels(id, title, caption, drawn)
+
+
+def _apart(x: Any, y: Any) -> Any:
+    """Return the indices of samples that are 1 / MAX_MARKS of the panel's width apart along the curve.
+
+    A curve that rises and falls gets more points than a straight one. The panel is twice as wide as it is
+    high.
+    """
+    known = np.flatnonzero(np.isfinite(y))
+    if not len(known):
+        return known
+    steps = np.hypot(
+        np.diff(x[known]) / max(float(np.ptp(x[known])), 1e-300),
+        np.diff(y[known]) / max(2.0 * float(np.ptp(y[known])), 1e-300),
+    )
+    number = np.floor(np.concatenate(([0.0], np.cumsum(steps))) * MAX_MARKS)
+    return known[np.unique(number, return_index=True)[1]]
 
 
 def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
@@ -145,7 +163,7 @@ def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
     else:
         found = {
             f"{s.trial} ({word})": s
-            for word, s in zip(("worst", "best"), fitted[-1:] + fitted[:1], strict=False)
+            for word, s in zip(("largest error", "smallest error"), fitted[-1:] + fitted[:1], strict=False)
         }
     return found | {f"{s.trial} (held out)": s for s in held_out[-1:]}
 
@@ -167,15 +185,19 @@ def residuals(
         group, label = 0, "fit"
         if s.role != "fit":
             group, label = 1, "held out"
-        traces.append(Trace(x=x, y=k - y / (2.2 * ROW_SD), style="points", label=label, group=group))
+        traces.append(Trace(x=x, y=k - y * HALF_ROW / ROW_SD, style="points", label=label, group=group))
     over_time = Panel(
         x_label=x_label,
-        y_label=f"residual / sd (rows of ±{ROW_SD:g})",
+        y_label="trial",
         y_categories=[s.trial for s in rows],
         invert_y=True,
         traces=traces,
-        marks=[Mark(at=k) for k in range(len(rows))],
+        spans=[
+            Span(start=k - HALF_ROW / 2, end=k + HALF_ROW / 2, axis="y", label=f"±{ROW_SD / 2:g} sd")
+            for k in range(len(rows))
+        ],
     )
+    caption += f" Each row is a trial; the band is ±{ROW_SD / 2:g} standard deviations."
     if correlation is None:
         return panels(id, title, caption, [over_time])
     lagged = correlogram(correlation, "autocorrelation", "residuals", skip_zero=True)

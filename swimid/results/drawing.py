@@ -17,6 +17,7 @@ from html import escape
 from importlib import resources
 from itertools import count
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 import matplotlib as mpl
@@ -39,6 +40,8 @@ Array = NDArray[np.float64]
 
 #: Width of a panel (one journal column) and default height of a panel, inches.
 WIDTH, HEIGHT = 3.5, 2.3
+#: Height of a panel in a figure of three or more panels, inches.
+LOW = 1.7
 #: Font size, points.
 FONT = 8.0
 #: Approximate width of a letter, as a fraction of the font size.
@@ -276,7 +279,8 @@ def _slant(axes: Axes, names: Sequence[str]) -> None:
 def _spans(axes: Axes, panel: Panel) -> None:
     labels = {span.label for span in panel.spans if span.label}
     for span in panel.spans:
-        area = axes.axvspan(span.start, span.end, facecolor=palette()["shade"], lw=0, zorder=0.5)
+        shade = axes.axvspan if span.axis == "x" else axes.axhspan
+        area = shade(span.start, span.end, facecolor=palette()["shade"], lw=0, zorder=0.5)
         if len(labels) == 1:
             area.set_label(*labels)
         elif span.label:
@@ -366,7 +370,7 @@ def canvas(
 ) -> Canvas:
     """Return one matplotlib figure with all panels below each other, one column of a journal wide.
 
-    A panel has no legend if it is that of the panel above.
+    A panel has no legend if it is that of the panel above. Panels over one range share their horizontal axis.
 
     Parameters
     ----------
@@ -378,7 +382,11 @@ def canvas(
     step : callable
         Function that is called once for each panel drawn.
     """
-    heights = [_height(panel) for figure in figures for panel in figure.panels]
+    heights = [
+        LOW if _height(panel) == HEIGHT and len(figure.panels) > 2 else _height(panel)
+        for figure in figures
+        for panel in figure.panels
+    ]
     # Create the figure outside ``rc_context``: a notebook backend changes other settings, which must stay
     # changed.
     drawn = new(figsize=(WIDTH, sum(heights)), layout="constrained", facecolor=palette()["paper"])
@@ -388,16 +396,41 @@ def canvas(
         grid = iter(drawn.add_gridspec(len(heights), 1, height_ratios=heights))
         for figure in figures:
             slots, above = slots_of(figure), None
-            for panel in figure.panels:
-                title = panel.title
+            for index, panel in enumerate(figure.panels):
+                title = _lettered(figure, index)
                 if len(figures) > 1 and above is None:
                     title = title or figure.title
                 keyed = above is None or _labels(above) != _labels(panel)
                 shown = panel.model_copy(update={"title": title})
-                paint(drawn.add_subplot(next(grid)), shown, slots, legend=keyed)
+                place = drawn.add_subplot(next(grid))
+                paint(place, shown, slots, legend=keyed)
+                if index + 1 < len(figure.panels) and _same_range(panel, figure.panels[index + 1]):
+                    place.set_xlabel("")
+                    place.tick_params(labelbottom=False)
                 above = panel
                 step(1)
     return drawn
+
+
+def _lettered(figure: Figure, index: int) -> str:
+    """Return the title of a panel, after its letter if the figure has several panels."""
+    title = figure.panels[index].title
+    if len(figure.panels) == 1:
+        return title
+    return f"({ascii_lowercase[index % 26]}) {title}".rstrip()
+
+
+def _same_range(panel: Panel, other: Panel) -> bool:
+    """Return whether two panels have the same quantity and the same range on their horizontal axes."""
+    if panel.equal_aspect or panel.x_label != other.x_label or panel.x_categories != other.x_categories:
+        return False
+    first, second = (
+        _array([v for trace in one.traces for v in trace.x if v is not None]) for one in (panel, other)
+    )
+    if not len(first) or not len(second):
+        return False
+    ends = np.array([[values.min(), values.max()] for values in (first, second)])
+    return bool(np.all(np.abs(ends[0] - ends[1]) < 0.01 * np.ptp(ends)))
 
 
 def _labels(panel: Panel) -> list[str]:
@@ -437,7 +470,8 @@ def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda a
         for index, panel in enumerate(figure.panels):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
             try:
-                paint(drawn.add_subplot(), panel, slots, compact=True)
+                shown = panel.model_copy(update={"title": _lettered(figure, index)})
+                paint(drawn.add_subplot(), shown, slots, compact=True)
             except InputError as error:
                 raise InputError(error.reason, column=f"figures.{figure.id}.panels.{index}") from error
             file = io.StringIO()

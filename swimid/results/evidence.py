@@ -68,10 +68,11 @@ class Mark(_Part):
 
 
 class Span(_Part):
-    """Shaded interval of the horizontal axis, for instance a gap in the data."""
+    """Shaded interval of an axis, for instance a gap in the data."""
 
     start: float
     end: float
+    axis: Literal["x", "y"] = "x"
     label: str = ""
 
 

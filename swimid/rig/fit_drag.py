@@ -491,5 +491,6 @@ def _speed_figure(pair: TwoPointResult) -> ev.Figure:
         line, label = pair.slopes[i] * mass + pair.intercepts[i], f"at {point:.3f} m"
         traces.append(ev.Trace(x=1e3 * mass, y=squared, y_error=error, style="points", label=label, group=i))
         traces.append(ev.Trace(x=1e3 * mass, y=line, group=i))
-    title, caption = "Squared speed against pulling mass", "Speeds at two displacements, with lines (Eq 13)."
+    title = "Squared speed against pulling mass"
+    caption = "Squared speed at two displacements with 95 % intervals; the lines are fitted to these points."
     return blocks.figure("speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces)

@@ -411,15 +411,17 @@ def _figures(
     if not drawn:
         drawn.append(_overlay(experiment, done))
         if file.mean_speeds:
-            _, measured, simulated = zip(*file.mean_speeds, strict=True)
-            drawn.append(
-                _agreement("speeds", "Mean speed of the last beats", {"trials": (measured, simulated)})
-            )
+            groups: dict[str, tuple[Any, Any]] = {}
+            for name, role in (("fitted", "fit"), ("held out", "validate")):
+                speeds = np.array([(m, s) for t, m, s in file.mean_speeds if t.role == role], dtype=float)
+                if len(speeds):
+                    groups[name] = speeds[:, 0], speeds[:, 1]
+            drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
         paths = [_path(d, *names) for d in _telling(done) if set(names) <= d.pairs.keys()]
-        caption = "Path of the reference point, to scale."
+        caption = "Path of the reference point. The axes have equal scales unless the path is straight."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
 
@@ -437,6 +439,12 @@ def _telling(done: Sequence[Compared]) -> list[Compared]:
     return list(picked.values())
 
 
+def _title(done: Compared) -> str:
+    if done.trial.role == "validate":
+        return f"{done.trial.id} (held out)"
+    return done.trial.id
+
+
 def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) -> list[ev.Trace]:
     """Return two traces: a measured curve as points, and a simulated curve as a line."""
     measured = ev.Trace(x=x[0], y=y[0], style="points", label=f"measured{tail}", group=group)
@@ -446,9 +454,7 @@ def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) ->
 def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
     panels = []
     for d in _telling(done):
-        title = d.trial.id
-        if d.trial.role == "validate":
-            title += " (held out)"
+        title = _title(d)
         joints = [n for n in d.pairs if n.startswith("joint")]
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]
@@ -467,9 +473,14 @@ def _agreement(id: str, title: str, groups: Mapping[str, tuple[Any, Any]]) -> ev
     """Return a figure of simulated against measured mean speeds, with a point for each value."""
     points = enumerate(groups.items())
     traces = [ev.Trace(x=x, y=y, style="points", label=name, group=k) for k, (name, (x, y)) in points]
-    ends = [0.0, max(float(np.nanmax(x)) for x, _ in groups.values())]
+    ends = [0.0, 1.1 * max(float(np.nanmax(x)) for x, _ in groups.values())]
     traces.append(ev.Trace(x=ends, y=ends, style="dashed", label="equal", group=len(groups)))
-    panel = ev.Panel(x_label="measured mean speed (m/s)", y_label="simulated mean speed (m/s)", traces=traces)
+    panel = ev.Panel(
+        x_label="measured mean speed (m/s)",
+        y_label="simulated mean speed (m/s)",
+        traces=traces,
+        equal_aspect=True,
+    )
     caption = "The line is where measured and simulated are equal."
     return ev.Figure(id=id, title=title, caption=caption, panels=[panel])
 
@@ -478,5 +489,6 @@ def _path(done: Compared, *names: str) -> ev.Panel:
     step = max(1, len(done.trial.time_s) // MAX_SAMPLES)
     x, y = ((done.pairs[n].measured[::step], done.pairs[n].simulated[::step]) for n in names)
     labels = [numbers.column_title(name) for name in names]
-    title = done.trial.id
-    return ev.Panel(x_label=labels[0], y_label=labels[1], traces=_pair(x, y), title=title, equal_aspect=True)
+    return ev.Panel(
+        x_label=labels[0], y_label=labels[1], traces=_pair(x, y), title=_title(done), equal_aspect=True
+    )

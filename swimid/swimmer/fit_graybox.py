@@ -507,7 +507,10 @@ def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
         panels = _paths(result, across, along)
     if not panels:
         return []
-    caption = "Points are measured, lines simulated with the estimated parameters."
+    caption = (
+        "Points are measured, lines simulated with the estimated parameters. The axes have equal scales "
+        "unless the path is straight."
+    )
     return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels)]
 
 
@@ -523,8 +526,8 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     fitted = [name for name in by_error if paths[name][1][across].role == "fit"]
     held_out = [name for name in by_error if name not in fitted]
     chosen = {
-        **dict.fromkeys(fitted[-1:], "best"),
-        **dict.fromkeys(fitted[:1], "worst"),
+        **dict.fromkeys(fitted[:1], "largest error"),
+        **dict.fromkeys(fitted[1:][-1:], "smallest error"),
         **dict.fromkeys(held_out[:1], "held out"),
     }
     panels = []

@@ -469,19 +469,20 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
         ev.Trace(x=x, y=y, label="smoothed", group=0),
     ]
+    about = "Path of the reference point, measured and smoothed. The axes have equal scales."
     curves = {label: ev.Trace(x=t[every], y=v[every]) for label, v in speeds.items()}
     return [
-        blocks.figure("path", "Path", "", f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
+        blocks.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
         blocks.panels(
             "pose",
             "Pose over time",
-            "Measured and smoothed, with the 95 % band; gaps are shaded.",
+            "Measured and smoothed, with the 95 % band, which is narrow where markers are found.",
             coordinates,
         ),
         blocks.panels(
             "speed",
             "Speeds",
-            "From the smoother; the means of the table are taken between the dashed lines.",
+            "Derivatives of the smoothed pose. Mean values are taken between the dashed lines.",
             [over_time(label, [curve], window) for label, curve in curves.items()],
         ),
     ]
