@@ -339,7 +339,7 @@ def test_at_most_two_figures_and_the_residual_of_the_worst_trial_last() -> None:
         made = cases.evidence(gap)
         assert [figure.id for figure in made.figures] == ["errors", "residuals"]
         labels = [trace.label for trace in made.figures[1].panels[0].traces]
-        assert labels == ["without the causes", "with the causes"][: 2 if gap.causes else 1]
+        assert labels == ["refitted", "with causes"][: 2 if gap.causes else 1]
     piece = cases.worst()[1]
     without = made.figures[1].panels[1].traces[0].y
     np.testing.assert_allclose(without, np.degrees(piece.measured - piece.before))
