@@ -237,7 +237,9 @@ class TestChoices:
 
 
 class TestTrialsThatDisagree:
-    @pytest.mark.parametrize("noise", [RATES, POSE], ids=["rates", "pose"])
+    @pytest.mark.parametrize(
+        "noise", [RATES, pytest.param(POSE, marks=pytest.mark.slow)], ids=["rates", "pose"]
+    )
     def test_standard_errors_grow(self, swimid: Swimid, tmp_path: Path, noise: dict[str, float]) -> None:
         """The tail beat of one trial is 5 % wider than stated."""
         runs = list(_runs(shared=True))

@@ -104,7 +104,7 @@ def test_the_steps_of_the_paper(mode: Literal["marching", "receding", "rotating"
 
 
 @pytest.mark.parametrize("quaternions", [False, True])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_smoother_is_three_times_as_good_as_the_paper(
     seed: int, quaternions: bool, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:

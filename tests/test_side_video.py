@@ -159,6 +159,7 @@ def _assert_pose(log):
     assert np.sqrt(np.mean((log.pitch_rad - truth["pitch_rad"]) ** 2)) < bound
 
 
+@pytest.mark.slow
 def test_a_robot_that_swims_to_the_left(port):
     """From the port side x runs to the left, and nose up is positive all the same."""
     folder, log, output = port
@@ -169,6 +170,7 @@ def test_a_robot_that_swims_to_the_left(port):
     assert "SWM" not in output.output
 
 
+@pytest.mark.slow
 def test_two_markers_and_no_robot(port, tmp_path):
     """A drafted setup finds the head of a robot that swims to the left; the pose is the front marker's."""
     folder, _, _ = port
