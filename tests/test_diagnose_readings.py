@@ -19,6 +19,7 @@ from swimid.effects.base import Affected, Effect
 from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Trial
+from swimid.results import evidence
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.model import Swimmer
@@ -303,8 +304,9 @@ def test_trials_of_a_robot_in_another_reading_name_that_reading(tmp_path: Path, 
     assert file.verdict == "explained"
     assert f"reading:{option}" in held_responsible(file)[0]
     assert [c.effect for c in file.causes] == [f"reading:{option}"]
+    checks = evidence.read(evidence.sidecar(out)).checks
     for name, bound in file.at_bound.items():
-        assert any(name in reason for reason in file.reasons)
+        assert any(name in check.value + check.text + check.reason for check in checks)
         assert bound in next((c.bounds for c in file.causes[0].absorbed if c.coefficient == name), ())
 
 

@@ -431,9 +431,10 @@ def _free_run(m: Identified) -> Figure:
             for group, y in enumerate((record.output, run)):
                 x, shown = ev.thinned(record.time_s, y + level)
                 traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
-        y_label, title = numbers.column_title(m.data.columns.output), name.removesuffix(".csv")
+        y_label = numbers.column_title(m.data.columns.output)
+        title = name.removesuffix(".csv") * (len(sets) > 1)
         panels.append(blocks.panel("time (s)", y_label, traces, title=title))
-    caption = "The free run has only the input after its first samples, and the mean level of the record."
+    caption = "The free run is simulated from the input alone, after its first samples, about the mean level."
     if len(sets) > 2:
         caption += f" Shown are the worst and the best of {len(sets)} records."
     return blocks.panels("free-run", "Measured and simulated output", caption, panels)

@@ -486,7 +486,8 @@ def figures(result: FitResult) -> list[ev.Figure]:
             blocks.measured_and_simulated(
                 f"overlay-{channel.name}",
                 f"{name[:1].upper()}{name[1:]}, measured and simulated",
-                "Points are measured, lines simulated with the estimated parameters.",
+                "Points are measured, and thinned; lines are simulated with the estimated parameters. Trials "
+                "are ranked by their root-mean-square residual over the noise.",
                 result.model.abscissa,
                 f"{name} ({numbers.unit_text(unit) or '1'})",
                 series,

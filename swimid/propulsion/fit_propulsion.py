@@ -298,7 +298,10 @@ def _fit_recoil_law(
         verdict=ev.judged(fit_common.answer(file), checks),
         checks=checks,
         tables=[_run_table(points)],
-        figures=[_speed_figure(experiment, result, points), _residual_figure(result)],
+        figures=[
+            _speed_figure(experiment, result, points, [d["frequency_hz"] for d in departures]),
+            _residual_figure(result),
+        ],
         methods=[
             "Recoil efficiency and amplitude offset were estimated from the average speeds of "
             f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
@@ -538,7 +541,9 @@ def _run_table(points: list[dict[str, Any]]) -> ev.Table:
     return blocks.table("points", "Runs", runs, about)
 
 
-def _speed_figure(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> ev.Figure:
+def _speed_figure(
+    experiment: Experiment, result: FitResult, points: list[dict[str, Any]], left_out: list[float]
+) -> ev.Figure:
     """Return the figure of the average speed over frequency and over amplitude, with the law."""
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])
@@ -546,13 +551,16 @@ def _speed_figure(experiment: Experiment, result: FitResult, points: list[dict[s
     frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
     swept = frequencies[counts > 2][:1].tolist()
     over_frequency, over_amplitude = [], []
+    apart: list[dict[str, Any]] = []
     for group, trial in enumerate(experiment.trials):
         own = [p for p in points if p["fin"] == trial.id]
         runs = [p for p in own if abs(p["amplitude_deg"] - amplitude) < 1e-6]
         if runs:
             line = np.linspace(0.0, max(p["frequency_hz"] for p in runs), 60)[1:]
             law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
-            over_frequency.append(_points(runs, "frequency_hz", 1.0, group))
+            kept = [p for p in runs if p["frequency_hz"] not in left_out]
+            apart += [p for p in runs if p["frequency_hz"] in left_out]
+            over_frequency.append(_points(kept or runs, "frequency_hz", 1.0, group))
             over_frequency.append(ev.Trace(x=line, y=law, group=group))
         runs = [p for p in own if p["frequency_hz"] in swept]
         if runs:
@@ -560,6 +568,10 @@ def _speed_figure(experiment: Experiment, result: FitResult, points: list[dict[s
             law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
             over_amplitude.append(_points(runs, "amplitude_deg", 1.5, group))
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
+    if apart:
+        over_frequency.append(
+            _points([{**p, "fin": "not fitted"} for p in apart], "frequency_hz", 1.0, len(experiment.trials))
+        )
     title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
     speeds = [blocks.panel("frequency (Hz)", y_label, over_frequency, title=title)]
     if over_amplitude:

@@ -42,6 +42,8 @@ Array = NDArray[np.float64]
 WIDTH, HEIGHT = 3.5, 2.3
 #: Height of a panel in a figure of three or more panels, inches.
 LOW = 1.7
+#: Space for labels and title beside and around the axes of a panel, inches.
+FRAME = 0.6
 #: Font size, points.
 FONT = 8.0
 #: Approximate width of a letter, as a fraction of the font size.
@@ -154,7 +156,10 @@ def paint(
         line(mark.at, color=palette()["ink"], lw=0.6, dashes=(4, 3), zorder=1.8, label=mark.label or None)
     _spans(axes, panel)
     rows = _legend(axes) if legend else 0
-    axes.set_title("\n".join(textwrap.wrap(panel.title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
+    title = panel.title
+    if panel.equal_aspect and _shape(panel) <= MIN_SHAPE:
+        title = f"{title}, {panel.y_label.split()[0]} magnified".removeprefix(", ")
+    axes.set_title("\n".join(textwrap.wrap(title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
 
 
 def slots_of(figure: Figure) -> dict[Any, int]:
@@ -209,7 +214,7 @@ def _trace(
     if trace.style in ("points", "stems"):
         if trace.style == "stems":
             axes.vlines(x, 0, y, color=colour, lw=0.9)
-        size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 2.0, 1.4]))
+        size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 1.6, 1.2]))
         if small:
             size *= 0.6
         about: dict[str, Any] = {"ls": "", "mew": 0, "color": colour, "label": label, "zorder": 2.5}
@@ -225,7 +230,7 @@ def _trace(
     steps = {"step": "steps-post"}.get(trace.style, "default")
     (line,) = axes.plot(x, y, color=colour, lw=1.0, label=label, zorder=2, drawstyle=steps)
     if paired:
-        line.set(lw=2.6, alpha=0.4)
+        line.set(lw=1.6, alpha=0.5)
     if trace.style == "dashed" or repeat:
         line.set_dashes(DASHES[repeat % len(DASHES)])
     elif slot and not paired and trace.style != "arrows":
@@ -347,7 +352,7 @@ def _height(panel: Panel) -> float:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
     if not panel.equal_aspect or _shape(panel) <= MIN_SHAPE:
         return HEIGHT
-    return min(max(WIDTH * _shape(panel), 0.8), 4.0) + 0.6
+    return min(max((WIDTH - FRAME) * _shape(panel), 0.8), 4.0) + FRAME
 
 
 def _shape(panel: Panel) -> float:

@@ -421,7 +421,7 @@ def _figures(
     if body is not None and body.free:
         names = body.pose[:2]
         paths = [_path(d, *names) for d in _telling(done) if set(names) <= d.pairs.keys()]
-        caption = "Path of the reference point. The axes have equal scales unless the path is straight."
+        caption = "Path of the reference point."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
 
@@ -439,10 +439,11 @@ def _telling(done: Sequence[Compared]) -> list[Compared]:
     return list(picked.values())
 
 
-def _title(done: Compared) -> str:
-    if done.trial.role == "validate":
-        return f"{done.trial.id} (held out)"
-    return done.trial.id
+def _title(done: Compared, word: str = "") -> str:
+    """Return the title of the panels of a trial: its name, and what is known of it."""
+    known = [word, "held out" * (done.trial.role == "validate")]
+    remark = ", ".join(filter(None, known))
+    return f"{done.trial.id} ({remark})" if remark else done.trial.id
 
 
 def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) -> list[ev.Trace]:
@@ -452,9 +453,14 @@ def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) ->
 
 
 def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
-    panels = []
-    for d in _telling(done):
-        title = _title(d)
+    panels, telling = [], _telling(done)
+    words = (
+        {telling[0].trial.id: "largest error", telling[-1].trial.id: "smallest error"}
+        if len(telling) > 1
+        else {}
+    )
+    for d in telling:
+        title = _title(d, words.get(d.trial.id, ""))
         joints = [n for n in d.pairs if n.startswith("joint")]
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]
@@ -464,7 +470,7 @@ def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
             traces = _pair(*zip(*curves, strict=True))
             abscissa = experiment.model.abscissa
             panels.append(ev.Panel(x_label=abscissa, y_label=label, traces=traces, title=title))
-    caption = "The trials with the largest and the smallest error."
+    caption = "The trials with the largest and the smallest mean error over the measured range."
     title = "Measured and simulated"
     return ev.Figure(id="overlay", title=title, caption=caption, panels=panels)
 

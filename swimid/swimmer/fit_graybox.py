@@ -507,10 +507,7 @@ def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
         panels = _paths(result, across, along)
     if not panels:
         return []
-    caption = (
-        "Points are measured, lines simulated with the estimated parameters. The axes have equal scales "
-        "unless the path is straight."
-    )
+    caption = "Points are measured, lines simulated with the estimated parameters."
     return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels)]
 
 

@@ -469,14 +469,14 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
         ev.Trace(x=x, y=y, label="smoothed", group=0),
     ]
-    about = "Path of the reference point, measured and smoothed. The axes have equal scales."
+    about = "Path of the reference point, measured and smoothed, with equal scales."
     curves = {label: ev.Trace(x=t[every], y=v[every]) for label, v in speeds.items()}
     return [
         blocks.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
         blocks.panels(
             "pose",
             "Pose over time",
-            "Measured and smoothed, with the 95 % band, which is narrow where markers are found.",
+            "Measured and smoothed; gaps are shaded.",
             coordinates,
         ),
         blocks.panels(
