@@ -561,10 +561,10 @@ def _speed_figure(
             kept = [p for p in runs if p["frequency_hz"] not in left_out]
             apart += [p for p in runs if p["frequency_hz"] in left_out]
             over_frequency.append(_points(kept or runs, "frequency_hz", 1.0, group))
-            over_frequency.append(ev.Trace(x=line, y=law, group=group))
+            over_frequency.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
         runs = [p for p in own if p["frequency_hz"] in swept]
         if runs:
-            line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 80)[1:]
+            line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 400)[1:]
             law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
             over_amplitude.append(_points(runs, "amplitude_deg", 1.5, group))
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
@@ -579,7 +579,7 @@ def _speed_figure(
         speeds.append(blocks.panel("amplitude (°)", y_label, over_amplitude, title=title))
     about = (
         "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
-        "the offset as intercept over amplitude."
+        "the offset as intercept over amplitude. Runs that depart from the law are not fitted."
     )
     return blocks.panels("speeds", "Average speed", about, speeds)
 
@@ -592,12 +592,18 @@ def _residual_figure(result: FitResult) -> ev.Figure:
         ("frequency_hz", 1.0, "frequency (Hz)"),
         ("amplitude_rad", 180 / np.pi, "amplitude (°)"),
     ):
-        traces = []
-        for group, s in enumerate(result.series_of(SPEED)):
-            x = factor * inputs[s.trial][name]
+        traces, fins = [], result.series_of(SPEED)
+        reach = factor * max(float(np.ptp(inputs[s.trial][name])) for s in fins)
+        for group, s in enumerate(fins):
+            # move the fins sideways so that no point hides another one
+            x = factor * inputs[s.trial][name] + 0.015 * reach * (group - (len(fins) - 1) / 2)
             traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
-        panels.append(blocks.panel(label, "residual / sd", traces, marks=[ev.Mark(at=0.0)]))
-    caption = "Measured minus fitted average speed over the standard deviation of the noise."
+        spans = [ev.Span(start=-2.0, end=2.0, axis="y", label="±2 sd")]
+        panels.append(blocks.panel(label, "residual / sd", traces, spans=spans))
+    caption = (
+        "Measured minus fitted average speed over the standard deviation of the noise. The points of the "
+        "fins are moved sideways."
+    )
     return blocks.panels("residuals", "Residuals of the average speed", caption, panels)
 
 

@@ -125,7 +125,7 @@ def measured_and_simulated(
     """
     drawn: list[Panel] = []
     for name, s in _extremes(shown).items():
-        known = _apart(s.time_s, s.measured)
+        known = apart(s.time_s, s.measured)
         x, y = thinned(s.time_s, factor * s.simulated, POINTS)
         measured = factor * s.measured[known]
         traces = [
@@ -136,7 +136,7 @@ def measured_and_simulated(
     return panels(id, title, caption, drawn)
 
 
-def _apart(x: Any, y: Any) -> Any:
+def apart(x: Any, y: Any) -> Any:
     """Return the indices of samples that are 1 / MAX_MARKS of the panel's width apart along the curve.
 
     A curve that rises and falls gets more points than a straight one. The panel is twice as wide as it is
@@ -179,10 +179,11 @@ def residuals(
     """Return a figure of the weighted residuals of the worst trials, and of a given autocorrelation."""
     worst = sorted(range(len(shown)), key=lambda k: -_rms(shown[k].weighted))[:MAX_ROWS]
     rows = [shown[k] for k in sorted(worst)]
+    mixed = len({s.role for s in rows}) > 1
     traces: list[Trace] = []
     for k, s in enumerate(rows):
         x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
-        group, label = 0, "fit"
+        group, label = 0, "fitted" if mixed else "residuals"
         if s.role != "fit":
             group, label = 1, "held out"
         traces.append(Trace(x=x, y=k - y * HALF_ROW / ROW_SD, style="points", label=label, group=group))

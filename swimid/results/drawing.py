@@ -27,7 +27,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
@@ -40,8 +40,8 @@ Array = NDArray[np.float64]
 
 #: Width of a panel (one journal column) and default height of a panel, inches.
 WIDTH, HEIGHT = 3.5, 2.3
-#: Height of a panel in a figure of three or more panels, inches.
-LOW = 1.7
+#: Height of a figure of three or more panels, and minimum height of a panel, inches.
+TALLEST, LOW = 5.1, 1.2
 #: Space for labels and title beside and around the axes of a panel, inches.
 FRAME = 0.6
 #: Font size, points.
@@ -259,6 +259,9 @@ def _scales(axes: Axes, panel: Panel) -> None:
         axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
     if panel.equal_aspect and _shape(panel) > MIN_SHAPE:
         axes.set_aspect("equal", adjustable="box")
+        step = max(float(ticks[1] - ticks[0]) for ticks in (axes.get_xticks(), axes.get_yticks()))
+        axes.xaxis.set_major_locator(MultipleLocator(step))
+        axes.yaxis.set_major_locator(MultipleLocator(step))
     if panel.invert_y:
         axes.invert_yaxis()
 
@@ -375,7 +378,8 @@ def canvas(
 ) -> Canvas:
     """Return one matplotlib figure with all panels below each other, one column of a journal wide.
 
-    A panel has no legend if it is that of the panel above. Panels over one range share their horizontal axis.
+    A panel has no legend if the panel above shows all its labels. Panels over one range share their
+    horizontal axis.
 
     Parameters
     ----------
@@ -388,7 +392,7 @@ def canvas(
         Function that is called once for each panel drawn.
     """
     heights = [
-        LOW if _height(panel) == HEIGHT and len(figure.panels) > 2 else _height(panel)
+        _height(panel) if _height(panel) != HEIGHT else max(min(HEIGHT, TALLEST / len(figure.panels)), LOW)
         for figure in figures
         for panel in figure.panels
     ]
@@ -405,7 +409,7 @@ def canvas(
                 title = _lettered(figure, index)
                 if len(figures) > 1 and above is None:
                     title = title or figure.title
-                keyed = above is None or _labels(above) != _labels(panel)
+                keyed = above is None or not _labels(panel) <= _labels(above)
                 shown = panel.model_copy(update={"title": title})
                 place = drawn.add_subplot(next(grid))
                 paint(place, shown, slots, legend=keyed)
@@ -438,9 +442,9 @@ def _same_range(panel: Panel, other: Panel) -> bool:
     return bool(np.all(np.abs(ends[0] - ends[1]) < 0.01 * np.ptp(ends)))
 
 
-def _labels(panel: Panel) -> list[str]:
+def _labels(panel: Panel) -> set[str]:
     parts: list[Any] = [*panel.traces, *panel.spans, *panel.marks]
-    return [part.label for part in parts]
+    return {part.label for part in parts}
 
 
 def write(

@@ -507,7 +507,10 @@ def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
         panels = _paths(result, across, along)
     if not panels:
         return []
-    caption = "Points are measured, lines simulated with the estimated parameters."
+    caption = (
+        "Points are measured, lines simulated with the estimated parameters. Trials are ranked by the mean "
+        "square of their weighted residuals in the path."
+    )
     return [ev.Figure(id="track", title="Paths", caption=caption, panels=panels)]
 
 

@@ -443,7 +443,10 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         label: str, values: Smoothed, row: int, raw: Array, factor: float = 1.0
     ) -> ev.Panel:
         smooth, sd = factor * values.position[row, every], factor * values.position_sd[row, every]
-        measured = ev.Trace(x=t[every], y=factor * raw, label="measured", style="points", group=0)
+        marks = blocks.apart(t[every], raw)
+        measured = ev.Trace(
+            x=t[every][marks], y=factor * raw[marks], label="measured", style="points", group=0
+        )
         return over_time(
             label, [measured, blocks.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0)]
         )
@@ -470,19 +473,20 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Trace(x=x, y=y, label="smoothed", group=0),
     ]
     about = "Path of the reference point, measured and smoothed, with equal scales."
-    curves = {label: ev.Trace(x=t[every], y=v[every]) for label, v in speeds.items()}
+    seen = ~np.any([(t > start) & (t < end) for start, end in pose.gaps] or [t < t[0]], axis=0)
+    curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
         blocks.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
         blocks.panels(
             "pose",
             "Pose over time",
-            "Measured and smoothed; gaps are shaded.",
+            "Measured points, thinned, and the smoothed pose; gaps are shaded.",
             coordinates,
         ),
         blocks.panels(
             "speed",
             "Speeds",
-            "Derivatives of the smoothed pose. Mean values are taken between the dashed lines.",
+            "Derivatives of the smoothed pose, without gaps. Mean values are taken between the dashed lines.",
             [over_time(label, [curve], window) for label, curve in curves.items()],
         ),
     ]
