@@ -72,7 +72,6 @@ def test_any_small_rig_experiment_ends_in_order(swimid: Callable[..., Ran], fold
                 ["--fix", "added_mass=0.7"],
                 ["--bounds", "drag_coefficient=0.6,0.8"],
                 ["--method", "two-point"],
-                ["--profile"],
             ]
         ),
     )

@@ -386,7 +386,8 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     trial = worst[0].trial.id
     caption = (
         f"Measured minus simulated in {trial}, the held-out trial with the largest errors, after a refit "
-        "without and with the identified causes."
+        "without and with the identified causes. Each prediction begins at the start state that fits the "
+        "trial best."
     )
     title = f"Residuals of the worst held-out trial, {trial}"
     return [ev.Figure(id="residuals", title=title, caption=caption, panels=panels)]

@@ -596,7 +596,7 @@ def _residual_figure(result: FitResult) -> ev.Figure:
         reach = factor * max(float(np.ptp(inputs[s.trial][name])) for s in fins)
         for group, s in enumerate(fins):
             # move the fins sideways so that no point hides another one
-            x = factor * inputs[s.trial][name] + 0.015 * reach * (group - (len(fins) - 1) / 2)
+            x = factor * inputs[s.trial][name] + 0.025 * reach * (group - (len(fins) - 1) / 2)
             traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
         spans = [ev.Span(start=-2.0, end=2.0, axis="y", label="±2 sd")]
         panels.append(blocks.panel(label, "residual / sd", traces, spans=spans))

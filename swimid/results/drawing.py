@@ -56,6 +56,8 @@ MIN_CLOUD = 60
 #: Minimum ratio of height to width of a path that is drawn with equal scales. A flatter path would look like
 #: a line.
 MIN_SHAPE = 0.2
+#: Minimum size, points, of a marker with an edge in the colour of the paper, which separates markers.
+MIN_EDGED = 2.5
 #: Opacity of the darkest cell of a heat map. The number in the cell is still legible.
 DARKEST = 0.55
 
@@ -217,7 +219,8 @@ def _trace(
         size = float(np.interp(len(x), [20, 60, 400, 2000], [4.0, 3.0, 1.6, 1.2]))
         if small:
             size *= 0.6
-        about: dict[str, Any] = {"ls": "", "mew": 0, "color": colour, "label": label, "zorder": 2.5}
+        edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
+        about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
         if compact and len(x) >= MIN_CLOUD:
             # draw the points as one path of very short strokes with round ends
             end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)

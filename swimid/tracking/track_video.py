@@ -468,11 +468,15 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Mark(at=found.begin_s, axis="x", label="averaging window"),
         ev.Mark(at=found.end_s, axis="x"),
     ]
+    first = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[:1]
     path = [
         ev.Trace(x=raw_x, y=raw_y, label="measured", style="points", group=0),
         ev.Trace(x=x, y=y, label="smoothed", group=0),
+        ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
     ]
-    about = "Path of the reference point, measured and smoothed, with equal scales."
+    about = "Path of the reference point with equal scales."
+    if pose.gaps:
+        about += " The line without points is a gap."
     seen = ~np.any([(t > start) & (t < end) for start, end in pose.gaps] or [t < t[0]], axis=0)
     curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
