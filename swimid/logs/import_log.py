@@ -481,6 +481,10 @@ def _amount_checks(found: Examined) -> list[Check]:
         _check("Rows in order", not (odd or notes), "none", remarks, f"{odd} of {rows} odd", fails=many),
         _check("Quantity of every column", not names, "known", open_, names, fails=True),
     ]
+    # a mapping may say in its metadata that the rate is assumed
+    if found.metadata.get("sample_rate") == "assumed":
+        why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
+        checks.append(_check("Sample rate", False, "stated", why, "assumed", fails=True))
     for name, count in found.mapped.unlikely.items():
         why = f"{count} of {rows} samples are left empty for their {name}"
         checks.append(_check(f"Samples by {name}", False, "none", why, f"{count} of {rows}"))
