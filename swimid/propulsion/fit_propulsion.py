@@ -560,7 +560,8 @@ def _speed_figure(
             law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
             kept = [p for p in runs if p["frequency_hz"] not in left_out]
             apart += [p for p in runs if p["frequency_hz"] in left_out]
-            over_frequency.append(_points(kept or runs, "frequency_hz", 1.0, group))
+            if kept:
+                over_frequency.append(_points(kept, "frequency_hz", 1.0, group))
             over_frequency.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
         runs = [p for p in own if p["frequency_hz"] in swept]
         if runs:

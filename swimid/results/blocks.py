@@ -13,7 +13,7 @@ from swimid.results.evidence import Figure, Mark, NoticeRecord, Panel, Span, Tab
 
 #: Maximum number of points of one trial in a figure of several trials.
 POINTS = 400
-#: Maximum number of measured points of one trial over the width of a panel that also shows a simulated line.
+#: Number of measured points over the width of a panel that also shows a line, for a straight curve.
 MAX_MARKS = 50
 #: Maximum number of trials in a figure of residuals, and largest residual in it. Each trial is a row of the
 #: figure, which shows weighted residuals between -ROW_SD and ROW_SD standard deviations of the noise.
@@ -139,8 +139,8 @@ def measured_and_simulated(
 def apart(x: Any, y: Any) -> Any:
     """Return the indices of samples that are 1 / MAX_MARKS of the panel's width apart along the curve.
 
-    A curve that rises and falls gets more points than a straight one. The panel is twice as wide as it is
-    high.
+    A curve that rises and falls gets more points than a straight one, at most :data:`POINTS`. The panel is
+    twice as wide as it is high.
     """
     known = np.flatnonzero(np.isfinite(y))
     if not len(known):
@@ -150,7 +150,8 @@ def apart(x: Any, y: Any) -> Any:
         np.diff(y[known]) / max(2.0 * float(np.ptp(y[known])), 1e-300),
     )
     number = np.floor(np.concatenate(([0.0], np.cumsum(steps))) * MAX_MARKS)
-    return known[np.unique(number, return_index=True)[1]]
+    marks = known[np.unique(number, return_index=True)[1]]
+    return marks[:: -(-len(marks) // POINTS)]
 
 
 def _extremes(shown: Sequence[Series]) -> dict[str, Series]:

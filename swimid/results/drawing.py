@@ -160,7 +160,7 @@ def paint(
     rows = _legend(axes) if legend else 0
     title = panel.title
     if panel.equal_aspect and _shape(panel) <= MIN_SHAPE:
-        title = f"{title}, {panel.y_label.split()[0]} magnified".removeprefix(", ")
+        title = f"{title}, {panel.y_label.partition(' ')[0]} magnified".removeprefix(", ")
     axes.set_title("\n".join(textwrap.wrap(title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
 
 
@@ -263,8 +263,10 @@ def _scales(axes: Axes, panel: Panel) -> None:
     if panel.equal_aspect and _shape(panel) > MIN_SHAPE:
         axes.set_aspect("equal", adjustable="box")
         step = max(float(ticks[1] - ticks[0]) for ticks in (axes.get_xticks(), axes.get_yticks()))
-        axes.xaxis.set_major_locator(MultipleLocator(step))
-        axes.yaxis.set_major_locator(MultipleLocator(step))
+        # a narrow axis keeps its own ticks, because it would have one or none
+        if 2 * step <= min(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())):
+            axes.xaxis.set_major_locator(MultipleLocator(step))
+            axes.yaxis.set_major_locator(MultipleLocator(step))
     if panel.invert_y:
         axes.invert_yaxis()
 
@@ -407,26 +409,25 @@ def canvas(
             drawn.suptitle(title, x=0.02, ha="left", weight="bold")
         grid = iter(drawn.add_gridspec(len(heights), 1, height_ratios=heights))
         for figure in figures:
-            slots, above = slots_of(figure), None
+            slots = slots_of(figure)
+            place: Axes | None = None
             for index, panel in enumerate(figure.panels):
-                title = _lettered(figure, index)
-                if len(figures) > 1 and above is None:
-                    title = title or figure.title
-                keyed = above is None or not _labels(panel) <= _labels(above)
-                shown = panel.model_copy(update={"title": title})
-                place = drawn.add_subplot(next(grid))
-                paint(place, shown, slots, legend=keyed)
-                if index + 1 < len(figure.panels) and _same_range(panel, figure.panels[index + 1]):
-                    place.set_xlabel("")
-                    place.tick_params(labelbottom=False)
-                above = panel
+                heading = figure.title if len(figures) > 1 and index == 0 else ""
+                shown = panel.model_copy(update={"title": _lettered(figure, index, heading)})
+                above = figure.panels[index - 1] if index else None
+                shared = place if above and _same_range(above, panel) else None
+                place = drawn.add_subplot(next(grid), sharex=shared)
+                paint(place, shown, slots, legend=not above or not _labels(panel) <= _labels(above))
+                if shared is not None:
+                    shared.set_xlabel("")
+                    shared.tick_params(labelbottom=False)
                 step(1)
     return drawn
 
 
-def _lettered(figure: Figure, index: int) -> str:
-    """Return the title of a panel, after its letter if the figure has several panels."""
-    title = figure.panels[index].title
+def _lettered(figure: Figure, index: int, heading: str = "") -> str:
+    """Return the title of a panel, or else the heading, after a letter if the figure has several panels."""
+    title = figure.panels[index].title or heading
     if len(figure.panels) == 1:
         return title
     return f"({ascii_lowercase[index % 26]}) {title}".rstrip()

@@ -477,7 +477,9 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     about = "Path of the reference point with equal scales."
     if pose.gaps:
         about += " The line without points is a gap."
-    seen = ~np.any([(t > start) & (t < end) for start, end in pose.gaps] or [t < t[0]], axis=0)
+    seen = np.ones(len(t), dtype=bool)
+    for start, end in pose.gaps:
+        seen &= (t <= start) | (t >= end)
     curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
         blocks.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
