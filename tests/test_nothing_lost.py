@@ -22,7 +22,7 @@ import pytest
 from PIL import Image
 
 import swimid as package
-from swimid.errors import UsageError
+from swimid.errors import InputError, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint, file_names, place
 from swimid.files.video import open_writer
@@ -71,6 +71,13 @@ def piece(path: Path, number: int) -> dict[str, Any]:
 
 class TestCheckpoints:
     """Two runs on one output, and files that are damaged."""
+
+    def test_a_file_of_another_program_is_left_as_it_is(self, tmp_path: Path) -> None:
+        out = tmp_path / "map.yaml"
+        place(out).write_text("half of my download\n")
+        with pytest.raises(UsageError, match="is not a checkpoint"):
+            Checkpoint.beside(out, "it")
+        assert contents(tmp_path) == {"map.yaml.partial": b"half of my download\n"}
 
     def test_runs_with_other_options_do_not_mix(self, tmp_path: Path) -> None:
         out = tmp_path / "map.yaml"
@@ -468,6 +475,12 @@ class TestTogether:
             self.write(tmp_path, *names, last=lambda: written.append(tmp_path / "last"))
         assert written == [tmp_path / name for name in ("last", *names)]
         assert dict.fromkeys(names, b"new").items() <= contents(tmp_path).items()
+
+    def test_a_file_that_cannot_be_renamed_undoes_the_others(self, tmp_path: Path) -> None:
+        (tmp_path / "a").write_text("old")
+        with pytest.raises(InputError, match="cannot be written"):
+            self.write(tmp_path, "a", "b", "c", last=(tmp_path / "c").mkdir)
+        assert contents(tmp_path) == {"a": b"old"}
 
     def test_ctrl_c_during_the_renaming_waits(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         rename = Path.replace

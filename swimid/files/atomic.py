@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import signal
 import tempfile
 import threading
@@ -85,16 +86,29 @@ class _Group:
     folders: list[Path] = field(default_factory=list)
 
     def commit(self) -> None:
-        """Rename every file to its final name. Ctrl-C is delayed."""
+        """Rename every file to its final name. Ctrl-C is delayed, and an error undoes the renaming."""
+        several = len(self.pending) + len(self.removed) > 1
+        before: dict[Path, Path | None] = {}
         with _uninterrupted():
             try:
+                for path in (*self.pending, *self.removed):
+                    before[path] = _second_name(path) if several and path.exists() else None
                 for path, temporary in self.pending.items():
                     temporary.chmod(_mode(path))
                     temporary.replace(path)
                 for path in self.removed:
                     path.unlink(missing_ok=True)
             except OSError as error:
+                for path, spare in before.items():
+                    with suppress(OSError):
+                        if spare is not None:
+                            spare.replace(path)
+                        elif path in self.pending and not self.pending[path].exists():
+                            path.unlink()
                 raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+            finally:
+                for spare in filter(None, before.values()):
+                    spare.unlink(missing_ok=True)
             self.folders.clear()
             _WRITTEN.get([]).extend(self.pending)
 
@@ -120,7 +134,7 @@ def together() -> Iterator[_Group]:
     Raises
     ------
     InputError
-        If a file cannot be renamed.
+        If a file cannot be renamed. Files that were renamed before are restored.
     """
     outer = _GROUP.get()
     if outer is not None:
@@ -232,6 +246,19 @@ def _uninterrupted() -> Iterator[None]:
     finally:
         if received:
             received[-1]()
+
+
+def _second_name(path: Path) -> Path:
+    """Return the path of a hidden backup, from which the file can be restored."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
+    os.close(handle)
+    spare = Path(name)
+    try:
+        spare.unlink()
+        os.link(path, spare)
+    except OSError:  # a file system without links
+        shutil.copy2(path, spare)
+    return spare
 
 
 def _mode(path: Path) -> int:

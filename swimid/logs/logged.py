@@ -237,7 +237,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
     if not traces:
         return None
     title = {"y_m": "Path from above", "z_m": "Path from the side"}[across]
-    caption, y_label = "The path to scale, with arrows along the heading.", numbers.column_title(across)
+    caption, y_label = "The path, with arrows along the heading.", numbers.column_title(across)
     return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
