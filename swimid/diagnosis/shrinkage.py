@@ -441,7 +441,7 @@ class Misfit:
 
     @property
     def shown(self) -> bool:
-        """Return whether more than half of the squared distance is not noise."""
+        """Return whether noise makes up less than half of the squared distance."""
         return self.distance > self.samples / (1.0 - MOST)
 
     @property

@@ -44,8 +44,9 @@ MAX_HIDDEN_SHARE = 0.01
 
 
 def measure_range(track: RawTrack, name: str, scene: Array | None = None) -> tuple[float, float]:
-    """Return the range of motion of a marker, in px and in radii of the marker; 0 if it is hardly ever found.
+    """Return the range of motion of a marker, in px and in radii of the marker.
 
+    Both are 0 if the marker is found in less than :data:`MIN_SHARE` of the frames.
     The range is the 95th percentile of the distance from the median position, over detections of the whole
     marker. ``scene``, shape (2, n), is the shift of the whole scene in each frame, px.
     """
