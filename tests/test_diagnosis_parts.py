@@ -1360,11 +1360,11 @@ def test_the_worst_held_out_trial_is_complete_and_in_time_order() -> None:
     early, late, other = piece(5.0, 3.0), piece(4.0, 3.0), piece(9.0, 1.0)
     late = replace(late, time_s=late.time_s - 10.0)
     other = replace(other, trial=replace(other.trial, id="other"))
-    (found,) = shrinkage.worst([early, late, other], {"x_m": 0.01}, "after")
+    (found,) = shrinkage.worst([early, late, other], {"x_m": 0.01}, with_causes=True)
     assert found.trial.id == "held"
     np.testing.assert_array_equal(found.time_s, np.concatenate((late.time_s, early.time_s)))
     np.testing.assert_array_equal(found.before, np.concatenate((late.before, early.before)))
-    (found,) = shrinkage.worst([early, late, other], {"x_m": 0.01}, "before")
+    (found,) = shrinkage.worst([early, late, other], {"x_m": 0.01}, with_causes=False)
     assert found.trial.id == "other"
 
 

@@ -32,6 +32,7 @@ from swimid.diagnosis.gap_file import (
     ChannelGap,
     Distance,
     GapFile,
+    HeldOut,
     Hypothesis,
     Score,
     Shrinkage,
@@ -114,24 +115,7 @@ def answer(
     )
     floor = noise.inside
     failed = dropouts.misfit(state, raw, floor)
-    # A random effect may absorb a cause, and a cause may absorb between-trial variation. Each model is
-    # therefore fitted with and without random effects, and the fits that predict held-out data better are
-    # used.
-    fits = [(nominal, state.base), alike] if state.noise_model.random_effects else [alike]
-    shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
-    total = len(validation) or context.folds.count
-    with progress("held-out trials", total=len(fits) * total) as step:
-        held = shrinkage.better(
-            [
-                shrinkage.pieces(
-                    context, *pair, state.noise_model, floor, shipped, validation, step=lambda: step(1)
-                )
-                for pair in fits
-            ],
-            floor,
-        )
-    if state.changed or judgement.by_coefficients(state):
-        held = [replace(piece, before=piece.shipped) for piece in held]
+    held = _predictions(state, alike, floor, validation, progress)
     predicted = distance = None
     chance: Mapping[str, float] = {}
     if state.base.effects:
@@ -142,17 +126,22 @@ def answer(
         distance = Distance(before=without.times, after=with_causes.times)
         # The expected between-trial variation of the held-out trials is used only if the model with the
         # causes predicts these trials. Otherwise a gap could be taken for between-trial variation.
-        chance = {} if with_causes.shown else with_causes.chance
+        if not with_causes.shown:
+            chance = with_causes.chance
     # The floor in ``noise.levels`` is increased for the noise that fitted parameters absorb. If the residuals
     # have structure, this increase would include absorbed structure, so the floor without it is used.
-    more = state.left is not None and state.left.found
     levels = noise.of_held_out(chance)
-    outside = shrinkage.capped(floor if more else levels, held)
+    reached = levels
+    if state.left is not None and state.left.found:
+        reached = floor
+    outside = shrinkage.capped(reached, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
     told, gap, left = judgement.judge(
         state, held, noise, predicted, dropout=failed > 0, validation=validation
     )
+    if not told.causes:
+        distance = None
     how = noise.how
     if told.verdict == "none":
         # The residuals are indistinguishable from noise and between-trial variation, so all of them count as
@@ -170,17 +159,18 @@ def answer(
     where = Where(
         channels=_channels(state, gap, floor, ranges),
         stage=stages,
-        phase=places.phases(cells) if told.verdict != "none" else [],
         regime=places.regimes(cells),
         time=places.times(cells),
     )
+    if told.verdict != "none":
+        where.phase = places.phases(cells)
     file = GapFile(
         verdict=told.verdict,
         where=where,
         causes=causes,
         remaining=left,
         advice=_advice(state, told, left.where, floor),
-        odd_trial={told.odd.trial: told.odd.error_ratio} if told.odd else {},
+        odd_trial=told.odd_trial,
         refuted=list(told.refuted),
         unpredicted=dict(told.unpredicted),
         setting_count=settings.count([*context.trials, *validation]),
@@ -192,8 +182,8 @@ def answer(
         hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
-        held_out="validation" if validation else "trials" if context.folds.whole else "stretches",
-        predicted=distance if told.causes else None,
+        held_out=_held_out(context, validation),
+        predicted=distance,
         floor_from=how,
         repeats=bool(repeats(context)),
         scores=rows,
@@ -202,8 +192,55 @@ def answer(
         left_out=dict(state.screen.left_out),
     )
     if file.verdict == "none" and any(check.verdict == "warn" for check in evidence.checks(file)):
-        file.advice = [Advice(text=ANOTHER if (file.setting_count or 2) < 2 else REPEAT)]
-    return file, shrinkage.worst(held, levels, "after" if causes else "before")
+        file.advice = [Advice(text=REPEAT)]
+        if file.setting_count == 1:
+            file.advice = [Advice(text=ANOTHER)]
+    return file, shrinkage.worst(held, levels, with_causes=bool(causes))
+
+
+def _predictions(
+    state: State,
+    alike: tuple[Fit, Fit],
+    floor: Mapping[str, float],
+    validation: Sequence[Trial],
+    progress: Progress,
+) -> list[Piece]:
+    """Return the held-out samples with their predictions without and with the causes.
+
+    A random effect may absorb a cause, and a cause may absorb between-trial variation. Each model is
+    therefore fitted with and without random effects, and the fits that predict held-out data better are used.
+
+    Parameters
+    ----------
+    alike : tuple of Fit
+        The models without and with the causes, fitted without random effects.
+    """
+    context = state.context
+    fits = [alike]
+    if state.noise_model.random_effects:
+        fits.insert(0, (state.nominal, state.base))
+    shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
+    total = len(validation) or context.folds.count
+    with progress("held-out trials", total=len(fits) * total) as step:
+        found = [
+            shrinkage.pieces(
+                context, *pair, state.noise_model, floor, shipped, validation, step=lambda: step(1)
+            )
+            for pair in fits
+        ]
+    held = shrinkage.better(found, floor)
+    if state.changed or judgement.by_coefficients(state):
+        held = [replace(piece, before=piece.shipped) for piece in held]
+    return held
+
+
+def _held_out(context: FitContext, validation: Sequence[Trial]) -> HeldOut:
+    """Return which data are held out."""
+    if validation:
+        return "validation"
+    if context.folds.whole:
+        return "trials"
+    return "stretches"
 
 
 def _as_given(state: State) -> Fit:
@@ -235,7 +272,9 @@ def _alone(state: State, fit: Fit) -> Fit:
 def _reasons(state: State) -> list[str]:
     differing = []
     for kind in (kind for kind in state.random_effects if kind.sd > 0.02):
-        chance = f", {kind.most:.2g} of it by chance" if kind.sd > kind.most else ""
+        chance = ""
+        if kind.sd > kind.most:
+            chance = f", {kind.most:.2g} of it by chance"
         differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
     if not differing:
         return []
@@ -302,14 +341,11 @@ def _causes(
 
 def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside: bool) -> ChangedValue:
     """Compare the estimate of a parameter with its value in the parameter file."""
-    return ChangedValue(
-        value=value,
-        stderr=stderr if inside else None,
-        unit=unit,
-        status="estimated" if inside else "at-bound",
-        given=known.value,
-        standard_errors=abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300),
-    )
+    size = abs(value - known.value) / max(math.hypot(stderr, known.stderr or 0.0), 1e-300)
+    changed = ChangedValue(value=value, unit=unit, given=known.value, standard_errors=size, status="at-bound")
+    if inside:
+        changed.status, changed.stderr = "estimated", stderr
+    return changed
 
 
 def _values(
@@ -412,7 +448,9 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
     for kind in ("frequency", "amplitude", "force"):
         labels = [words.get(kind, "") for words in known]
         levels = sorted({*labels} - {""}, key=lambda text: float(text.split()[0]))
-        for label in (levels[-1], levels[0]) if len(levels) > 2 else ():
+        if len(levels) <= 2:
+            continue
+        for label in (levels[-1], levels[0]):
             parts = zip(labels, context.folds.owner, strict=True)
             cut = copy.copy(context)
             cut.folds = Folds(True, [np.full(len(rows), int(own == label)) for own, rows in parts], 2)
@@ -441,8 +479,10 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
         if len(rivals) == 1:
             rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
+    if len(rivals) < 2 and told.verdict == "unexplained":
+        return repeat
     if len(rivals) < 2:
-        return repeat if told.verdict == "unexplained" else []
+        return []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     try:
         return advice.advise(state.context, [r.fit for r in rivals], state.noise_model, floor, now)
@@ -495,7 +535,9 @@ def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float | None]:
     stages = [stage for stage in STAGES if stage != "rig" or "rig" in applied]
     sums = {stage: sum(row.probability or 0.0 for row in rows if row.stage == stage) for stage in stages}
     total = sum(sums.values())
-    return {stage: v / total if gap and total > 0 else 0.0 for stage, v in sums.items()}
+    if not gap or total <= 0:
+        return dict.fromkeys(stages, 0.0)
+    return {stage: v / total for stage, v in sums.items()}
 
 
 def _structured_share(state: State) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -88,7 +89,9 @@ class Refitted:
     def stderr(self) -> float:
         """Return the standard error of the summed gain, estimated from its variation over folds."""
         n = len(self.gains)
-        return float(np.sqrt(n * np.var(self.gains, ddof=1))) if n > 1 else float("nan")
+        if n < 2:
+            return math.nan
+        return float(np.sqrt(n * np.var(self.gains, ddof=1)))
 
 
 @dataclass
@@ -167,11 +170,9 @@ def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: S
             best = _best(inner, tried, first, plain, left, whole)
         first += len(tried.points)
         if best is None:
-            left_out[tried.effect.name] = (
-                "it changes nothing that was measured in these trials"
-                if tried.points
-                else "the model broke down with it: the effect could not be judged"
-            )
+            left_out[tried.effect.name] = "it changes nothing that was measured in these trials"
+            if not tried.points:
+                left_out[tried.effect.name] = "the model broke down with it: the effect could not be judged"
         else:
             found.append(best)
             left_out.pop(tried.effect.name, None)
@@ -233,7 +234,9 @@ def _best(
             leaders[moved] = (float(gains.sum()), i)
         # The factor of the change is limited so that the parameters are within their bounds. An effect
         # without parameters always acts fully (factor 1).
-        allowed = _allowed(null, point - null, float(factors[0]), lower, upper) if parameters else 1.0
+        allowed = 1.0
+        if parameters:
+            allowed = _allowed(null, point - null, float(factors[0]), lower, upper)
         if allowed != factors[0]:
             gains = np.minimum(gains, plain - crossval.held_out_less(inner, first + i, allowed))
             factors = np.array([allowed])
@@ -294,7 +297,9 @@ def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried,
     columns = [first.signature, second.signature]
     inner = crossval.projected(crossval.normal_equations(context, base, noise_model, columns))
     norm = np.sqrt(max(inner[0, 0], 0.0) * max(inner[1, 1], 0.0))
-    return float(inner[0, 1] / norm) if norm > 0 else 0.0
+    if norm <= 0:
+        return 0.0
+    return float(inner[0, 1] / norm)
 
 
 def own(fit: Fit, tried: Tried) -> list[list[Array]]:

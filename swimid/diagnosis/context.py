@@ -68,10 +68,11 @@ class Mixed(Problem):
         jobs: int = 1,
     ) -> None:
         known = {kind.label: kind for kind in random_effects}
-        parameters = [
-            known[p.name].number(p) if p.name in known and known[p.name].effect is None else p
-            for p in parameters
-        ]
+        own = {name: kind for name, kind in known.items() if kind.effect is None}
+        parameters = list(parameters)
+        for i, p in enumerate(parameters):
+            if p.name in own:
+                parameters[i] = own[p.name].number(p)
         super().__init__(model, parameters, trials, jobs=jobs)
         self.random_effects = tuple(random_effects)
         self._differ = {i for i, p in enumerate(self.parameters) if p.name in known}
@@ -160,11 +161,11 @@ class Fit:
             value in place of the mean.
         """
         null = {p.name: p.start for p in self.problem.parameters}
-        apart = {kind.label for kind in self.problem.random_effects if kind.name.replace("_", "-") in without}
-        return {
-            name: null[name] if name in apart else float(np.mean(values))
-            for name, values in self._differing().items()
-        }
+        found = {name: float(np.mean(values)) for name, values in self._differing().items()}
+        for kind in self.problem.random_effects:
+            if kind.label in found and kind.name.replace("_", "-") in without:
+                found[kind.label] = null[kind.label]
+        return found
 
     def scatter(self) -> dict[str, float]:
         """Return the standard deviation of each random effect over trials, by parameter name, in its unit.
@@ -172,10 +173,7 @@ class Fit:
         The mean over trials does not count, because a value that all trials share is an effect and not
         random.
         """
-        return {
-            name: float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-            for name, values in self._differing().items()
-        }
+        return {name: float(np.std(v, ddof=min(len(v) - 1, 1))) for name, v in self._differing().items()}
 
     def _differing(self) -> dict[str, list[float]]:
         """Return the values of each random effect in all trials, by parameter name."""
@@ -297,17 +295,10 @@ class FitContext:
         acting = _acting(effects, random_effects)
         model = self.affected(acting)
         own = model.parameters[len(self.parameters) :]
-        known = known or {}
-        problem = Mixed(
-            model,
-            [
-                replace(p, free=False, start=known[p.name]) if p.name in known else p
-                for p in (*self.parameters, *own)
-            ],
-            self.trials if trials is None else trials,
-            random_effects=random_effects,
-            jobs=self.jobs if jobs is None else jobs,
-        )
+        parameters = held_at((*self.parameters, *own), known or {})
+        if trials is None:
+            trials = self.trials
+        problem = Mixed(model, parameters, trials, random_effects=random_effects, jobs=jobs or self.jobs)
         problem.near = NEAR
         return problem
 
@@ -364,8 +355,9 @@ class FitContext:
             elif owner is not None:
                 weight[j] = 1.0 / (START_PRIOR * p.scale)
             elif owner is None and p.name in known:
-                m, sd = known[p.name]
-                mean[j], weight[j] = m, 1.0 / sd if sd > 0 else 0.0
+                mean[j], sd = known[p.name]
+                if sd > 0:
+                    weight[j] = 1.0 / sd
         return mean, weight
 
     def root(self, problem: Mixed) -> Array:
@@ -410,7 +402,9 @@ class FitContext:
                 mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
-        return [theta, plain] if distorted else [theta]
+        if distorted:
+            return [theta, plain]
+        return [theta]
 
     def fit(
         self,
@@ -473,7 +467,7 @@ class FitContext:
             return self.search(problem, noise_model, [start], tolerance, steps)
 
         def cost(found: Solution) -> float:
-            return found.cost if math.isfinite(found.cost) else math.inf
+            return float(np.nan_to_num(found.cost, nan=math.inf))
 
         # Starting points are compared by the parameters of effects only, because every iteration changes the
         # coefficients.
@@ -490,12 +484,17 @@ class FitContext:
         if len(starts) > finalists:
             problem.hold_derivatives(warm.labels, warm.rows)
             while len(starts) > finalists:
-                steps = 1 if len(starts) > 2 * finalists else HEAT
+                steps = 1
+                if len(starts) <= 2 * finalists:
+                    steps = HEAT
                 left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
                 starts = [found.x for found in left]
             problem.hold_derivatives((), ())
-        found = ranked(starts, ROUGH, HEAT)[:1] if len(starts) > 1 else []
-        found.append(one(found[0].x if found else starts[0], FINE, STEPS))
+        found = []
+        if len(starts) > 1:
+            found = ranked(starts, ROUGH, HEAT)[:1]
+            starts = [found[0].x]
+        found.append(one(starts[0], FINE, STEPS))
         best = min(found, key=cost)
         return self.at(effects, noise_model, best.x, best.cost, problem)
 
@@ -523,7 +522,9 @@ class FitContext:
 
         def whiten(k: int, rows: Array) -> Array:
             seen = noise_model.whiten(problem, k, rows)
-            return seen if kept is None else (seen.T * kept[k]).T
+            if kept is None:
+                return seen
+            return (seen.T * kept[k]).T
 
         problem.whiten = whiten
         found = [
@@ -645,6 +646,15 @@ def _same(one: Solution, other: Solution, scale: Array) -> bool:
     """Return whether two searches ended with equal effect parameters and equal cost."""
     near = np.all(np.abs(one.x - other.x) <= ALIKE * scale)
     return bool(near and abs(one.cost - other.cost) <= ALIKE * other.cost)
+
+
+def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
+    """Return the parameters, of which those in ``known`` are fixed at their value."""
+    found = list(parameters)
+    for i, p in enumerate(parameters):
+        if p.name in known:
+            found[i] = replace(p, free=False, start=known[p.name])
+    return tuple(found)
 
 
 def _acting(effects: Sequence[Effect], random_effects: Sequence[RandomEffect]) -> tuple[Effect, ...]:

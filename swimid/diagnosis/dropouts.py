@@ -131,7 +131,9 @@ def _runs(mask: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 
 def _robust(x: Array) -> float:
-    return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) else 0.0
+    if not len(x):
+        return 0.0
+    return 1.4826 * float(np.median(np.abs(x - np.median(x))))
 
 
 def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
@@ -190,7 +192,9 @@ def misfit(state: State, raw: Sequence[Trial], floor: Mapping[str, float]) -> fl
         return 0.0
     squares = _squares(state, raw)
     total = sum(squares[c][0] / max(floor[c], 1e-300) ** 2 for c in floor if c in squares)
-    return total if total > FAILED_MISFIT else 0.0
+    if total <= FAILED_MISFIT:
+        return 0.0
+    return total
 
 
 def _squares(state: State, raw: Sequence[Trial]) -> dict[str, tuple[float, int]]:

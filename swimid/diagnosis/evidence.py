@@ -413,18 +413,21 @@ def answer_text(file: GapFile) -> str:
     if file.verdict == "none":
         return _no_gap(file)
     if file.verdict == "explained":
-        gap = "the gap of the parameters as given" if file.changed else "the gap"
-        said = f"{listed(names)} {'explains' if len(names) == 1 else 'together explain'} {gap}."
+        said = f"{listed(names)} {plural('explains', 'together explain', names)} the gap"
+        if file.changed:
+            said += " of the parameters as given"
+        said += "."
     elif file.verdict == "ambiguous":
-        kind = "cause is" if len(names) == 1 else "causes are"
-        said = f"The model has a gap whose likeliest {kind} {listed(names)}."
+        said = (
+            f"The model has a gap whose likeliest {plural('cause is', 'causes are', names)} {listed(names)}."
+        )
     elif file.unreproduced:
         said = "The model does not describe these trials, so that their gap cannot be separated from noise."
     elif file.unpredicted:
         said = "The model follows the trials it is fitted to, but not the validation trials."
     elif names:
-        closes = "closes" if len(names) == 1 else "close"
-        said = f"The model has a gap that no known effect closes; {listed(names)} {closes} part of it."
+        closing = f"{listed(names)} {plural('closes', 'close', names)} part of it"
+        said = f"The model has a gap that no known effect closes; {closing}."
     else:
         said = "The model has a gap, and no effect of the catalogue closes it."
     for s in file.closing[:1]:
@@ -444,6 +447,13 @@ def _no_gap(file: GapFile) -> str:
     if any(c.differs for c in file.where.channels):
         return "The model leaves noise, and differences between trials."
     return "The model describes these trials as well as their noise allows."
+
+
+def plural(one: str, several: str, things: Sequence[object]) -> str:
+    """Return the words for one thing or those for several things."""
+    if len(things) == 1:
+        return one
+    return several
 
 
 def _named(cause: Cause) -> str:

@@ -229,8 +229,9 @@ def floors(
     lower, told = _between_repeats(context, last, marginal_residuals)
 
     def level(c: str, times: float) -> float:
-        left = float(np.sqrt(times * (whole[c] if c in lower else model[c])))
-        return min(lower.get(c, left), left)
+        if c not in lower:
+            return float(np.sqrt(times * model[c]))
+        return min(lower[c], float(np.sqrt(times * whole[c])))
 
     levels = {c: level(c, more[c]) for c in model}
     within = {c: min(float(np.sqrt(more[c] * rest * v)), levels[c]) for c, v in noise.items()}

@@ -312,4 +312,6 @@ class GapFile(yamlio.ResultFile):
 
 
 def _size(value: float | None) -> float:
-    return -math.inf if value is None else value
+    if value is None:
+        return -math.inf
+    return value

@@ -138,9 +138,22 @@ class Judgement:
     unreproduced: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def odd_trial(self) -> dict[str, float]:
+        """Return the outlier trial with its error ratio; empty without an outlier."""
+        if self.odd is None:
+            return {}
+        return {self.odd.trial: self.odd.error_ratio}
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the causes."""
         return tuple(c.best.tried.effect.name for c in self.causes)
+
+    def model(self, state: State) -> Fit:
+        """Return the model with the causes; without causes, the model without effects."""
+        if self.causes:
+            return self.base
+        return state.nominal
 
 
 def judge(
@@ -179,8 +192,7 @@ def judge(
     if told.verdict != "none":
         told = _by_remaining(told, state, left)
     if validation and told.verdict != "unexplained":
-        model = told.base if told.causes else state.nominal
-        off = shrinkage.unpredicted(state.context, model, state.noise_model, validation)
+        off = shrinkage.unpredicted(state.context, told.model(state), state.noise_model, validation)
         told = replace(told, unpredicted=off)
         if told.causes and told.unpredicted:
             told = _by_prediction(told, state, held, floor)
@@ -191,7 +203,7 @@ def judge(
         told = _by_differences(told, state, gap, noise, left)
     if told.verdict == "none" and dropout:
         told = replace(told, verdict="explained")
-    unreproduced = _unreproduced(state, told.base if told.causes else state.nominal)
+    unreproduced = _unreproduced(state, told.model(state))
     if unreproduced and told.verdict in ("none", "explained"):
         # The mean of a black-box output is estimated in each trial. The model may therefore fit although it
         # reproduces nothing but the mean.
@@ -220,16 +232,23 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
 def _by_fits(state: State) -> Judgement:
     """Return the most probable verdict: no gap, known causes, or a cause outside the catalogue."""
     posterior = state.posterior
-    chosen = [] if posterior.none > UNSURE else [named(state, r) for r in state.rounds]
+    chosen = []
+    if posterior.none <= UNSURE:
+        chosen = [named(state, r) for r in state.rounds]
     inside = sum(posterior.sets.values())
+    verdict: Verdict = "none"
+    if posterior.outside > posterior.none:
+        verdict = "unexplained"
     if not chosen:
-        return Judgement("unexplained" if posterior.outside > posterior.none else "none", (), state.base)
+        return Judgement(verdict, (), state.base)
     if posterior.outside > inside:
         # If a cause outside the catalogue is more probable, list only effects that close part of the gap with
         # a probability above one half.
         return Judgement("unexplained", tuple(c for c in chosen if c.closing > 0.5), state.base)
-    unsure = inside < SURE * (inside + posterior.outside) or chosen[0].crowded or chosen[0].alone <= 0.5
-    return Judgement("ambiguous" if unsure else "explained", tuple(chosen), state.base)
+    verdict = "explained"
+    if inside < SURE * (inside + posterior.outside) or chosen[0].crowded or chosen[0].alone <= 0.5:
+        verdict = "ambiguous"
+    return Judgement(verdict, tuple(chosen), state.base)
 
 
 def _by_held_out(
@@ -265,8 +284,10 @@ def _by_held_out(
 
 def _weakened(told: Judgement, why: str) -> Judgement:
     """Return the judgement with a further reason for doubt: "explained" becomes "ambiguous"."""
-    verdict = "ambiguous" if told.verdict == "explained" else told.verdict
-    return replace(told, verdict=verdict, unsure=(*told.unsure, why))
+    told = replace(told, unsure=(*told.unsure, why))
+    if told.verdict == "explained":
+        return replace(told, verdict="ambiguous")
+    return told
 
 
 def _by_prediction(

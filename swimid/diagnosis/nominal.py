@@ -242,7 +242,9 @@ def _computed(name: str, values: Array, trial: Trial) -> bool:
         vx = np.gradient(trial.measured["x_m"], time)
         vy = np.gradient(trial.measured[across], time)
         c, s = np.cos(trial.measured[heading]), np.sin(trial.measured[heading])
-        rate = c * vx + s * vy if name == "u_m_s" else c * vy - s * vx
+        rate = c * vy - s * vx
+        if name == "u_m_s":
+            rate = c * vx + s * vy
     rough, own = np.diff(rate, 2), np.diff(values, 2)
     there = np.isfinite(rough) & np.isfinite(own)
     if there.sum() < 20 or np.std(own[there]) == 0:

@@ -175,7 +175,7 @@ class Posterior:
     def beside_outside(self, *names: str) -> float:
         """Return the probability that one of the named effects acts, given a cause outside the catalogue."""
         closing = sum(p for found, p in self.beside.items() if found & set(names))
-        return self.acts * closing / self.outside if self.outside > 0 else 0.0
+        return self.acts * closing / max(self.outside, 1e-300)
 
     def closing(self, *names: str) -> float:
         """Return the probability that one of the named effects closes most of the closed part of the gap.
@@ -196,7 +196,9 @@ class Posterior:
             Whether the form of the effect is exact. Effects that leave a larger excess then cannot take its
             place.
         """
-        most = self.excess[among] + self.no_evidence if exact else math.inf
+        most = math.inf
+        if exact:
+            most = self.excess[among] + self.no_evidence
         rest = among - {name}
         found = {}
         for names, p in self.known.items():
@@ -210,7 +212,9 @@ class Posterior:
     def left(self) -> float:
         """Return the fraction of the squared gap that remains with the most probable set."""
         gap = self.excess[frozenset()]
-        return min(self.excess[self.best] / gap, 1.0) if gap > 0 and self.sets else 0.0
+        if gap <= 0 or not self.sets:
+            return 0.0
+        return min(self.excess[self.best] / gap, 1.0)
 
 
 def prior(size: int, effects: int) -> float:

@@ -164,7 +164,9 @@ def needed(record: Record, kinds: int) -> float:
     share = math.expm1(2.0 * wanted / directions)
     # The excess that is no evidence grows with the gap. Without room for it, no excess is enough.
     room = 1.0 - CALIBRATED.form * share
-    return share * posterior.unit(record, 0.0) / room if room > 0 else math.inf
+    if room <= 0:
+        return math.inf
+    return share * posterior.unit(record, 0.0) / room
 
 
 def noncentrality(drop: float, numbers: int) -> float:
@@ -172,7 +174,9 @@ def noncentrality(drop: float, numbers: int) -> float:
 
     The probability of such a reduction is 90 %.
     """
-    return float(chndtrinc(drop, numbers, 1.0 - POWER)) if math.isfinite(drop) else math.inf
+    if not math.isfinite(drop):
+        return math.inf
+    return float(chndtrinc(drop, numbers, 1.0 - POWER))
 
 
 def told_apart(record: Record, cosine: float) -> bool:
@@ -300,7 +304,9 @@ def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
 def _cosine(products: Array, i: int, j: int) -> float:
     """Return the cosine between two changes, from the matrix of their products; 0 if one is zero."""
     norm = np.sqrt(max(products[i, i], 0.0) * max(products[j, j], 0.0))
-    return float(products[i, j] / norm) if norm > 0 else 0.0
+    if norm <= 0:
+        return 0.0
+    return float(products[i, j] / norm)
 
 
 def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:

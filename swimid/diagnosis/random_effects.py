@@ -89,7 +89,9 @@ class RandomEffect:
 
         The same object is always returned, because results are cached by the object.
         """
-        return None if self.effect is None else TrialEffect(self, self.effect)
+        if self.effect is None:
+            return None
+        return TrialEffect(self, self.effect)
 
 
 class TrialEffect(Effect):

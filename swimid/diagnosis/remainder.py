@@ -179,8 +179,9 @@ def saturated(
             r = r - own[:, begun] @ step[begun] + (bare - base.residuals[k])
         # Far from the base fit, the changes by the terms do not add up. Reject a result that does not reduce
         # the residuals.
-        better = float(rest @ rest) < float(base.residuals[k] @ base.residuals[k])
-        found.append(r if better else bare)
+        if not float(rest @ rest) < float(base.residuals[k] @ base.residuals[k]):
+            r = bare
+        found.append(r)
     return found
 
 
@@ -392,7 +393,9 @@ class SensorTerm(Description):
 
     def __init__(self, channel: str, top: float, *, dynamic: bool) -> None:
         self.channel, self.top = channel, top
-        self.terms = SENSOR_TERMS if dynamic else ("gain", "quadratic")
+        self.terms = SENSOR_TERMS
+        if not dynamic:
+            self.terms = ("gain", "quadratic")
         self.prefix = f"{channel} "
         self.place = f"sensor of {channel}"
 
@@ -469,7 +472,9 @@ def _levels(values: Array) -> list[float]:
     """
     rounded = np.unique(values.round(6))
     shared = [float(v) for v in rounded if np.isclose(values, v, rtol=LEVEL).sum() >= SHARED]
-    return shared if 1 < len(shared) <= LEVELS else []
+    if not 1 < len(shared) <= LEVELS:
+        return []
+    return shared
 
 
 def _window(trial: Trial) -> tuple[float, float]:
@@ -485,7 +490,9 @@ def beat_hz(trial: Trial) -> float:
     if trial.surge.frequency_hz > 0:
         return trial.surge.frequency_hz
     length = float(trial.time_s[-1] - trial.time_s[0])
-    return 1.0 / length if length > 0 else 1.0
+    if length <= 0:
+        return 1.0
+    return 1.0 / length
 
 
 def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:

@@ -517,7 +517,9 @@ class Search:
     def _refitted(self, h: Hypothesis, optimum: Optimum) -> None:
         """Replace a hypothesis by the same hypothesis at another optimum."""
         fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
-        parent = None if h.tried is None else self.pool.get(h.key - {id(h.tried.effect)})
+        parent = None
+        if h.tried is not None:
+            parent = self.pool.get(h.key - {id(h.tried.effect)})
         self.pool[h.key] = self.judged(fit, h.tried, parent)
         self.screens.pop(h.key, None)
         self.null = self.pool[frozenset()]
@@ -559,7 +561,9 @@ class Search:
         found = dict.fromkeys(sorted(h.names), 0.0)
         for (one, first), (other, second) in combinations(mine, 2):
             # An effect that changes nothing when it acts alone has no screening result.
-            cosine = 0.0 if first is None or second is None else self._cosine(first, second)
+            if first is None or second is None:
+                continue
+            cosine = self._cosine(first, second)
             found[one], found[other] = (max(found[n], cosine**2) for n in (one, other))
         return found
 

@@ -92,7 +92,9 @@ def _logged(trial: Trial) -> dict[str, Quantity | str]:
     angles = [motion(trial.time_s)[0] for motion in trial.swim.joints or ()]
     largest = max(angles, key=lambda angle: float(np.std(angle)), default=np.zeros(0))
     beat = find_beat(trial.time_s, largest)
-    return {} if beat is None else _beaten(beat.frequency_hz, beat.amplitude, float(np.mean(largest)), 2)
+    if beat is None:
+        return {}
+    return _beaten(beat.frequency_hz, beat.amplitude, float(np.mean(largest)), 2)
 
 
 def _steady(trial: Trial) -> tuple[float, float]:
@@ -116,8 +118,11 @@ def repeated(trial: Trial) -> str:
     Repeats differ only by random effects and noise.
     """
     swim = trial.swim
-    parts = [] if swim.beat is None else [repr(swim.beat)]
-    parts += [trial.cruise.fin] if trial.cruise.fin else []
+    parts = []
+    if swim.beat is not None:
+        parts.append(repr(swim.beat))
+    if trial.cruise.fin:
+        parts.append(trial.cruise.fin)
     if swim.stroke is not None:
         own = swim.stroke
         # The kinematic law of a stroke belongs to the robot.

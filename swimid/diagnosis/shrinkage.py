@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from swimid.diagnosis import crossval, remainder
-from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond
+from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond, held_at
 from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import output_error
@@ -152,10 +152,8 @@ def _average(context: FitContext, fit: Fit, without: Collection[str]) -> Model:
     """Return the model of a fit for a new trial, with random effects at their mean over the fitted trials."""
     model = copy.copy(context.affected(fit.acting))
     centre = fit.centre(without)
-    model.parameters = tuple(
-        replace(p, free=False, start=centre[p.name]) if p.name in centre else p
-        for p in (*context.parameters, *model.parameters[len(context.parameters) :])
-    )
+    own = model.parameters[len(context.parameters) :]
+    model.parameters = held_at((*context.parameters, *own), centre)
     return model
 
 
@@ -260,7 +258,7 @@ def shrinkages(
         # Noise of the held-out trials. The noise of the fitted trials is an estimate of it.
         levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
-        known = [s for s in shares if math.isfinite(s)] if len(trials) > 1 else []
+        known = [s for s in shares if math.isfinite(s) and len(trials) > 1]
         share = closed(before, after, floor)
         low, high = None, None
         if len(known) > 20 and math.isfinite(share):
@@ -368,7 +366,9 @@ def chance(each: Array) -> float:
     It is 0 for a single trial.
     """
     n = len(each)
-    return float(special.stdtrit(n - 1, 0.95) * np.sqrt(n * np.var(each, ddof=1))) if n > 1 else 0.0
+    if n < 2:
+        return 0.0
+    return float(special.stdtrit(n - 1, 0.95) * np.sqrt(n * np.var(each, ddof=1)))
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
@@ -381,22 +381,27 @@ def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
 def closed(before: float, after: float, floor: float) -> float:
     """Return the closed fraction of the gap, ``(before - after) / (before - floor)``; NaN without a gap."""
     gap = before - floor
-    return float((before - after) / gap) if gap > 0.02 * max(before, 1e-300) else math.nan
+    if gap <= 0.02 * max(before, 1e-300):
+        return math.nan
+    return float((before - after) / gap)
 
 
-def worst(found: Sequence[Piece], floors: Mapping[str, float], which: str) -> list[Piece]:
+def worst(found: Sequence[Piece], floors: Mapping[str, float], *, with_causes: bool) -> list[Piece]:
     """Return the samples of the held-out trial with the largest errors in units of the noise.
 
     Parameters
     ----------
-    which : {"before", "after"}
-        Prediction whose errors are compared.
+    with_causes : bool
+        Whether the errors with the causes are compared, or those without them.
 
     Returns
     -------
     list of Piece
         One item for each channel, with its samples in the order of time.
     """
+    which = "before"
+    if with_causes:
+        which = "after"
     squares: dict[str, list[Array]] = {}
     for p in found:
         squares.setdefault(p.trial.id, []).append(_errors(p, which, floors))
