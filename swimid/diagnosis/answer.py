@@ -316,7 +316,7 @@ def _causes(
     if not told.causes:
         return []
     sd = parameter_errors(state, told.base)
-    sizes = [_values(told.base, c, sd, given) for c in told.causes]
+    estimated = [sizes(told.base, c, sd, given) for c in told.causes]
     causes = [
         Cause(
             effect=c.best.tried.effect.name,
@@ -329,7 +329,7 @@ def _causes(
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
         )
-        for c, parameters in zip(told.causes, sizes, strict=True)
+        for c, parameters in zip(told.causes, estimated, strict=True)
     ]
     first = {
         "shrinkage": closing,
@@ -348,7 +348,7 @@ def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside:
     return changed
 
 
-def _values(
+def sizes(
     base: Fit, cause: Named, sd: Mapping[str, float], given: Mapping[str, Estimate]
 ) -> dict[str, Value | ChangedValue]:
     """Return the estimated parameters of a cause, by name.

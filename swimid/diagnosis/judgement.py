@@ -184,7 +184,7 @@ def judge(
         Trials that are excluded from every fit.
     """
     floor = noise.inside
-    told = _by_held_out(_by_fits(state), state, held, floor, predicted)
+    told = _by_held_out(by_fits(state), state, held, floor, predicted)
     told = _by_single_trials(told, state, floor)
     # Between-trial variation that a cause accounts for is part of the gap.
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
@@ -229,7 +229,7 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
     return found
 
 
-def _by_fits(state: State) -> Judgement:
+def by_fits(state: State) -> Judgement:
     """Return the most probable verdict: no gap, known causes, or a cause outside the catalogue."""
     posterior = state.posterior
     chosen = []
