@@ -76,7 +76,7 @@ def test_without_recordings_there_is_a_notice(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("SWIMID_DATA", raising=False)
-    assert make._real(3) == []
+    assert make.plan_real(3) == []
     assert "SWIMID_DATA is unset" in capsys.readouterr().err
 
 
@@ -238,9 +238,9 @@ def test_the_regression_finds_a_force_in_a_motion() -> None:
     v = rng.uniform(-1.0, 1.0, 300)
     left = (-0.4 * v - 3.0 * v * np.abs(v) + 0.05 * rng.normal(size=300))[:, None]
     base = (v * np.abs(v))[:, None, None]
-    plain = regression._bic(base, left)
-    assert regression._bic(np.concatenate([base, v[:, None, None]], axis=2), left) < plain - 100.0
-    assert regression._bic(np.concatenate([base, np.ones((300, 1, 1))], axis=2), left) > plain - 6.0
+    plain = regression.compute_bic(base, left)
+    assert regression.compute_bic(np.concatenate([base, v[:, None, None]], axis=2), left) < plain - 100.0
+    assert regression.compute_bic(np.concatenate([base, np.ones((300, 1, 1))], axis=2), left) > plain - 6.0
 
 
 # ------------------------------------------------------------ score

@@ -36,10 +36,10 @@ def rounds(case: Case) -> list[dict[str, float]]:
             rest = [e for e in effects if e.name not in {own.name for own in fit.effects}]
             base = fit
             fits = list(pool.map(lambda e, base=base: _beside(bench, noise_model, base, e), rest))
-            bic = {"": _bic(fit)}
+            bic = {"": compute_bic(fit)}
             best = {"": fit}
             for effect, other in zip(rest, fits, strict=True):
-                value = _bic(other)
+                value = compute_bic(other)
                 # of an effect in several forms, the best
                 if value < bic.get(effect.name, np.inf):
                     bic[effect.name], best[effect.name] = value, other
@@ -79,7 +79,7 @@ def _beside(bench: FitContext, noise_model: NoiseModel, base: Fit, effect: Effec
     return bench.fit(effects, noise_model, [first], tolerance=FINE)
 
 
-def _bic(fit: Fit) -> float:
+def compute_bic(fit: Fit) -> float:
     """``sum n log(rss / n) + k log(sum n)`` over channels, each with a noise of its own."""
     total, samples = 0.0, 0
     for parts in fit.problem.series(fit.residuals).values():

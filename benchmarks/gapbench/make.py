@@ -30,7 +30,7 @@ def make(folder: Path, *, cases: int, seed: int, robots: Sequence[str] = ()) -> 
     """
     plan = runner.plan(cases, seed, robots=robots)
     if not robots:
-        plan += _real(cases)
+        plan += plan_real(cases)
     folder.mkdir(parents=True, exist_ok=True)
     _keep(folder / "plan.json", json.dumps({"seed": seed, "cases": plan}, indent=1) + "\n")
     for case in plan:
@@ -50,7 +50,7 @@ def make(folder: Path, *, cases: int, seed: int, robots: Sequence[str] = ()) -> 
     return len(plan)
 
 
-def _real(number: int) -> list[dict[str, Any]]:
+def plan_real(number: int) -> list[dict[str, Any]]:
     data = os.environ.get("SWIMID_DATA")
     if not data:
         print("SWIMID_DATA is unset: the recordings of others are left out", file=sys.stderr)

@@ -56,8 +56,8 @@ def rounds(case: Case) -> list[dict[str, float]]:
     terms = {name: term / size[:, None] for name, term in terms.items()}
     found: list[dict[str, float]] = []
     while len(found) < MOST:
-        bic = {"": _bic(base, left)}
-        bic |= {name: _bic(np.concatenate([base, term], axis=2), left) for name, term in terms.items()}
+        bic = {"": compute_bic(base, left)}
+        bic |= {name: compute_bic(np.concatenate([base, term], axis=2), left) for name, term in terms.items()}
         found.append(bic)
         best = min(bic, key=bic.__getitem__)
         if best == "":
@@ -76,7 +76,7 @@ def _left(terms: Array, left: Array) -> Array:
     return left - (flat @ weights).reshape(n, equations)
 
 
-def _bic(terms: Array, left: Array) -> float:
+def compute_bic(terms: Array, left: Array) -> float:
     """``m log(rss / m) + rank log m`` with ``m`` samples in all."""
     m = left.size
     rank = np.linalg.matrix_rank(terms.reshape(m, -1))
