@@ -1,16 +1,17 @@
-"""Warnings with stable codes, which a command prints at its end and stores in its results.
+"""Warnings with stable codes, which a command prints at its end and stores in its results; progress of loops.
 
 Library code calls :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. The command line collects
-the warnings with :func:`recorded`, and the report repeats them.
+the warnings with :func:`recorded`, and the report repeats them. The caller of a long loop decides whether and
+how its progress is shown.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from swimid.errors import in_words_of_the_caller
 
@@ -161,3 +162,38 @@ def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
     finally:
         for notice in notices if repeat else []:
             warn(notice.code, notice.text)
+
+
+# ---------------------------------------------------------------- progress
+
+
+class Step(Protocol):
+    """Function that advances one progress bar."""
+
+    def __call__(self, amount: int = 1) -> None:
+        """Advance the bar by ``amount`` steps."""
+        ...
+
+
+class Progress(Protocol):
+    """Function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``."""
+
+    def __call__(self, description: str, total: int | None = None) -> AbstractContextManager[Step]:
+        """Open a bar with ``total`` steps; None for an unknown number of steps."""
+        ...
+
+
+def show(step: Step, text: str) -> None:
+    """Show a remark next to a progress bar, if the bar has a method ``note(text)``."""
+    note = getattr(step, "note", None)
+    if note is not None:
+        note(text)
+
+
+def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:
+    """Show no progress. Library functions do this by default."""
+
+    def step(amount: int = 1) -> None:
+        return None
+
+    return nullcontext(step)

@@ -91,10 +91,11 @@ class Options(BaseModel):
     argument : str
         Positional argument of the command, by default ``"TRIALS"``. ``"LOG..."`` stands for several files,
         ``"[NAME]"`` for an optional word, and an empty string for no argument.
-    function : str
-        Name of the function, and of its module in the same package. The default is the command with ``_`` in
-        place of ``-``. The function takes the files, ``output`` and the options, and also ``progress``,
-        ``allow`` or ``force`` if it has these arguments.
+    function, module : str
+        Name of the function, and of its module in the same package. The default of the function is the
+        command with ``_`` in place of ``-``, that of the module is the function. The function takes the
+        files, ``output`` and the options, and also ``progress``, ``allow`` or ``force`` if it has these
+        arguments.
     output_flags : tuple of str
         Flags of the output, if they are not ``-o`` and ``--output``.
     required : bool

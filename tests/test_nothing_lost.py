@@ -434,14 +434,14 @@ POOL = SAMPLES / "pool"
 TELLING = """
 import time
 from contextlib import contextmanager
-from swimid.cli import common
+from swimid.cli.main import Run
 
 @contextmanager
 def progress(description, total=None):
     print(description, flush=True)
     yield lambda amount=1: time.sleep(0.02)
 
-common.Run.progress = property(lambda self: progress)
+Run.progress = property(lambda self: progress)
 from swimid.cli.main import entry
 entry()
 """

@@ -21,11 +21,11 @@ from swimid.errors import InputError, UsageError
 from swimid.files.provenance import collect
 from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
-from swimid.results import drawing, evidence, page, parameters, terminal
+from swimid.results import drawing, evidence, parameters
 from swimid.results.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
-from swimid.results.kinds import load_result
 from swimid.results.parameters import Fitted
-from swimid.results.report import report
+from swimid.results.report import render, report
+from swimid.results.result import cell_text, load_result
 from tests import report_cases as cases
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "path", "use", "rect", "circle"}
@@ -177,7 +177,7 @@ def test_same_input_same_page(tmp_path: Path) -> None:
     result = load_result(path)
     made = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
     options = {"template": "report.html", "title": "t", "created": made, "digests": {str(path): "0" * 64}}
-    pages = [page.render([result], [result.content()], **options) for _ in range(2)]  # type: ignore[arg-type]
+    pages = [render([result], [result.content()], **options) for _ in range(2)]  # type: ignore[arg-type]
     assert pages[0] == pages[1]
 
 
@@ -575,7 +575,7 @@ def _lab(rgb: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_palette_is_told_apart(scheme: str) -> None:
     """Every pair differs by 10 in CIELAB for each kind of vision; 3 to 1 against the page (WCAG 1.4.11)."""
-    css = (Path(page.__file__).parent / "templates" / "report.css").read_text()
+    css = (Path(drawing.__file__).parent / "templates" / "report.css").read_text()
     block = css.split("@media")[["light", "dark"].index(scheme)]
     colours = [_linear(colour) for colour in re.findall(r"--s\d: (#\w{6})", block)]
     assert len(colours) == 6
@@ -591,7 +591,7 @@ def test_palette_is_told_apart(scheme: str) -> None:
 def test_a_null_or_an_empty_list_is_a_dash() -> None:
     """No cell of a table of details is empty; records within a list are numbered."""
     entries = {"a": None, "b": [], "c": "", "d": {"e": [1.0, 2.5]}, "f": 0.0, "g": [{"h": 1}, {"h": 2}]}
-    found = {name: terminal.cell_text(value) for name, value in evidence.leaves(entries)}
+    found = {name: cell_text(value) for name, value in evidence.leaves(entries)}
     expected = {"a": "–", "b": "–", "c": "–", "d.e": "1.0, 2.5", "f": "0", "g[1].h": "1", "g[2].h": "2"}
     assert found == expected
 

@@ -1,30 +1,50 @@
-"""Command ``report``: one page with results and their evidence."""
+"""Command ``report``: one page with results and their evidence.
+
+The page is HTML without scripts, or Markdown, from one template for each format.
+"""
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 import swimid
-from swimid.errors import UsageError
+from swimid.errors import InputError, UsageError
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import sha256
-from swimid.notices import recorded, warn
+from swimid.notices import CODES, Progress, Step, recorded, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, page
-from swimid.results.evidence import Evidence, sidecar
-from swimid.results.kinds import load_result
+from swimid.results import drawing, numbers
+from swimid.results import evidence as ev
 from swimid.results.options import Kind, ReportOptions
-from swimid.results.result import Result, Text
+from swimid.results.parameters import Estimate, Fitted, value_text
+from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
 #: ``format`` of the JSON report.
 FORMAT = "swimid-report/1"
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
+#: Symbol and word for each level of a verdict, so that the level can be read without colour.
+LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
+CHECKS = {
+    "pass": ("✓", "pass", "good"),
+    "warn": ("!", "warn", "caution"),
+    "fail": ("✕", "fail", "bad"),
+    "info": ("i", "info", "muted"),
+}
+#: Maximum number of panels, and maximum number of tables, in the main part of a result. The first figure is
+#: always in the main part. Other figures and tables are folded.
+MAIN_PANELS, MAIN_TABLES = 3, 1
+#: Maximum number of parameters that are drawn when fits are compared.
+MAX_COMPARED = 6
 
 
 @takes(ReportOptions)
@@ -74,7 +94,7 @@ def report(
     paths = [source for source in sources if isinstance(source, Path)]
     target, kind = None, options.format or "html"
     if output is not None and str(output) != "-":
-        target = atomic.check_writable(output, inputs=[*paths, *map(sidecar, paths)])
+        target = atomic.check_writable(output, inputs=[*paths, *map(ev.sidecar, paths)])
         kind = options.format or _ENDINGS.get(target.suffix.lower(), "html")
     results = []
     with progress("reading", total=len(sources)) as step:
@@ -92,7 +112,7 @@ def report(
     if kind == "json":
         text = json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
     else:
-        text = page.render(
+        text = render(
             results,
             contents,
             template=f"report.{kind}",
@@ -104,7 +124,7 @@ def report(
     if target is None:
         return Text("report", text.rstrip("\n"), document, document=text)
     atomic.write_text(target, text)
-    whole = page.overall(contents)
+    whole = overall(contents)
     lines = [f"{whole.level}: {whole.text}"]
     for result, content in zip(results, contents, strict=True):
         lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
@@ -124,16 +144,16 @@ def _read(path: Path) -> Result:
         shown = result.evidence
         if shown is None:
             shown = result.bare()
-            place = sidecar(path).name
+            place = ev.sidecar(path).name
             warn("SWM050", f"{path.name} has no evidence beside it ({place}): its checks are not shown")
-    notices = [record for record in blocks.notices(raised) if record not in shown.notices]
+    notices = [record for record in ev.notices(raised) if record not in shown.notices]
     update = {"notices": [*shown.notices, *notices]}
     return replace(result, evidence=shown.model_copy(update=update))
 
 
 def _as_json(
     results: Sequence[Result],
-    contents: Sequence[Evidence],
+    contents: Sequence[ev.Evidence],
     *,
     title: str,
     created: datetime,
@@ -145,7 +165,7 @@ def _as_json(
         "title": title,
         "created": created.isoformat(timespec="seconds"),
         "version": swimid.__version__,
-        "verdict": page.overall(contents).model_dump(include={"level", "text"}),
+        "verdict": overall(contents).model_dump(include={"level", "text"}),
         "results": [
             {
                 "file": str(result.path),
@@ -157,3 +177,208 @@ def _as_json(
             for result, content in zip(results, contents, strict=True)
         ],
     }
+
+
+# ---------------------------------------------------------------- page
+
+
+def overall(contents: Sequence[ev.Evidence]) -> ev.Verdict:
+    """Return the worst level among the results, and a sentence with the number of results at this level."""
+    levels = [shown.verdict.level for shown in contents]
+    worst = max(levels, key=list(LEVELS).index)
+    count = levels.count(worst)
+    verb = {"good": "can be used", "caution": "needs care", "bad": "should not be used"}[worst]
+    if len(levels) == 1:
+        return ev.Verdict(level=worst, text=f"This result {verb}.", word=contents[0].verdict.word)
+    which = f"{count} of {len(levels)} results"
+    if count == len(levels):
+        which = f"All {count} results"
+    if count > 1:
+        verb = verb.replace("needs", "need")
+    return ev.Verdict(level=worst, text=f"{which} {verb}.")
+
+
+def render(
+    results: Sequence[Result],
+    contents: Sequence[ev.Evidence],
+    *,
+    template: str,
+    title: str,
+    created: datetime,
+    digests: dict[str, str],
+    progress: Progress = silent,
+) -> str:
+    """Return the report as text.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        Results in the report, at least one.
+    contents : sequence of Evidence
+        Evidence of each result, as :meth:`Result.content` returns it.
+    template : str
+        Name of the template, ``"report.html"`` or ``"report.md"``.
+    title : str
+    created : datetime
+        Time that is printed at the foot of the page. Reports with the same input and time are identical.
+    digests : dict of str to str
+        SHA-256 of each result file by its path.
+    progress : Progress
+        Progress over the figures.
+    """
+    groups = compared(results)
+    grouped = [fit for fits, _ in groups for fit in fits]
+    environment = Environment(
+        loader=PackageLoader("swimid.results"),
+        autoescape=template.endswith("html"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.globals.update(
+        levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
+    )
+    environment.filters.update(md=_markdown, code=_code)
+    together = [*(shown for _, shown in groups), *contents]
+    paths = [None] * len(groups) + [result.path for result in results]
+    pictures: list[list[list[str]]] = [[[] for _ in shown.figures] for shown in together]
+    if template.endswith("html"):
+        with progress("drawing", total=sum(len(shown.figures) for shown in together)) as step:
+            pictures = [
+                _drawn(*one, f"r{k}-", step) for k, one in enumerate(zip(together, paths, strict=True))
+            ]
+    sections = [_shown(*one) for one in zip(together, pictures, strict=True)]
+    for k, section in enumerate(sections):
+        section["anchor"] = f"r{k + 1}"
+    for section, result in zip(sections[len(groups) :], results, strict=True):
+        command = result.next_command(result.path.name)
+        section.update(kind=result.kind, path=result.path, next=command, folded=result in grouped)
+    return environment.get_template(template).render(
+        title=title,
+        version=swimid.__version__,
+        created=created,
+        verdict=overall(contents),
+        results=sections,
+        references=list(dict.fromkeys(text for shown in contents for text in shown.references)),
+        warnings=_warnings(results, contents),
+        digests=digests,
+    )
+
+
+def _drawn(content: ev.Evidence, path: Path | None, prefix: str, step: Step) -> list[list[str]]:
+    """Return the panels of each figure of a result as SVG elements."""
+    drawn = []
+    try:
+        for n, figure in enumerate(content.figures):
+            drawn.append(drawing.for_page(figure, f"{prefix}{n}-", step=step))
+    except InputError as error:
+        raise InputError(error.reason, file=path and ev.sidecar(path), column=error.column) from error
+    return drawn
+
+
+def _shown(content: ev.Evidence, pictures: list[list[str]]) -> dict[str, Any]:
+    """Return the variables of the template for one result. Main parts and folded parts are separate."""
+    figures = [(_explained(figure), panels) for figure, panels in zip(content.figures, pictures, strict=True)]
+    panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
+    n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
+    tables = [table for table in content.tables if not table.folded]
+    verdicts = [check.verdict for check in content.checks]
+    counts = [f"{verdicts.count(one)} {one}" for one in ("pass", "warn", "fail") if one in verdicts]
+    return {
+        "content": content,
+        "kind": "Side by side",
+        "path": None,
+        "next": "",
+        "folded": False,
+        "figures": figures[:n_main],
+        "tables": tables[:MAIN_TABLES],
+        "more_figures": figures[n_main:],
+        "more_tables": [table for table in content.tables if table not in tables[:MAIN_TABLES]],
+        "checks": ", ".join(counts),
+    }
+
+
+def _explained(figure: ev.Figure) -> ev.Figure:
+    """Return a figure with a remark in its caption if long traces are drawn as envelopes."""
+    if all(len(trace.x) <= ev.MAX_POINTS for panel in figure.panels for trace in panel.traces):
+        return figure
+    caption = f"{figure.caption} Long traces are drawn as their envelope."
+    return figure.model_copy(update={"caption": caption})
+
+
+def _warnings(
+    results: Sequence[Result], contents: Sequence[ev.Evidence]
+) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """Return each warning code with its meaning and its (result, text) pairs, without duplicates."""
+    texts: dict[str, list[tuple[str, str]]] = {}
+    for result, content in zip(results, contents, strict=True):
+        for notice in content.notices:
+            entry = (result.path.name, notice.text.removeprefix(f"{result.path.name}, "))
+            if entry not in texts.setdefault(notice.code, []):
+                texts[notice.code].append(entry)
+    return [(code, CODES.get(code, "unknown code"), texts[code]) for code in sorted(texts)]
+
+
+def _markdown(text: str) -> str:
+    """Return text on one line, with the special characters of Markdown and HTML escaped."""
+    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([\\`*\[\]|]|(?<!\w)_|_(?!\w))", r"\\\1", plain)
+
+
+def _code(text: str) -> str:
+    plain = " ".join(str(text).split()).replace("|", "\\|")
+    fence = "`" * (max((len(run) for run in re.findall(r"`+", plain)), default=0) + 1)
+    return f"{fence} {plain} {fence}" if len(fence) > 1 else f"`{plain}`"
+
+
+# ---------------------------------------------------------------- several fits of one model
+
+
+def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
+    """Return each group of two or more fits of one model, with a table and a figure of their parameters.
+
+    Fits are compared only if they have the same parameters in the same units.
+    """
+    groups: dict[Any, list[Fitted]] = {}
+    for result in results:
+        if isinstance(result, Fitted):
+            shared = frozenset((n, e.unit) for n, e in result.file.parameters.items() if "[" not in n)
+            groups.setdefault((result.file.model, shared), []).append(result)
+    return [(fits, _side_by_side(fits)) for fits in groups.values() if len(fits) > 1]
+
+
+def _side_by_side(fits: Sequence[Fitted]) -> ev.Evidence:
+    names = [fit.path.stem for fit in fits]
+    rows: list[list[Any]] = []
+    panels = []
+    for name, first in fits[0].file.parameters.items():
+        if "[" in name:
+            continue
+        held = [fit.file.parameters[name] for fit in fits]
+        if not any(e.status == "estimated" for e in held):
+            continue
+        rows.append([name, *map(value_text, held)])
+        panels.append(_panel(name, numbers.unit_text(first.unit), held, names))
+    levels = [(fit.evidence or fit.bare()).verdict.level for fit in fits]
+    caption = "Estimates of each file; bars are 95 % intervals."
+    columns = ["parameter", *names]
+    return ev.Evidence(
+        command="report",
+        title=f"{len(fits)} fits of {fits[0].file.model} side by side",
+        verdict=ev.Verdict(
+            level=max(levels, key=list(LEVELS).index),
+            text=f"{levels.count('good')} of {len(fits)} fits are good.",
+        ),
+        tables=[ev.Table(id="compared", title="Parameters", columns=columns, rows=rows)],
+        figures=[ev.Figure(id="compared", title="Estimates", caption=caption, panels=panels[:MAX_COMPARED])],
+    )
+
+
+def _panel(name: str, unit: str, held: Sequence[Estimate], names: list[str]) -> ev.Panel:
+    """Return a panel with the estimates of one parameter and their 95 % intervals."""
+    known = [(k, e) for k, e in enumerate(held) if e.status == "estimated"]
+    low, high = np.array([numbers.confidence95(e.value, e.stderr) or (np.nan, np.nan) for _, e in known]).T
+    x, y = [k for k, _ in known], [e.value for _, e in known]
+    points = ev.Trace(x=x, y=y, y_error=(high - low) / 2, style="points")
+    return ev.Panel(x_label="", y_label=f"{name} ({unit or '1'})", traces=[points], x_categories=names)
