@@ -3,6 +3,6 @@
 - ``main`` finds the commands in the ``options.py`` of every package, lists them by purpose, reads the values
   of their options, and has the shared options, the output streams and the exit statuses. It imports few
   libraries, so that ``--help`` is fast.
-- ``commands`` (with ``options``) has the commands that belong to no other package: ``import``, ``schema``
-  and ``doctor``.
+- ``commands`` (with ``options``) has the commands that belong to no other package: swimid import, schema and
+  doctor.
 """

@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import swimid
 from swimid.errors import InputError, UsageError, file_errors
@@ -92,9 +93,12 @@ class _Group:
         with _uninterrupted():
             try:
                 for path in (*self.pending, *self.removed):
-                    before[path] = _second_name(path) if several and path.exists() else None
+                    before[path] = None
+                    if several and path.exists():
+                        before[path] = _second_name(path)
                 for path, temporary in self.pending.items():
-                    temporary.chmod(_mode(path))
+                    if path.exists():
+                        shutil.copymode(path, temporary)
                     temporary.replace(path)
                 for path in self.removed:
                     path.unlink(missing_ok=True)
@@ -177,14 +181,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
     target = path
     if path.is_symlink():  # the link stays, and the file it points to is replaced
         target = Path(os.path.realpath(path))
-    folder = None if is_device(path) else target.parent
+    temporary = target.with_name(f".{target.stem}-{uuid4().hex}{path.suffix}")
+    if is_device(path):
+        temporary = Path(tempfile.gettempdir()) / temporary.name
     with file_errors(path, "written"), together() as group:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
-        os.close(handle)
-        temporary = Path(name)
+        temporary.touch(exist_ok=False)
         group.temporaries.append(temporary)
         yield temporary
-        if folder is None:
+        if is_device(path):
             path.write_bytes(temporary.read_bytes())
         else:
             with temporary.open("r+b") as stream:
@@ -250,56 +254,26 @@ def _uninterrupted() -> Iterator[None]:
 
 def _second_name(path: Path) -> Path:
     """Return the path of a hidden backup, from which the file can be restored."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
-    os.close(handle)
-    spare = Path(name)
+    spare = path.with_name(f".{path.stem}-{uuid4().hex}.before")
     try:
-        spare.unlink()
         os.link(path, spare)
     except OSError:  # a file system without links
         shutil.copy2(path, spare)
     return spare
 
 
-def _mode(path: Path) -> int:
-    """Return the permissions of a new file: those of the old file, or the default ones."""
-    if path.exists():
-        return path.stat().st_mode & 0o777
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask
-
-
 # ---------------------------------------------------------------- one run at a time
 
 
-@dataclass(eq=False)
-class Lock:
-    """Lock of an output: the file ``<output>.lock``, which names the process that holds the lock.
+#: Thread that holds each lock of this process, by the path of the lock file.
+_HOLDERS: dict[Path, threading.Thread] = {}
+
+
+def lock(output: Path) -> BaseFileLock:
+    """Lock an output with the file ``<output>.lock``, which names the process that holds the lock.
 
     A lock of a process that no longer runs is replaced. A thread can lock an output again that it has locked
-    already, directly or through a run that failed.
-    """
-
-    file: BaseFileLock
-    thread: threading.Thread = field(default_factory=threading.current_thread)
-    holders: int = 1
-
-    def release(self) -> None:
-        """Release the lock once. The last release, one for each call of :func:`lock`, removes the file."""
-        self.holders -= 1
-        path = Path(self.file.lock_file)
-        if self.holders == 0 and _HELD.get(path) is self:
-            del _HELD[path]
-            self.file.release()
-
-
-#: Locks that this process holds, by the path of their file.
-_HELD: dict[Path, Lock] = {}
-
-
-def lock(output: Path) -> Lock:
-    """Lock an output and return the lock.
+    already, directly or through a run that failed. The last release, one for each call, removes the file.
 
     Raises
     ------
@@ -311,14 +285,13 @@ def lock(output: Path) -> Lock:
     from filelock import SoftFileLock, Timeout  # the import takes 60 ms
 
     path = output.resolve().with_name(f"{output.name}.lock")
-    own, thread = _HELD.get(path), threading.current_thread()
-    if own is not None and (own.thread is thread or not own.thread.is_alive()):
-        own.thread = thread
-        own.holders += 1
-        return own
-    file = SoftFileLock(path, timeout=0, thread_local=False)
+    file = SoftFileLock(path, timeout=0, thread_local=False, is_singleton=True)
+    thread = threading.current_thread()
+    holder = _HOLDERS.get(path, thread)
     with file_errors(output, "locked"):
         try:
+            if file.is_locked and holder is not thread and holder.is_alive():
+                raise Timeout(str(path))
             file.acquire()
         except Timeout:
             who = "another run of swimid"
@@ -328,8 +301,8 @@ def lock(output: Path) -> Lock:
                 f"{output} is being written by {who}",
                 hint=f"wait for it, or name another output; if no such run exists, delete {path}",
             ) from None
-    _HELD[path] = Lock(file)
-    return _HELD[path]
+    _HOLDERS[path] = thread
+    return file
 
 
 @contextmanager
@@ -379,8 +352,6 @@ class Checkpoint:
         Checkpoint file. None stores nothing.
     key : str
         SHA-256 of the inputs and settings that determine the results.
-    anew : bool
-        Whether to discard the pieces that an earlier run with this key has stored.
 
     Raises
     ------
@@ -397,7 +368,7 @@ class Checkpoint:
         A piece cannot be stored, for instance because the disk is full.
     """
 
-    def __init__(self, path: Path | None = None, key: str = "", *, anew: bool = False) -> None:
+    def __init__(self, path: Path | None = None, key: str = "") -> None:
         self.path = path
         self._key = key
         self._known: dict[str, list[float]] = {}
@@ -411,19 +382,14 @@ class Checkpoint:
         # release the lock also after a failed run, when the checkpoint object is deleted
         self._release = weakref.finalize(self, lock(path.with_suffix("")).release)
         with file_errors(path):
-            self._read(path, anew)
+            self._read(path)
 
     @classmethod
-    def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:
+    def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
         """Return the checkpoint of an output, with a key from ``belongs_to`` and the version of swimid."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = output and place(output)
-        return cls(path, hashlib.sha256(text.encode()).hexdigest(), anew=anew)
-
-    @property
-    def begun(self) -> bool:
-        """Whether an earlier run with the same key has stored pieces."""
-        return bool(self._known)
+        return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     def get(self, name: str) -> NDArray[np.float64] | None:
         """Return the values stored under a name; None if there are none."""
@@ -462,58 +428,52 @@ class Checkpoint:
         """Remove the lines of this run, whose result is now written. Lines of other runs stay."""
         if self.path is None:
             return
-        self._rewrite()
-        _PIECES[self.path] = 0
-        self._release()
-
-    def _rewrite(self) -> None:
-        """Rewrite the file with the lines of other runs only."""
-        assert self.path is not None
         if self._others:
             with noted():  # no output of the command
                 write_text(self.path, "".join(f"{line}\n" for line in self._others))
         else:
             self.path.unlink(missing_ok=True)
+        _PIECES[self.path] = 0
+        self._release()
 
     def _key_of(self, name: str) -> str:
         return hashlib.sha256(f"{self._key}\n{name}".encode()).hexdigest()[:DIGITS]
 
-    def _read(self, path: Path, anew: bool) -> None:
+    def _read(self, path: Path) -> None:
         """Sort the lines of the file into lines of this run, lines of other runs and damaged lines."""
-        raw = path.read_bytes() if path.is_file() else b""
+        raw = b""
+        if path.is_file():
+            raw = path.read_bytes()
         lines = [line.decode("utf-8", "replace") for line in raw.splitlines() if line.strip()]
         if lines and not lines[0].startswith('{"key"'):
             raise UsageError(f"{path} is not a checkpoint of swimid", hint="move it away, or delete it")
         damaged = 0
         for line in lines:
-            key, name, values = _parsed(line)
-            if not key:
+            try:
+                piece = json.loads(line)
+                key, name, values = piece["key"], str(piece["name"]), [float(v) for v in piece["values"]]
+            except (ValueError, TypeError, KeyError):
                 damaged += 1
-            elif key != self._key_of(name):
-                self._others.append(line)
-            elif not anew:
+                continue
+            if key == self._key_of(name):
                 self._known[name] = values
+            else:
+                self._others.append(line)
         _PIECES[path] = len(self._known)
-        if anew:
-            self._rewrite()
-        elif lines and not raw.endswith(b"\n"):
+        if lines and not raw.endswith(b"\n"):
             with path.open("ab") as stream:
                 stream.write(b"\n")
         others = len(self._others)
-        reasons = {"of runs with other inputs or options, or of another version": others, "damaged": damaged}
-        if others or damaged:
-            told = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
+        told = []
+        if others:
+            told.append(f"{others} of runs with other inputs or options, or of another version")
+        if damaged:
+            told.append(f"{damaged} damaged")
+        if told:
+            text = f"{path}: {others + damaged} of {len(lines)} lines were ignored: {', '.join(told)}"
             if others:
-                told += f"; delete {path.name} if nobody goes on with those runs"
-            warn("SWM150", f"{path}: {others + damaged} of {len(lines)} lines were ignored: {told}")
-
-
-def _parsed(line: str) -> tuple[str, str, list[float]]:
-    """Return key, name and values of a line; the key of a damaged line is empty."""
-    with suppress(ValueError, TypeError, KeyError):
-        piece = json.loads(line)
-        return str(piece["key"]), str(piece["name"]), [float(value) for value in piece["values"]]
-    return "", "", []
+                text += f"; delete {path.name} if nobody goes on with those runs"
+            warn("SWM150", text)
 
 
 # ---------------------------------------------------------------- file names

@@ -7,14 +7,12 @@ the word "swimid" anywhere. ``docs/formats.md`` lists the marks.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import shlex
 import sys
 import zlib
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import takewhile
@@ -105,7 +103,7 @@ def collect(
         "command": command_line(),
         "version": swimid.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "inputs": digests_of(inputs) if digests is None else digests,
+        "inputs": digests or digests_of(inputs),
         "packages": _versions(),
     }
     if simulated := [os.path.relpath(path_of(given)) for given in inputs if says_simulated(given)]:
@@ -132,19 +130,17 @@ def says_simulated(given: Input) -> bool:
 
 def command_line() -> str:
     """Return the command as it was typed, without the folder of the program."""
-    program = Path(sys.argv[0]).name
-    return shlex.join(["swimid" if program == "__main__.py" else program, *sys.argv[1:]])
+    program = Path(sys.argv[0]).name.replace("__main__.py", "swimid")
+    return shlex.join([program, *sys.argv[1:]])
 
 
 def _versions() -> dict[str, str]:
     """Return the versions of Python and of the imported libraries."""
-    labels = ("numpy", "scipy", "numba", "pandas", "opencv", "control")
-    loaded = {label: sys.modules.get(label.replace("opencv", "cv2")) for label in labels}
-    return {"python": sys.version.split()[0]} | {
-        label: str(getattr(module, "__version__", "unknown"))
-        for label, module in loaded.items()
-        if module is not None
-    }
+    versions = {"python": sys.version.split()[0]}
+    for name in ("numpy", "scipy", "numba", "pandas", "cv2", "control"):
+        if name in sys.modules:
+            versions[name.replace("cv2", "opencv")] = str(sys.modules[name].__version__)
+    return versions
 
 
 # ---------------------------------------------------------------- marks of files that swimid wrote
@@ -155,28 +151,37 @@ SOFTWARE = "swimid"
 MADE_BY = "made by swimid"
 #: ``free`` box at the end of a video file, which players skip (ISO/IEC 14496-12, section 8.1.2).
 VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
-#: Formats that people also write by hand. A file of such a format is never recognised as swimid's.
-AUTHORED = ("trials", "robot", "setup", "mapping")
 #: Maximum distance of the mark of a text file from the start or the end of the file, bytes.
 NEAR = 65536
 
 _SIMULATED = re.compile(r"\b(?:simulated?|synthetic)\b")
-_LOG = re.compile(r"(?:made_by|imported_by): *['\"]?swimid [a-z]")
-_FORMAT = re.compile(r"swimid-([a-z-]+)/\d+")
-#: Patterns of the marks at the beginning of a text, including the text that precedes the mark.
-_BEGINNINGS = (
-    re.compile(r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d"),
-    re.compile(r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
-               r"<meta name=\"generator\" content=\"swimid "),
-    re.compile(r"/\*(?:(?!\*/).)*\*/\s*#ifndef SWIMID_STIFFNESS_RULE_H\b", re.DOTALL),
-    re.compile(r"index,profile,(?:[^,\n]+,)+[^,\n]+\[[^\n]*\]\n"),
-)  # fmt: skip
-_SVG = re.compile(
-    r"<\?xml [^>]*>\s*(?:<!DOCTYPE [^>]*>\s*)?<svg [^>]*>\s*<metadata>(?:(?!</metadata>).)*"
-    r"<dc:creator>\s*<cc:Agent>\s*<dc:title>swimid</dc:title>",
+#: Pattern of a format that swimid writes. People also write the other formats by hand.
+_FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
+#: Patterns of the marks at the beginning of a file, including what precedes the mark: log, JSON, JSON Schema,
+#: findings of ``doctor``, XML, HTML, C header, CSV of a front, SVG, PNG, GIF.
+_BEGINNING = re.compile(
+    "|".join((
+        r"(?:#[^\n]*\n|\n)*?# *(?:made_by|imported_by): *['\"]?swimid [a-z]",
+        rf'\{{\s*"format": ?"{_FORMAT}"',
+        r'\{\s*"\$schema": "[^"]*",\s*"\$comment": "written by swimid ',
+        r'\{\s*"swimid": "[^"]*",\s*"python": ',
+        r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d",
+        r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
+        r'<meta name="generator" content="swimid ',
+        r"/\*(?:(?!\*/).)*\*/\s*#ifndef SWIMID_STIFFNESS_RULE_H\b",
+        r"index,profile,(?:[^,\n]+,)+[^,\n]+\[[^\n]*\]\n",
+        r"<\?xml [^>]*>\s*(?:<!DOCTYPE [^>]*>\s*)?<svg [^>]*>\s*<metadata>(?:(?!</metadata>).)*"
+        r"<dc:creator>\s*<cc:Agent>\s*<dc:title>swimid</dc:title>",
+        r".PNG(?:(?!IDAT).)*\x0ftEXtSoftware\x00swimid",
+        r"GIF8.{,4000}?!.\x0emade by swimid\x00",
+    )),
     re.DOTALL,
-)
+)  # fmt: skip
+#: Pattern of the mark at the end of a Markdown page.
 _MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
+#: Patterns of the first line of a YAML file, and of the origin of the file, which may follow anywhere.
+_YAML = re.compile(rf"format: *['\"]?{_FORMAT}['\"\s]")
+_ORIGIN = re.compile(r"^provenance:\n(?: .*\n)*?  version: ", re.MULTILINE)
 
 
 def is_own(path: Path) -> bool:
@@ -189,17 +194,18 @@ def is_own(path: Path) -> bool:
     """
     if not path.is_file():
         return True
-    with file_errors(path), suppress(ValueError):  # neither JSON nor Parquet
-        with path.open("rb") as stream:
-            head = stream.read(NEAR)
-            stream.seek(max(path.stat().st_size - NEAR, 0))
-            tail = stream.read()
-        if head[:4] == b"PAR1":
-            return any(_LOG.match(line) for line in _parquet_comments(path))
-        if head[:4] in (b"\x89PNG", b"GIF8"):
-            return _own_picture(path)
-        return not head or tail.endswith(VIDEO_BOX) or _own_text(path, head, tail)
-    return False
+    with file_errors(path), path.open("rb") as stream:
+        head = stream.read(NEAR)
+        stream.seek(max(path.stat().st_size - NEAR, 0))
+        tail = stream.read()
+    if not head or tail.endswith(VIDEO_BOX):
+        return True
+    if head.startswith(b"PAR1"):
+        head = "".join(f"#{line}\n" for line in _parquet_comments(path)).encode()
+    start, end = (part.decode("utf-8-sig", "replace").replace("\r\n", "\n") for part in (head, tail))
+    if _YAML.match(start):
+        return _ORIGIN.search(path.read_text(encoding="utf-8", errors="replace")) is not None
+    return _BEGINNING.match(start) is not None or _MARKDOWN.search(end) is not None
 
 
 def mark_png(data: bytes) -> bytes:
@@ -225,39 +231,3 @@ def _parquet_comments(path: Path) -> list[str]:
         return []
     lines: list[str] = stored.decode("utf-8", "replace").splitlines()
     return lines
-
-
-def _own_picture(path: Path) -> bool:
-    from PIL import Image, UnidentifiedImageError
-
-    with suppress(UnidentifiedImageError), Image.open(path) as picture:
-        return picture.info.get("Software") == SOFTWARE or picture.info.get("comment") == MADE_BY.encode()
-    return False
-
-
-def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
-    start = head.decode("utf-8-sig", "replace").replace("\r\n", "\n")
-    end = tail.decode("utf-8", "replace").replace("\r\n", "\n")
-    if any(mark.match(start) for mark in (*_BEGINNINGS, _SVG)) or _MARKDOWN.search(end):
-        return True
-    if start.startswith("#"):
-        return any(_LOG.match(line) for line in _comments(start))
-    if start.startswith("{"):
-        return _own_json(path)
-    if named := re.match(r"format: *['\"]?([^\s'\"]+)", start):
-        text = path.read_text(encoding="utf-8", errors="replace")
-        stated = re.search(r"^provenance:\n(?: .*\n)*?  version: ", text, re.MULTILINE)
-        return _written_format(named[1]) and stated is not None
-    return False
-
-
-def _own_json(path: Path) -> bool:
-    data = json.loads(path.read_text(encoding="utf-8"))
-    comment = str(data.get("$comment", ""))
-    by_verb = comment.startswith("written by swimid ") or {"swimid", "packages", "healthy"} <= set(data)
-    return by_verb or _written_format(str(data.get("format")))
-
-
-def _written_format(name: str) -> bool:
-    form = _FORMAT.fullmatch(name)
-    return form is not None and form[1] not in AUTHORED

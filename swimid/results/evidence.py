@@ -1,19 +1,18 @@
 """Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
 
 A command writes the evidence next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show the
-evidence of all commands with the same code. Numbers keep all digits; NaN is written as null.
+evidence of all commands with the same code. yamlio.Numbers keep all digits; NaN is written as null.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from swimid.errors import InputError, UsageError, file_errors
 from swimid.files import atomic, yamlio
@@ -29,18 +28,6 @@ MAX_POINTS = 2000
 MAX_REASONS = 3
 
 
-def _numbers(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if not isinstance(value, list | tuple):
-        return value
-    return [None if isinstance(x, float) and not math.isfinite(x) else x for x in value]
-
-
-#: List of numbers. A numpy array is accepted, and numbers that are not finite become None.
-Numbers = Annotated[list[float | None], BeforeValidator(_numbers)]
-
-
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
@@ -48,17 +35,25 @@ class _Part(BaseModel):
 class Trace(_Part):
     """Curve or set of points in a panel."""
 
-    x: Numbers
-    y: Numbers
+    x: yamlio.Numbers
+    y: yamlio.Numbers
     label: str = ""
     style: Literal["line", "dashed", "points", "step", "stems", "arrows"] = "line"
     #: Traces with the same group number share a colour (a measurement and its model).
     group: int | None = None
     #: Half-width of the error bars of ``points``, same length as y.
-    y_error: Numbers | None = None
+    y_error: yamlio.Numbers | None = None
     #: Lower and upper end of a shaded band in the colour of the trace, each as long as x.
-    lower: Numbers | None = None
-    upper: Numbers | None = None
+    lower: yamlio.Numbers | None = None
+    upper: yamlio.Numbers | None = None
+
+    @model_validator(mode="after")
+    def _of_one_length(self) -> Self:
+        for name in ("y", "y_error", "lower", "upper"):
+            values = getattr(self, name)
+            if values is not None and len(values) != len(self.x):
+                raise ValueError(f"a trace has {len(values)} numbers of '{name}' for {len(self.x)} of 'x'")
+        return self
 
 
 class Mark(_Part):
@@ -87,11 +82,17 @@ class Heat(_Part):
 
     rows: list[str]
     columns: list[str]
-    #: Numbers of each row; None for a cell without a number.
-    values: list[Numbers]
+    #: yamlio.Numbers of each row; None for a cell without a number.
+    values: list[yamlio.Numbers]
     #: Largest number of a cell without shade, with the scale ``log``.
     neutral: float = Field(default=1.0, gt=0)
     scale: Literal["log", "linear"] = "log"
+
+    @model_validator(mode="after")
+    def _a_number_for_each_cell(self) -> Self:
+        if [len(row) for row in self.values] != [len(self.columns)] * len(self.rows):
+            raise ValueError("a heat map has other rows or columns than its labels")
+        return self
 
 
 class Panel(_Part):
@@ -244,12 +245,8 @@ def check(
     reason : str
         Clause for the verdict of the result, such as ``"residuals are not white in yaw_rad"``.
     """
-    verdict: Literal["info", "pass", "warn", "fail"] = otherwise
-    if passed is None:
-        verdict = "info"
-    elif passed:
-        verdict = "pass"
-    return Check(name=name, value=value, limit=limit, verdict=verdict, text=text, reason=reason)
+    verdicts: dict[bool | None, Any] = {None: "info", True: "pass", False: otherwise}
+    return Check(name=name, value=value, limit=limit, verdict=verdicts[passed], text=text, reason=reason)
 
 
 def judged(answer: str, checks: Sequence[Check]) -> Verdict:
@@ -300,9 +297,7 @@ def sidecar(result: str | Path) -> Path:
 
 def write(path: str | Path, evidence: Evidence) -> None:
     """Write evidence as JSON, complete or not at all; numbers that are not finite are null."""
-    data = yamlio.plain(evidence.model_dump(mode="json"), finite=True)
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
-    atomic.write_text(path, text + "\n")
+    atomic.write_text(path, evidence.model_dump_json() + "\n")
 
 
 def check_beside(result: Path) -> None:
@@ -373,16 +368,13 @@ def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.nd
     y = np.asarray(y, dtype=float)
     if len(x) <= points:
         return x, y
-    keep: set[int] = {0, len(x) - 1}
-    first, whole = 0, not np.isnan(y).any()
-    for values in np.array_split(y, max(points // 2 - 1, 1)):
-        if whole:
-            keep.update((first + int(np.argmin(values)), first + int(np.argmax(values))))
-        elif np.all(np.isnan(values)):
-            keep.add(first)
+    keep = {0, len(x) - 1}
+    for part in np.array_split(np.arange(len(x)), max(points // 2 - 1, 1)):
+        known = part[~np.isnan(y[part])]
+        if len(known):
+            keep |= {known[y[known].argmin()], known[y[known].argmax()]}
         else:
-            keep.update((first + int(np.nanargmin(values)), first + int(np.nanargmax(values))))
-        first += len(values)
+            keep.add(part[0])
     index = np.array(sorted(keep))
     return x[index], y[index]
 

@@ -18,10 +18,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
-from swimid.errors import InputError, UsageError
+from swimid.errors import UsageError
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import sha256
-from swimid.notices import CODES, Progress, Step, recorded, silent, warn
+from swimid.notices import CODES, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
@@ -226,8 +226,6 @@ def render(
     progress : Progress
         Progress over the figures.
     """
-    groups = compared(results)
-    grouped = [fit for fits, _ in groups for fit in fits]
     environment = Environment(
         loader=PackageLoader("swimid.results"),
         autoescape=template.endswith("html"),
@@ -240,61 +238,51 @@ def render(
         levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
     )
     environment.filters.update(md=_markdown, code=_code)
-    together = [*(shown for _, shown in groups), *contents]
-    paths = [None] * len(groups) + [result.path for result in results]
-    pictures: list[list[list[str]]] = [[[] for _ in shown.figures] for shown in together]
-    if template.endswith("html"):
-        with progress("drawing", total=sum(len(shown.figures) for shown in together)) as step:
-            pictures = [
-                _drawn(*one, f"r{k}-", step) for k, one in enumerate(zip(together, paths, strict=True))
-            ]
-    sections = [_shown(*one) for one in zip(together, pictures, strict=True)]
-    for k, section in enumerate(sections):
-        section["anchor"] = f"r{k + 1}"
-    for section, result in zip(sections[len(groups) :], results, strict=True):
-        command = result.next_command(result.path.name)
-        section.update(kind=result.kind, path=result.path, next=command, folded=result in grouped)
+    groups = compared(results)
+    folded = [fit for fits, _ in groups for fit in fits]
+    shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]
+    shown += zip(contents, results, strict=True)
+    sections = []
+    with progress("drawing", total=sum(len(content.figures) for content, _ in shown)) as step:
+        for k, (content, result) in enumerate(shown, 1):
+            pictures = []
+            for n, figure in enumerate(content.figures):
+                panels: list[str] = []
+                if template.endswith("html"):
+                    panels = drawing.for_page(figure, f"{k}-{n}-")
+                pictures.append((_explained(figure), panels))
+                step()
+            section = {"anchor": f"r{k}", "kind": "Side by side", "path": None, "next": "", "folded": False}
+            if result is not None:
+                command = result.next_command(result.path.name)
+                section |= {"kind": result.kind, "path": result.path, "next": command}
+                section["folded"] = result in folded
+            sections.append(section | _parts(content, pictures))
     return environment.get_template(template).render(
         title=title,
         version=swimid.__version__,
         created=created,
         verdict=overall(contents),
         results=sections,
-        references=list(dict.fromkeys(text for shown in contents for text in shown.references)),
+        references=list(dict.fromkeys(text for content in contents for text in content.references)),
         warnings=_warnings(results, contents),
         digests=digests,
     )
 
 
-def _drawn(content: ev.Evidence, path: Path | None, prefix: str, step: Step) -> list[list[str]]:
-    """Return the panels of each figure of a result as SVG elements."""
-    drawn = []
-    try:
-        for n, figure in enumerate(content.figures):
-            drawn.append(drawing.for_page(figure, f"{prefix}{n}-", step=step))
-    except InputError as error:
-        raise InputError(error.reason, file=path and ev.sidecar(path), column=error.column) from error
-    return drawn
-
-
-def _shown(content: ev.Evidence, pictures: list[list[str]]) -> dict[str, Any]:
-    """Return the variables of the template for one result. Main parts and folded parts are separate."""
-    figures = [(_explained(figure), panels) for figure, panels in zip(content.figures, pictures, strict=True)]
+def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> dict[str, Any]:
+    """Return the content of one result for the template. Main parts and folded parts are separate."""
     panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
     n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
-    tables = [table for table in content.tables if not table.folded]
+    tables = [table for table in content.tables if not table.folded][:MAIN_TABLES]
     verdicts = [check.verdict for check in content.checks]
     counts = [f"{verdicts.count(one)} {one}" for one in ("pass", "warn", "fail") if one in verdicts]
     return {
         "content": content,
-        "kind": "Side by side",
-        "path": None,
-        "next": "",
-        "folded": False,
         "figures": figures[:n_main],
-        "tables": tables[:MAIN_TABLES],
+        "tables": tables,
         "more_figures": figures[n_main:],
-        "more_tables": [table for table in content.tables if table not in tables[:MAIN_TABLES]],
+        "more_tables": [table for table in content.tables if table not in tables],
         "checks": ", ".join(counts),
     }
 
@@ -328,8 +316,10 @@ def _markdown(text: str) -> str:
 
 def _code(text: str) -> str:
     plain = " ".join(str(text).split()).replace("|", "\\|")
-    fence = "`" * (max((len(run) for run in re.findall(r"`+", plain)), default=0) + 1)
-    return f"{fence} {plain} {fence}" if len(fence) > 1 else f"`{plain}`"
+    fence = "`" * (max(map(len, re.findall(r"`+", plain)), default=0) + 1)
+    if len(fence) > 1:
+        plain = f" {plain} "
+    return f"{fence}{plain}{fence}"
 
 
 # ---------------------------------------------------------------- several fits of one model
