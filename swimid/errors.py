@@ -83,13 +83,8 @@ class SwimidError(Exception):
         return "\n  hint: ".join(filter(None, [self.message, self.hint]))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the error as data for the ``error`` member of the ``--json`` document."""
-        return {
-            "type": type(self).__name__,
-            "message": self.message,
-            "hint": self.hint,
-            "exit_status": self.exit_status,
-        }
+        """Return the error and its location as data for the ``error`` member of the ``--json`` document."""
+        return {"type": type(self).__name__, **vars(self), "exit_status": self.exit_status}
 
 
 class UsageError(SwimidError, ValueError):
@@ -147,29 +142,15 @@ class InputError(SwimidError, ValueError):
         column: str | None = None,
         hint: str | None = None,
     ) -> None:
-        self.file: str | None = None
         if file is not None:
-            self.file = str(file)
-        self.line = line
-        self.frame = frame
-        self.row = row
-        self.column = column
-        self.reason = in_words_of_the_caller(message)
+            file = str(file)
         counted = {"line": line, "frame": frame, "row": row}
-        place = [self.file, *(f"{name} {n}" for name, n in counted.items() if n is not None)]
+        place = [file, *(f"{name} {n}" for name, n in counted.items() if n is not None)]
         place.append(column and f"'{column}'")
         where = ", ".join(filter(None, place))
         super().__init__(": ".join(filter(None, [where, message])), hint=hint)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the error and its location as data for the ``error`` member of the ``--json`` document."""
-        return super().to_dict() | {
-            "file": self.file,
-            "line": self.line,
-            "frame": self.frame,
-            "column": self.column,
-            "reason": self.reason,
-        }
+        self.file, self.line, self.frame, self.row, self.column = file, line, frame, row, column
+        self.reason = in_words_of_the_caller(message)
 
 
 class NoTrustworthyResult(SwimidError):

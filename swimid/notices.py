@@ -8,10 +8,10 @@ how its progress is shown.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from swimid.errors import in_words_of_the_caller
 
@@ -166,21 +166,11 @@ def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
 
 # ---------------------------------------------------------------- progress
 
-
-class Step(Protocol):
-    """Function that advances one progress bar."""
-
-    def __call__(self, amount: int = 1) -> None:
-        """Advance the bar by ``amount`` steps."""
-        ...
-
-
-class Progress(Protocol):
-    """Function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``."""
-
-    def __call__(self, description: str, total: int | None = None) -> AbstractContextManager[Step]:
-        """Open a bar with ``total`` steps; None for an unknown number of steps."""
-        ...
+#: Function that advances one progress bar, by one step or by a number of steps: ``step(3)``.
+Step = Callable[..., None]
+#: Function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``. Without
+#: ``total`` the number of steps is unknown.
+Progress = Callable[..., AbstractContextManager[Step]]
 
 
 def show(step: Step, text: str) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
@@ -190,7 +191,7 @@ class Declared:
 
     def type_text(self) -> str:
         """Return the type of the value as text for a docstring."""
-        text = _type_text(self.kind)
+        text = re.sub(r"\b(?:\w+\.)+", "", inspect.formatannotation(self.annotation))
         if self.required or self.default in ((), {}):
             return text
         return f"{text}, default {self.default!r}".replace("default None", "optional")
@@ -274,21 +275,6 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
 def _leaves(kind: Any) -> list[Any]:
     """Return the innermost type arguments of a type, or the type itself if it has none."""
     return [leaf for one in get_args(kind) for leaf in _leaves(one)] or [kind]
-
-
-def _type_text(kind: Any) -> str:
-    origin, args = get_origin(kind), get_args(kind)
-    if origin is Literal:
-        return f"{{{', '.join(map(repr, args))}}}"
-    if origin in (Union, UnionType):
-        return " or ".join(_type_text(one) for one in args)
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return f"mapping of {_type_text(args[0])} to {_type_text(args[1])}"
-    if origin is tuple and args[-1] is not Ellipsis:
-        return f"({', '.join(_type_text(one) for one in args)})"
-    if isinstance(origin, type) and issubclass(origin, Sequence):
-        return f"sequence of {_type_text(args[0])}"
-    return {Path: "path", Any: "its content"}.get(kind, getattr(kind, "__name__", str(kind)))
 
 
 def _plain(value: Any) -> Any:

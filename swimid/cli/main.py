@@ -363,16 +363,17 @@ def _argument(metavar: str) -> list[click.Parameter]:
 
 def _option(entry: Declared) -> click.Option:
     """Return the click option. A value of several words is parsed when the command runs."""
-    names, about = [entry.flags, entry.name], {"help": entry.help, "metavar": entry.metavar}
+    names = [entry.flags, entry.name]
+    about: dict[str, Any] = {"help": entry.help, "metavar": entry.metavar, **word_of(entry)}
     if entry.required:
         # no default: click does not require an option that has a default, even if it is None
-        return click.Option(names, required=True, **about, **word_of(entry))
+        return click.Option(names, required=True, **about)
     default, shown = entry.default, entry.default is not None
     if entry.kind is bool:
         shown = shown and "/" in entry.flags
     elif default in ((), {}):
         default, shown = None, False
-    return click.Option(names, default=default, show_default=shown, **about, **word_of(entry))
+    return click.Option(names, default=default, show_default=shown, **about)
 
 
 def _insist_distinct(places: list[Path]) -> None:

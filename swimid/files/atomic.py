@@ -80,41 +80,41 @@ class _Group:
     """Files that are written under temporary names and then renamed to their final names together."""
 
     temporaries: list[Path] = field(default_factory=list)
-    #: Temporary name of each complete file, by its final name.
-    pending: dict[Path, Path] = field(default_factory=dict)
-    #: Files to remove, and folders that were created for this group.
-    removed: list[Path] = field(default_factory=list)
+    #: Temporary name of each complete file by its final name; None for a file that is removed.
+    pending: dict[Path, Path | None] = field(default_factory=dict)
+    #: Folders that were created for this group.
     folders: list[Path] = field(default_factory=list)
 
     def commit(self) -> None:
         """Rename every file to its final name. Ctrl-C is delayed, and an error undoes the renaming."""
-        several = len(self.pending) + len(self.removed) > 1
-        before: dict[Path, Path | None] = {}
+        backups: dict[Path, Path] = {}
+        done: list[Path] = []
         with _uninterrupted():
             try:
-                for path in (*self.pending, *self.removed):
-                    before[path] = None
-                    if several and path.exists():
-                        before[path] = _second_name(path)
+                for path in self.pending:
+                    if len(self.pending) > 1 and path.exists():
+                        backups[path] = _second_name(path)
                 for path, temporary in self.pending.items():
+                    if temporary is None:
+                        path.unlink(missing_ok=True)
+                        continue
                     if path.exists():
                         shutil.copymode(path, temporary)
                     temporary.replace(path)
-                for path in self.removed:
-                    path.unlink(missing_ok=True)
+                    done.append(path)
             except OSError as error:
-                for path, spare in before.items():
+                for undone in {*done, *backups}:
                     with suppress(OSError):
-                        if spare is not None:
-                            spare.replace(path)
-                        elif path in self.pending and not self.pending[path].exists():
-                            path.unlink()
+                        if undone in backups:
+                            backups[undone].replace(undone)
+                        else:
+                            undone.unlink()
                 raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
             finally:
-                for spare in filter(None, before.values()):
+                for spare in backups.values():
                     spare.unlink(missing_ok=True)
             self.folders.clear()
-            _WRITTEN.get([]).extend(self.pending)
+            _WRITTEN.get([]).extend(done)
 
     def discard(self) -> None:
         """Remove the temporary files that were not renamed, and the folders created for this group."""
@@ -205,7 +205,7 @@ def write_text(path: str | Path, text: str) -> None:
 def remove(path: Path) -> None:
     """Remove an obsolete file when the group of the file that replaces it ends without an error."""
     with together() as group:
-        group.removed.append(path)
+        group.pending[path] = None
 
 
 def make_folder(path: Path) -> None:

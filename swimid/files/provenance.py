@@ -13,9 +13,9 @@ import shlex
 import sys
 import zlib
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -118,14 +118,23 @@ def says_simulated(given: Input) -> bool:
 
     The statement is in the comments at the top of a file, or in the metadata of a log in memory.
     """
-    if not isinstance(given, str | Path):
-        lines = [f"{key}: {value}" for key, value in getattr(given, "metadata", {}).items()]
-        return any(map(_SIMULATED.search, lines))
-    with file_errors(given), Path(given).open("rb") as stream:
+    if isinstance(given, str | Path):
+        head = _head(Path(given))
+    else:
+        head = "".join(f"#{key}: {value}\n" for key, value in getattr(given, "metadata", {}).items())
+    return _SIMULATED.match(head) is not None
+
+
+def _head(path: Path) -> str:
+    """Return the beginning of a file as text. Metadata of a Parquet file by swimid are comment lines."""
+    with file_errors(path), path.open("rb") as stream:
         head = stream.read(NEAR)
     if head.startswith(b"PAR1"):
-        return any(map(_SIMULATED.search, _parquet_comments(Path(given))))
-    return any(map(_SIMULATED.search, _comments(head.decode("utf-8-sig", "replace"))))
+        pyarrow, head = tabular.pyarrow(), b"PAR1"
+        with suppress(pyarrow.ArrowInvalid):
+            stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
+            head = b"".join(b"#%b\n" % line for line in stored.splitlines())
+    return head.decode("utf-8-sig", "replace").replace("\r\n", "\n")
 
 
 def command_line() -> str:
@@ -154,7 +163,7 @@ VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
 #: Maximum distance of the mark of a text file from the start or the end of the file, bytes.
 NEAR = 65536
 
-_SIMULATED = re.compile(r"\b(?:simulated?|synthetic)\b")
+_SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
 #: Pattern of a format that swimid writes. People also write the other formats by hand.
 _FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
 #: Patterns of the marks at the beginning of a file, including what precedes the mark: log, JSON, JSON Schema,
@@ -194,17 +203,15 @@ def is_own(path: Path) -> bool:
     """
     if not path.is_file():
         return True
+    start = _head(path)
     with file_errors(path), path.open("rb") as stream:
-        head = stream.read(NEAR)
         stream.seek(max(path.stat().st_size - NEAR, 0))
         tail = stream.read()
-    if not head or tail.endswith(VIDEO_BOX):
+    if not tail or tail.endswith(VIDEO_BOX):
         return True
-    if head.startswith(b"PAR1"):
-        head = "".join(f"#{line}\n" for line in _parquet_comments(path)).encode()
-    start, end = (part.decode("utf-8-sig", "replace").replace("\r\n", "\n") for part in (head, tail))
     if _YAML.match(start):
         return _ORIGIN.search(path.read_text(encoding="utf-8", errors="replace")) is not None
+    end = tail.decode("utf-8", "replace").replace("\r\n", "\n")
     return _BEGINNING.match(start) is not None or _MARKDOWN.search(end) is not None
 
 
@@ -214,20 +221,3 @@ def mark_png(data: bytes) -> bytes:
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
     after_header = 8 + 25  # signature and IHDR chunk
     return data[:after_header] + chunk + data[after_header:]
-
-
-def _comments(text: str) -> list[str]:
-    """Return the comment lines at the top of a text, without ``#``."""
-    lines = takewhile(lambda line: line.startswith("#") or not line, text.split("\n"))
-    return [line[1:].strip() for line in lines]
-
-
-def _parquet_comments(path: Path) -> list[str]:
-    """Return the metadata lines that swimid stored in a Parquet file; empty for files of other programs."""
-    pyarrow = tabular.pyarrow()
-    try:
-        stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
-    except pyarrow.ArrowInvalid:
-        return []
-    lines: list[str] = stored.decode("utf-8", "replace").splitlines()
-    return lines

@@ -7,6 +7,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
@@ -70,34 +71,27 @@ class ResultFile(Document):
 
 def plain(value: Any, *, finite: bool = False) -> Any:
     """Return data as plain Python dicts, lists, strings and numbers; with ``finite``, NaN and inf as None."""
-    if isinstance(value, BaseModel):
-        value = value.model_dump(mode="python")
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(k): plain(v, finite=finite) for k, v in value.items()}
+    if isinstance(value, float):
+        if finite and not math.isfinite(value):
+            return None
+        return float(value)
+    for kind in (bool, int, str):
+        if isinstance(value, kind):
+            return kind(value)
     if isinstance(value, list | tuple):
-        return [plain(v, finite=finite) for v in value]
+        return [plain(one, finite=finite) for one in value]
+    if isinstance(value, Mapping):
+        return {str(name): plain(one, finite=finite) for name, one in value.items()}
+    if isinstance(value, BaseModel):
+        return plain(value.model_dump(mode="python"), finite=finite)
     if isinstance(value, Path):
         return value.as_posix()
-    if finite and isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, bool):
-        return value
-    return next((kind(value) for kind in (float, int, str) if isinstance(value, kind)), value)
-
-
-def _known(value: Any) -> Any:
-    """Return arrays and sequences as lists, in which None replaces numbers that are not finite."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_known(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return plain(value.tolist(), finite=finite)
     return value
 
 
+_known = partial(plain, finite=True)
 #: Number, or None if the number is undefined. The other types are lists, tables and pairs of such numbers.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]

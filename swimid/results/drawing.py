@@ -75,11 +75,12 @@ def palette() -> dict[str, str]:
 
 
 @cache
-def style() -> dict[str, Any]:
+def style() -> Any:
     """Return matplotlib's settings for all figures."""
+    file: Any = mpl.rc_params_from_file(TEMPLATES / "figure.mplstyle", use_default_template=False)
     inked = ("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color")
     return {
-        **mpl.rc_params_from_file(TEMPLATES / "figure.mplstyle", use_default_template=False),
+        **file,
         **dict.fromkeys(inked, palette()["ink"]),
         "figure.facecolor": palette()["paper"],
         "grid.color": palette()["grid"],

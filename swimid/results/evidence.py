@@ -171,11 +171,8 @@ class Verdict(_Part):
         return self.model_copy(update={"level": worst, "text": text})
 
 
-class NoticeRecord(_Part):
-    """Warning that is stored with the result."""
-
-    code: str
-    text: str
+#: Warning that is stored with the result.
+NoticeRecord = Notice
 
 
 class Evidence(_Part):
@@ -196,7 +193,7 @@ class Evidence(_Part):
     tables: list[Table] = []
     figures: list[Figure] = []
     images: list[Image] = []
-    notices: list[NoticeRecord] = []
+    notices: list[Notice] = []
     #: Sentences for the methods section of a paper, generated from the settings of the computation.
     methods: list[str] = []
     #: Sources to cite with the sentences in ``methods``.
@@ -414,9 +411,9 @@ def p_text(p: float) -> str:
     return f"p = {numbers.number(p, 2)}"
 
 
-def notices(recorded: Sequence[Notice]) -> list[NoticeRecord]:
+def notices(recorded: Sequence[Notice]) -> list[Notice]:
     """Return recorded warnings as entries of the evidence."""
-    return [NoticeRecord(code=n.code, text=n.text) for n in recorded]
+    return list(recorded)
 
 
 # ---------------------------------------------------------------- tables

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, PrivateAttr
 
@@ -122,16 +122,8 @@ class ParameterFile(yamlio.ResultFile):
         return self.parameters[name].value
 
 
-class HasFile(Protocol):
-    """Result of a fit, an object with a parameter file."""
-
-    @property
-    def file(self) -> ParameterFile:
-        """Parameter file of the fit."""
-
-
 #: Source of parameters: a parameter file, its content, or the result of a fit.
-Source = str | Path | ParameterFile | HasFile
+Source = str | Path | ParameterFile | FileResult[ParameterFile]
 
 
 def place(source: Source) -> Path:
@@ -349,16 +341,15 @@ def value_text(estimate: Estimate) -> str:
 
 def _correlation(correlation: Correlation | None) -> Table:
     """Return the correlation matrix as a table, without rows if there are fewer than two estimates."""
-    names: list[str] = []
+    found = correlation or Correlation(names=[], matrix=[])
     rows: list[list[Any]] = []
-    if correlation is not None and len(correlation.names) > 1:
-        names = correlation.names
-        for name, row in zip(names, correlation.matrix, strict=True):
+    if len(found.names) > 1:
+        for name, row in zip(found.names, found.matrix, strict=True):
             rows.append([name, *(numbers.fixed(r, 2) for r in row)])
     return Table(
         id="correlation",
         title="Correlation of the estimates",
-        columns=["", *names],
+        columns=["", *found.names],
         rows=rows,
         caption="Above 0.9 in size the trials determine a combination of two better than either of them.",
         folded=True,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
@@ -26,7 +26,7 @@ from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.results.options import Kind, ReportOptions
-from swimid.results.parameters import Estimate, Fitted, value_text
+from swimid.results.parameters import Fitted, value_text
 from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
 #: ``format`` of the JSON report.
@@ -108,7 +108,19 @@ def report(
     created = datetime.now(UTC)
     digests = {str(result.path): "of nothing: it was in memory" for result in results}
     digests |= {str(path): sha256(path) for path in paths}
-    document = _as_json(results, contents, title=heading, created=created, digests=digests)
+    whole = overall(contents)
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "title": heading,
+        "created": created.isoformat(timespec="seconds"),
+        "version": swimid.__version__,
+        "verdict": whole.model_dump(include={"level", "text"}),
+        "results": [],
+    }
+    for result, content in zip(results, contents, strict=True):
+        about = {"file": str(result.path), "sha256": digests[str(result.path)], "kind": result.kind}
+        entry = {"result": yamlio.plain(result.data), "evidence": content.model_dump(mode="json")}
+        document["results"].append(about | entry)
     if kind == "json":
         text = json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
     else:
@@ -124,7 +136,6 @@ def report(
     if target is None:
         return Text("report", text.rstrip("\n"), document, document=text)
     atomic.write_text(target, text)
-    whole = overall(contents)
     lines = [f"{whole.level}: {whole.text}"]
     for result, content in zip(results, contents, strict=True):
         lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
@@ -149,34 +160,6 @@ def _read(path: Path) -> Result:
     notices = [record for record in ev.notices(raised) if record not in shown.notices]
     update = {"notices": [*shown.notices, *notices]}
     return replace(result, evidence=shown.model_copy(update=update))
-
-
-def _as_json(
-    results: Sequence[Result],
-    contents: Sequence[ev.Evidence],
-    *,
-    title: str,
-    created: datetime,
-    digests: dict[str, str],
-) -> dict[str, Any]:
-    """Return all results and their evidence, at full precision, as plain data."""
-    return {
-        "format": FORMAT,
-        "title": title,
-        "created": created.isoformat(timespec="seconds"),
-        "version": swimid.__version__,
-        "verdict": overall(contents).model_dump(include={"level", "text"}),
-        "results": [
-            {
-                "file": str(result.path),
-                "sha256": digests[str(result.path)],
-                "kind": result.kind,
-                "result": yamlio.plain(result.data),
-                "evidence": content.model_dump(mode="json"),
-            }
-            for result, content in zip(results, contents, strict=True)
-        ],
-    }
 
 
 # ---------------------------------------------------------------- page
@@ -252,12 +235,12 @@ def render(
                     panels = drawing.for_page(figure, f"{k}-{n}-")
                 pictures.append((_explained(figure), panels))
                 step()
-            section = {"anchor": f"r{k}", "kind": "Side by side", "path": None, "next": "", "folded": False}
+            section = _parts(content, pictures) | {"anchor": f"r{k}", "folded": result in folded}
+            section |= {"kind": "Side by side", "path": None, "next": ""}
             if result is not None:
                 command = result.next_command(result.path.name)
                 section |= {"kind": result.kind, "path": result.path, "next": command}
-                section["folded"] = result in folded
-            sections.append(section | _parts(content, pictures))
+            sections.append(section)
     return environment.get_template(template).render(
         title=title,
         version=swimid.__version__,
@@ -343,32 +326,20 @@ def _side_by_side(fits: Sequence[Fitted]) -> ev.Evidence:
     rows: list[list[Any]] = []
     panels = []
     for name, first in fits[0].file.parameters.items():
-        if "[" in name:
-            continue
-        held = [fit.file.parameters[name] for fit in fits]
-        if not any(e.status == "estimated" for e in held):
+        held = [fit.file.parameters.get(name, first) for fit in fits]
+        known = {k: e for k, e in enumerate(held) if e.status == "estimated"}
+        if "[" in name or not known:
             continue
         rows.append([name, *map(value_text, held)])
-        panels.append(_panel(name, numbers.unit_text(first.unit), held, names))
-    levels = [(fit.evidence or fit.bare()).verdict.level for fit in fits]
+        half = [numbers.Z95 * (e.stderr or math.nan) for e in known.values()]
+        points = ev.Trace(x=list(known), y=[e.value for e in known.values()], y_error=half, style="points")
+        label = f"{name} ({numbers.unit_text(first.unit) or '1'})"
+        panels.append(ev.panel("", label, [points], x_categories=names))
     caption = "Estimates of each file; bars are 95 % intervals."
-    columns = ["parameter", *names]
     return ev.Evidence(
         command="report",
         title=f"{len(fits)} fits of {fits[0].file.model} side by side",
-        verdict=ev.Verdict(
-            level=max(levels, key=list(LEVELS).index),
-            text=f"{levels.count('good')} of {len(fits)} fits are good.",
-        ),
-        tables=[ev.Table(id="compared", title="Parameters", columns=columns, rows=rows)],
-        figures=[ev.Figure(id="compared", title="Estimates", caption=caption, panels=panels[:MAX_COMPARED])],
+        verdict=overall([fit.content() for fit in fits]),
+        tables=[ev.Table(id="compared", title="Parameters", columns=["parameter", *names], rows=rows)],
+        figures=[ev.panels("compared", "Estimates", caption, panels[:MAX_COMPARED])],
     )
-
-
-def _panel(name: str, unit: str, held: Sequence[Estimate], names: list[str]) -> ev.Panel:
-    """Return a panel with the estimates of one parameter and their 95 % intervals."""
-    known = [(k, e) for k, e in enumerate(held) if e.status == "estimated"]
-    low, high = np.array([numbers.confidence95(e.value, e.stderr) or (np.nan, np.nan) for _, e in known]).T
-    x, y = [k for k, _ in known], [e.value for _, e in known]
-    points = ev.Trace(x=x, y=y, y_error=(high - low) / 2, style="points")
-    return ev.Panel(x_label="", y_label=f"{name} ({unit or '1'})", traces=[points], x_categories=names)

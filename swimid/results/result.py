@@ -214,7 +214,11 @@ class Result:
         """
         from swimid.results import drawing
 
-        figure = self._figure(name)
+        figures = {figure.id: figure for figure in self._shown("figures")}
+        if name not in figures:
+            known = ", ".join(figures) or "none"
+            raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
+        figure = figures[name]
         if axes is None:
             from matplotlib import pyplot
 
@@ -315,13 +319,6 @@ class Result:
     def _shown(self, what: str) -> Sequence[Any]:
         """Return the checks, tables, figures or notices of the evidence; an empty list without evidence."""
         return getattr(self.evidence, what, [])
-
-    def _figure(self, name: str) -> ev.Figure:
-        for figure in self._shown("figures"):
-            if figure.id == name:
-                return figure
-        known = ", ".join(self.figure_names) or "none"
-        raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
