@@ -21,7 +21,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
@@ -302,13 +302,13 @@ class Command(click.Command):
         name = spec.command.split()[-1]
         super().__init__(name, params=[output, *SHARED], callback=self._called, help=help)
         self.spec = spec
-        self._own: list[click.Parameter] | None = None
+
+    @cached_property
+    def _own(self) -> list[click.Parameter]:
+        return [*_argument(self.spec.argument), *map(_option, self.spec.model().declared().values())]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the file argument, the options of this command, and the options of every command."""
-        if self._own is None:
-            declared = self.spec.model().declared().values()
-            self._own = [*_argument(self.spec.argument), *(_option(entry) for entry in declared)]
         return [*self._own, *super().get_params(ctx)]
 
     def _called(self, *, files: Any = None, **typed: Any) -> None:
@@ -354,11 +354,14 @@ def _argument(metavar: str) -> list[click.Parameter]:
     """Return the positional argument: ``LOG...`` is several files, ``[NAME]`` is an optional word."""
     if not metavar:
         return []
-    count = (1, -1)[metavar.endswith("...")]
-    if metavar.startswith("["):
-        return [click.Argument(["files"], nargs=count, required=False, metavar=metavar, type=str)]
-    path = click.Path(path_type=Path)
-    return [click.Argument(["files"], nargs=count, required=True, metavar=metavar, type=path)]
+    kind: click.ParamType = click.Path(path_type=Path)
+    count = 1
+    if metavar.endswith("..."):
+        count = -1
+    optional = metavar.startswith("[")
+    if optional:
+        kind = click.STRING
+    return [click.Argument(["files"], nargs=count, required=not optional, metavar=metavar, type=kind)]
 
 
 def _option(entry: Declared) -> click.Option:
@@ -399,23 +402,19 @@ def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
 
 def word_of(entry: Declared) -> dict[str, Any]:
     """Return the type arguments of a click option: ``type``, and ``multiple`` or ``nargs``."""
-    kind, args = entry.kind, get_args(entry.kind)
-    if kind is bool:
+    one, args = entry.kind, get_args(entry.kind)
+    word: dict[str, Any] = {}
+    if one is bool:
         return {"is_flag": True}
-    if _is_mapping(kind):
-        return {"type": str, "multiple": True}
-    if get_origin(kind) is not tuple:
-        return {"type": _simple(kind, entry.limits)}
-    if _by_commas(entry):
-        return {"type": str}
-    if args[-1] is not Ellipsis:
-        return {"type": args[0], "nargs": len(args)}
-    if get_origin(args[0]) is tuple:
-        one = get_args(args[0])
-        return {"type": one[0], "multiple": True, "nargs": len(one)}
-    if entry.separated:
-        return {"type": str, "multiple": True}
-    return {"type": _simple(args[0], {}), "multiple": True}
+    if args and args[-1] is Ellipsis:
+        one, word = args[0], {"multiple": True}
+    if _is_mapping(entry.kind):
+        one, word = str, {"multiple": True}
+    if entry.separated or _by_commas(entry):
+        one = str
+    if get_origin(one) is tuple:
+        return word | {"type": get_args(one)[0], "nargs": len(get_args(one))}
+    return word | {"type": _simple(one, entry.limits)}
 
 
 def value_of(entry: Declared, typed: Any) -> Any:

@@ -17,7 +17,7 @@ import unicodedata
 import weakref
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import partial
@@ -79,11 +79,10 @@ def is_device(path: Path) -> bool:
 class _Group:
     """Files that are written under temporary names and then renamed to their final names together."""
 
-    temporaries: list[Path] = field(default_factory=list)
     #: Temporary name of each complete file by its final name; None for a file that is removed.
     pending: dict[Path, Path | None] = field(default_factory=dict)
-    #: Folders that were created for this group.
-    folders: list[Path] = field(default_factory=list)
+    #: Removal of temporary files, and of new folders that are empty, at the end of the group.
+    cleanup: ExitStack = field(default_factory=ExitStack)
 
     def commit(self) -> None:
         """Rename every file to its final name. Ctrl-C is delayed, and an error undoes the renaming."""
@@ -113,16 +112,7 @@ class _Group:
             finally:
                 for spare in backups.values():
                     spare.unlink(missing_ok=True)
-            self.folders.clear()
             _WRITTEN.get([]).extend(done)
-
-    def discard(self) -> None:
-        """Remove the temporary files that were not renamed, and the folders created for this group."""
-        for temporary in self.temporaries:
-            temporary.unlink(missing_ok=True)
-        for folder in reversed(self.folders):
-            with suppress(OSError):  # somebody else has put a file there
-                folder.rmdir()
 
 
 _GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
@@ -147,11 +137,11 @@ def together() -> Iterator[_Group]:
     group = _Group()
     token = _GROUP.set(group)
     try:
-        yield group
-        group.commit()
+        with group.cleanup:
+            yield group
+            group.commit()
     finally:
         _GROUP.reset(token)
-        group.discard()
 
 
 @contextmanager
@@ -186,7 +176,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary = Path(tempfile.gettempdir()) / temporary.name
     with file_errors(path, "written"), together() as group:
         temporary.touch(exist_ok=False)
-        group.temporaries.append(temporary)
+        group.cleanup.callback(temporary.unlink, missing_ok=True)
         yield temporary
         if is_device(path):
             path.write_bytes(temporary.read_bytes())
@@ -220,7 +210,12 @@ def make_folder(path: Path) -> None:
         return
     with file_errors(path, "made"), together() as group:
         path.mkdir()
-        group.folders.append(path)
+        group.cleanup.callback(_remove_empty, path)
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # it has files
+        folder.rmdir()
 
 
 @contextmanager
@@ -308,7 +303,7 @@ def lock(output: Path) -> BaseFileLock:
 @contextmanager
 def locked(output: Path | None) -> Iterator[None]:
     """Hold the lock of an output during the block. A device or a stream is not locked."""
-    stored = output is not None and (output.is_file() or output.is_dir() or not output.exists())
+    stored = output is not None and (output.is_dir() or not is_device(output))
     if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
         yield
         return

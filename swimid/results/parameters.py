@@ -12,7 +12,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
-from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
+from swimid.results.evidence import Evidence, Table, Verdict
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -167,15 +167,12 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
     """
     path = place(source)
     parameters = _file(source)
-    models = model
-    if isinstance(model, str):
-        models = (model,)
-    if models and parameters.model not in models:
-        raise InputError(
-            f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}",
-            file=path,
-            column="model",
-        )
+    models = model or (parameters.model,)
+    if isinstance(models, str):
+        models = (models,)
+    if parameters.model not in models:
+        text = f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}"
+        raise InputError(text, file=path, column="model")
     return parameters
 
 
@@ -187,20 +184,15 @@ def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path)
     InputError
         If a parameter is missing, or its status is ``unidentifiable``.
     """
-    values = []
     for name in names:
-        estimate = parameters.parameters.get(name)
-        if estimate is None:
-            raise InputError("this parameter is missing", file=path, column=f"parameters.{name}")
-        if estimate.status == "unidentifiable":
-            raise InputError(
-                "this parameter was not identifiable from its trials and cannot be used further",
-                file=path,
-                column=f"parameters.{name}",
-                hint="add trials that tell it apart, or fix it from another source",
-            )
-        values.append(estimate.value)
-    return values
+        column = f"parameters.{name}"
+        if name not in parameters.parameters:
+            raise InputError("this parameter is missing", file=path, column=column)
+        if parameters.parameters[name].status == "unidentifiable":
+            text = "this parameter was not identifiable from its trials and cannot be used further"
+            hint = "add trials that tell it apart, or fix it from another source"
+            raise InputError(text, file=path, column=column, hint=hint)
+    return [parameters.value(name) for name in names]
 
 
 # ---------------------------------------------------------------- result of a fit
@@ -289,10 +281,6 @@ class Fitted(FileResult[ParameterFile]):
         ]
         if file.fit is not None:
             tables.insert(3, _channels(file.fit))
-            more = file.fit.model_extra or {}
-            single = {name: value for name, value in more.items() if not _is_records(value)}
-            details = {"trials": file.fit.trials, "noise": file.fit.noise, **single}
-            tables.append(leaf_table("fit", "Fit details", details))
         return [table for table in tables if table.rows]
 
     def bare(self) -> Evidence:
@@ -308,10 +296,6 @@ class Fitted(FileResult[ParameterFile]):
                 verdict.level = "caution"
         title = f"Parameters of {self.file.model}"
         return Evidence(command=self.command, title=title, verdict=verdict, provenance=self.file.provenance)
-
-
-def _is_records(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
 
 
 def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: bool = False) -> Table:
