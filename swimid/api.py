@@ -146,10 +146,10 @@ def load(
         return TrialSet.read(trials)
     if experiment is None or robot is None:
         raise UsageError("name the experiment and the robot of these trials")
-    if not isinstance(trials, Sequence):  # the table of a cruise
-        return TrialSet.of([], experiment=experiment, robot=str(robot), table=trials, **keys)
-    given: list[Mapping[str, Any]] = list(trials)  # type: ignore[arg-type]
-    return TrialSet.of(given, experiment=experiment, robot=str(robot), **keys)
+    given: Any = trials
+    if not isinstance(trials, Sequence):
+        given, keys = [], {**keys, "table": trials}  # the table of a cruise
+    return TrialSet.of(list(given), experiment=experiment, robot=str(robot), **keys)
 
 
 def read_robot(name: str | Path) -> Robot:

@@ -386,20 +386,7 @@ def test_output_that_is_an_input_is_refused(tmp_path: Path) -> None:
         report(inputs=[path], output=path)
 
 
-# ---------------------------------------------------------------- Markdown, JSON, command line
-
-
-def test_json_has_every_digit(tmp_path: Path) -> None:
-    """Results and evidence in one document that reads back to the same numbers."""
-    path = cases.drag(tmp_path)
-    report(inputs=[path], output=tmp_path / "all.json")
-    document = json.loads((tmp_path / "all.json").read_text())
-    assert document["format"] == "swimid-report/1"
-    (entry,) = document["results"]
-    file = parameters.read(path)
-    assert entry["result"]["parameters"]["added_mass"]["value"] == file.value("added_mass")
-    shown = evidence.Evidence.model_validate(entry["evidence"])
-    assert shown.figures == evidence.read(evidence.sidecar(path)).figures
+# ---------------------------------------------------------------- Markdown, command line
 
 
 def test_markdown_tables_are_sound(tmp_path: Path) -> None:
@@ -427,7 +414,6 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["drag.yaml", "-o", "r.html"], 0, "caution"),
         (["drag.yaml", "--format", "md"], 0, "| Check |"),
         (["drag.yaml", "--format", "md", "-q"], 0, "| Check |"),
-        (["drag.yaml", "--format", "json", "-o", "-"], 0, "swimid-report/1"),
         (["drag.yaml", "-o", "r.md"], 0, "caution"),
         (["none.yaml", "-o", "r.html"], 3, "none.yaml: cannot be read"),
         ([], 2, "RESULT"),

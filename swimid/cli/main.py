@@ -139,9 +139,8 @@ class Run:
         left = "nothing was written"
         if written:
             left = f"written before: {', '.join(map(str, written))}"
-        elif self.output is not None and atomic.has_pieces(self.output):
-            place = atomic.place(self.output)
-            left = f"{place} keeps what was computed: the same command goes on from there"
+        elif self.output is not None and atomic.place(self.output).is_file():
+            left = f"{atomic.place(self.output)} keeps what was computed: the same command goes on from there"
         return Interrupted(f"interrupted; {left}")
 
     def _print(

@@ -15,7 +15,6 @@ import tempfile
 import threading
 import unicodedata
 import weakref
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
@@ -325,15 +324,6 @@ def place(output: Path) -> Path:
     return output.with_name(f"{output.name}.partial")
 
 
-#: Number of stored pieces of the latest run of this process, by the path of the checkpoint.
-_PIECES: Counter[Path] = Counter()
-
-
-def has_pieces(output: Path) -> bool:
-    """Return whether the checkpoint of an output has pieces of the latest run of this process."""
-    return _PIECES[place(output)] > 0
-
-
 class Checkpoint:
     """Named pieces of a computation (arrays of numbers), each stored as one JSON line.
 
@@ -405,7 +395,6 @@ class Checkpoint:
                 with self.path.open("a", encoding="utf-8") as stream:
                     # the last line may be incomplete after a failed write: begin a new line
                     stream.write("\n" * self._full + json.dumps(line) + "\n")
-                _PIECES[self.path] += 1
             except OSError as error:
                 if not self._full:
                     warn("SWM151", f"{self.path} cannot be written: {error.strerror or error}")
@@ -428,7 +417,6 @@ class Checkpoint:
                 write_text(self.path, "".join(f"{line}\n" for line in self._others))
         else:
             self.path.unlink(missing_ok=True)
-        _PIECES[self.path] = 0
         self._release()
 
     def _key_of(self, name: str) -> str:
@@ -454,7 +442,6 @@ class Checkpoint:
                 self._known[name] = values
             else:
                 self._others.append(line)
-        _PIECES[path] = len(self._known)
         if lines and not raw.endswith(b"\n"):
             with path.open("ab") as stream:
                 stream.write(b"\n")

@@ -6,7 +6,6 @@ The page is HTML without scripts, or Markdown, from one template for each format
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
 from swimid.errors import UsageError
-from swimid.files import atomic, yamlio
+from swimid.files import atomic
 from swimid.files.provenance import sha256
 from swimid.notices import CODES, Progress, recorded, silent, warn
 from swimid.options import takes
@@ -27,9 +26,7 @@ from swimid.results import evidence as ev
 from swimid.results.options import Kind, ReportOptions
 from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
-#: ``format`` of the JSON report.
-FORMAT = "swimid-report/1"
-_ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
+_ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
 #: Symbol and word for each level of a verdict, so that the level can be read without colour.
 LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
 CHECKS = {
@@ -63,12 +60,12 @@ def report(
     output : path, optional
         File to write. With None or ``-`` no file is written.
     progress : Progress
-        Progress over the files that are read and the figures that are drawn.
+        Progress over the figures that are drawn.
 
     Returns
     -------
     Result
-        ``.document`` is the page (HTML, Markdown or JSON); a notebook shows it. ``.save(path)`` writes it.
+        ``.document`` is the page (HTML or Markdown); a notebook shows it. ``.save(path)`` writes it.
 
     Raises
     ------
@@ -93,10 +90,10 @@ def report(
         target = atomic.check_writable(output, inputs=[*paths, *map(ev.sidecar, paths)])
         kind = options.format or _ENDINGS.get(target.suffix.lower(), "html")
     results = []
-    with progress("reading", total=len(sources)) as step:
-        for source in sources:
-            results.append(_read(source) if isinstance(source, Path) else source)
-            step()
+    for source in sources:
+        if isinstance(source, Path):
+            source = _read(source)
+        results.append(source)
     contents = [result.content() for result in results]
     heading = options.title or "Identification report"
     if options.title is None and len(contents) == 1:
@@ -104,38 +101,26 @@ def report(
     created = datetime.now(UTC)
     digests = {str(result.path): "of nothing: it was in memory" for result in results}
     digests |= {str(path): sha256(path) for path in paths}
+    text = render(
+        results,
+        contents,
+        template=f"report.{kind}",
+        title=heading,
+        created=created,
+        digests=digests,
+        progress=progress,
+    )
     whole = overall(contents)
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "title": heading,
-        "created": created.isoformat(timespec="seconds"),
-        "version": swimid.__version__,
-        "verdict": whole.model_dump(include={"level", "text"}),
-        "results": [],
-    }
-    for result, content in zip(results, contents, strict=True):
-        about = {"file": str(result.path), "sha256": digests[str(result.path)], "kind": result.kind}
-        entry = {"result": yamlio.plain(result.data), "evidence": content.model_dump(mode="json")}
-        document["results"].append(about | entry)
-    if kind == "json":
-        text = json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
-    else:
-        text = render(
-            results,
-            contents,
-            template=f"report.{kind}",
-            title=heading,
-            created=created,
-            digests=digests,
-            progress=progress,
-        )
-    if target is None:
-        return Text("report", text.rstrip("\n"), document, document=text)
-    atomic.write_text(target, text)
     lines = [f"{whole.level}: {whole.text}"]
+    verdicts = []
     for result, content in zip(results, contents, strict=True):
         lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
-    return Text("report", "\n".join(lines), document, [target], document=text)
+        verdicts.append({"file": str(result.path), **content.verdict.model_dump()})
+    data = {"title": heading, "verdict": whole.model_dump(), "results": verdicts}
+    if target is None:
+        return Text("report", text.rstrip("\n"), data, document=text)
+    atomic.write_text(target, text)
+    return Text("report", "\n".join(lines), data, [target], document=text)
 
 
 def _read(path: Path) -> Result:
