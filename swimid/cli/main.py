@@ -114,8 +114,6 @@ class Run:
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(0)
-        except (click.exceptions.ClickException, click.exceptions.Exit, click.exceptions.Abort):
-            raise
         except (KeyboardInterrupt, Exception) as caught:  # noqa: BLE001 - the last line of defence
             if self.debug:
                 traceback.print_exc()

@@ -138,9 +138,8 @@ def _read(path: Path) -> Result:
             shown = result.bare()
             place = ev.sidecar(path).name
             warn("SWM050", f"{path.name} has no evidence beside it ({place}): its checks are not shown")
-    notices = [record for record in ev.notices(raised) if record not in shown.notices]
-    update = {"notices": [*shown.notices, *notices]}
-    return replace(result, evidence=shown.model_copy(update=update))
+    notices = [*shown.notices, *(notice for notice in raised if notice not in shown.notices)]
+    return replace(result, evidence=shown.model_copy(update={"notices": notices}))
 
 
 # ---------------------------------------------------------------- page
