@@ -252,12 +252,11 @@ def judged(answer: str, checks: Sequence[Check]) -> Verdict:
     The level is bad if a check fails, caution if a check warns, and good otherwise.
     """
     for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
-        failed = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
-        reasons = list(dict.fromkeys(failed))
-        if reasons:
-            shown = reasons[:MAX_REASONS]
-            if len(reasons) > MAX_REASONS:
-                shown.append(f"and {len(reasons) - MAX_REASONS} more")
+        failed = (c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade)
+        shown = list(dict.fromkeys(failed))
+        if shown:
+            if len(shown) > MAX_REASONS:
+                shown[MAX_REASONS:] = [f"and {len(shown) - MAX_REASONS} more"]
             return Verdict(level=level, text=f"{answer} {words}: {'; '.join(shown)}.")  # type: ignore[arg-type]
     return Verdict(level="good", text=answer)
 
@@ -445,11 +444,10 @@ def figure(
     x_label: str,
     y_label: str,
     traces: Sequence[Trace],
-    **panel: Any,
+    **more: Any,
 ) -> Figure:
     """Return a figure with one panel. Further keyword arguments are fields of :class:`Panel`."""
-    one = Panel(x_label=x_label, y_label=y_label, traces=list(traces), **panel)
-    return Figure(id=id, title=title, caption=caption, panels=[one])
+    return panels(id, title, caption, [panel(x_label, y_label, traces, **more)])
 
 
 def panels(id: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure:
@@ -552,17 +550,10 @@ def residuals(
         if s.role != "fit":
             group, label = 1, "held out"
         traces.append(Trace(x=x, y=k - y * HALF_ROW / ROW_SD, style="points", label=label, group=group))
-    over_time = Panel(
-        x_label=x_label,
-        y_label="trial",
-        y_categories=[s.trial for s in rows],
-        invert_y=True,
-        traces=traces,
-        spans=[
-            Span(start=k - HALF_ROW / 2, end=k + HALF_ROW / 2, axis="y", label=f"±{ROW_SD / 2:g} sd")
-            for k in range(len(rows))
-        ],
-    )
+    middles, half = range(len(rows)), HALF_ROW / 2
+    spans = [Span(start=k - half, end=k + half, axis="y", label=f"±{ROW_SD / 2:g} sd") for k in middles]
+    names = [s.trial for s in rows]
+    over_time = panel(x_label, "trial", traces, y_categories=names, invert_y=True, spans=spans)
     caption += f" Each row is a trial; the band is ±{ROW_SD / 2:g} standard deviations."
     if correlation is None:
         return panels(id, title, caption, [over_time])
