@@ -276,7 +276,6 @@ class Fitted(FileResult[ParameterFile]):
             _estimates("parameters", "Parameters", shared),
             _estimates("parameters-of-trials", "Parameters of single trials", own, folded=True),
             _estimates("derived", "Derived quantities", file.derived),
-            _poles(file),
             _correlation(file.correlation),
         ]
         if file.fit is not None:
@@ -365,17 +364,6 @@ def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, s
     elif rmse is not None and sd:
         ratio = numbers.number(rmse / sd, 3)
     return text, ratio
-
-
-def _poles(file: ParameterFile) -> Table:
-    """Return a table of the poles of a discrete-time model."""
-    rows: list[list[Any]] = []
-    for p in file.poles or []:
-        magnitude = numbers.measured(p.magnitude, p.stderr_magnitude)
-        place = ("inside", "on or outside")[p.magnitude >= 1]
-        rows.append([numbers.fixed(p.real, 4), numbers.fixed(p.imag, 4), magnitude, place])
-    columns = ["real", "imaginary", "magnitude", "unit circle"]
-    return Table(id="poles", title="Poles", columns=columns, rows=rows)
 
 
 def _estimates_frame(estimates: dict[str, Estimate]) -> pd.DataFrame:
