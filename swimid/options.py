@@ -191,7 +191,8 @@ class Declared:
 
     def type_text(self) -> str:
         """Return the type of the value as text for a docstring."""
-        text = re.sub(r"\b(?:\w+\.)+", "", inspect.formatannotation(self.annotation))
+        text = re.sub(r"\b(?:\w+\.)+", "", inspect.formatannotation(self.kind))
+        text = re.sub(r"Literal\[(.*?)\]", r"{\1}", text)
         if self.required or self.default in ((), {}):
             return text
         return f"{text}, default {self.default!r}".replace("default None", "optional")
