@@ -193,6 +193,7 @@ class Declared:
         """Return the type of the value as text for a docstring."""
         text = re.sub(r"\b(?:\w+\.)+", "", inspect.formatannotation(self.kind))
         text = re.sub(r"Literal\[(.*?)\]", r"{\1}", text)
+        text = text.replace("Union[Path, Any]", "path or its content").replace("Path", "path")
         if self.required or self.default in ((), {}):
             return text
         return f"{text}, default {self.default!r}".replace("default None", "optional")
