@@ -435,7 +435,7 @@ def for_page(figure: Figure, prefix: str) -> list[str]:
     drawings = []
     slots = slots_of(figure)
     for index, panel in enumerate(figure.panels):
-        page = {"svg.fonttype": "none", "figure.facecolor": "none", "svg.hashsalt": f"{prefix}{index}"}
+        page: Any = {"svg.fonttype": "none", "figure.facecolor": "none", "svg.hashsalt": f"{prefix}{index}"}
         with mpl.rc_context({**style(), **page}):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
             shown = panel.model_copy(update={"title": _lettered(figure, index)})
