@@ -259,8 +259,9 @@ def _second_name(path: Path) -> Path:
 # ---------------------------------------------------------------- one run at a time
 
 
-#: Thread that holds each lock of this process, by the path of the lock file.
-_HOLDERS: dict[Path, threading.Thread] = {}
+#: Each lock of this process and the thread that took it last, by the path of the lock file. A lock that is in no
+#: variable would be released.
+_TAKEN: dict[Path, tuple[BaseFileLock, threading.Thread]] = {}
 
 
 def lock(output: Path) -> BaseFileLock:
@@ -281,7 +282,7 @@ def lock(output: Path) -> BaseFileLock:
     path = output.resolve().with_name(f"{output.name}.lock")
     file = SoftFileLock(path, timeout=0, thread_local=False, is_singleton=True)
     thread = threading.current_thread()
-    holder = _HOLDERS.get(path, thread)
+    holder = _TAKEN.get(path, (file, thread))[1]
     with file_errors(output, "locked"):
         try:
             if file.is_locked and holder is not thread and holder.is_alive():
@@ -295,7 +296,7 @@ def lock(output: Path) -> BaseFileLock:
                 f"{output} is being written by {who}",
                 hint=f"wait for it, or name another output; if no such run exists, delete {path}",
             ) from None
-    _HOLDERS[path] = thread
+    _TAKEN[path] = file, thread
     return file
 
 
