@@ -259,8 +259,8 @@ def _second_name(path: Path) -> Path:
 # ---------------------------------------------------------------- one run at a time
 
 
-#: Each lock of this process and the thread that took it last, by the path of the lock file. A lock that is in no
-#: variable would be released.
+#: Each lock of this process and the thread that took it last, by the path of the lock file. Without a
+#: reference to it, a lock would be released.
 _TAKEN: dict[Path, tuple[BaseFileLock, threading.Thread]] = {}
 
 
