@@ -43,7 +43,7 @@ READING = """\
 import sys, time
 from pathlib import Path
 from swimid.logs import mapping
-from swimid.progress import silent
+from swimid.notices import silent
 rules = mapping.of(sys.argv[2])
 wall, work = time.perf_counter(), time.process_time()
 mapping.apply(rules, Path(sys.argv[1]), progress=silent)

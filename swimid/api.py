@@ -15,66 +15,50 @@ if TYPE_CHECKING:
     from swimid.logs.trials import TrialSet
     from swimid.robots.file import Robot
 
+#: Public names of each module.
+_NAMES_OF = {
+    # reading of trials, logs, robots and results
+    "swimid.api": ("load", "read_log", "read_robot", "built_in_robots"),
+    "swimid.logs.log": ("Log",),
+    "swimid.logs.trials": ("TrialSet",),
+    "swimid.robots.file": ("Robot",),
+    # creation of logs from videos and recordings
+    "swimid.tracking.track_video": ("track_video",),
+    "swimid.tracking.track_setup": ("track_setup",),
+    "swimid.inertial.track_imu": ("track_imu",),
+    "swimid.logs.import_log": ("import_log",),
+    "swimid.logs.guess_mapping": ("guess_mapping",),
+    # identification
+    "swimid.rig.fit_drag": ("fit_drag",),
+    "swimid.propulsion.fit_propulsion": ("fit_propulsion",),
+    "swimid.swimmer.fit_graybox": ("fit_graybox",),
+    "swimid.blackbox.rwls": ("rwls",),
+    "swimid.fitting.fit_common": ("fit_model",),
+    # simulation, diagnosis, optimisation and publication, with the classes of their results
+    "swimid.simulation.simulate": ("simulate", "Simulation"),
+    "swimid.simulation.compare": ("compare", "Comparison"),
+    "swimid.diagnosis.diagnose": ("diagnose",),
+    "swimid.diagnosis.evidence": ("Diagnosis",),
+    "swimid.diagnosis.power": ("DetectionPower",),
+    "swimid.sensitivity_analysis.sensitivity": ("sensitivity", "Sensitivity"),
+    "swimid.optimisation.performance_map": ("performance_map", "PerformanceMap"),
+    "swimid.optimisation.optimise_stiffness": ("optimise_stiffness", "StiffnessRule"),
+    "swimid.optimisation.optimise_gait": ("optimise_gait", "BestGait"),
+    "swimid.exporters.export": ("export",),
+    "swimid.results.report": ("report",),
+    "swimid.results.result": ("load_result", "Result"),
+    "swimid.results.parameters": ("Fitted",),
+    "swimid.logs.plot": ("plot",),
+    "swimid.logs.logged": ("Logged",),
+    # classes for models and effects of the user, errors and warnings
+    "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),
+    "swimid.effects.base": ("Effect",),
+    "swimid.errors": ("SwimidError", "InputError", "UsageError", "NoTrustworthyResult"),
+    "swimid.notices": ("SwimidWarning",),
+}
 #: Module of each public name. The module is imported on the first use of the name, so that ``import swimid``
 #: stays fast.
-NAMES = {
-    # reading of trials, logs, robots and results
-    "load": "swimid.api",
-    "load_result": "swimid.results.kinds",
-    "read_log": "swimid.api",
-    "read_robot": "swimid.api",
-    "built_in_robots": "swimid.api",
-    "Log": "swimid.logs.log",
-    "TrialSet": "swimid.logs.trials",
-    "Robot": "swimid.robots.file",
-    # creation of logs from videos and recordings
-    "track_video": "swimid.tracking.track_video",
-    "track_setup": "swimid.tracking.track_setup",
-    "track_imu": "swimid.inertial.track_imu",
-    "import_log": "swimid.logs.import_log",
-    "guess_mapping": "swimid.logs.guess_mapping",
-    # identification
-    "fit_drag": "swimid.rig.fit_drag",
-    "fit_propulsion": "swimid.propulsion.fit_propulsion",
-    "fit_graybox": "swimid.swimmer.fit_graybox",
-    "rwls": "swimid.blackbox.rwls",
-    "fit_model": "swimid.fitting.fit_common",
-    # simulation, diagnosis, optimisation and publication
-    "simulate": "swimid.simulation.simulate",
-    "compare": "swimid.simulation.compare",
-    "diagnose": "swimid.diagnosis.diagnose",
-    "sensitivity": "swimid.sensitivity_analysis.sensitivity",
-    "performance_map": "swimid.optimisation.performance_map",
-    "optimise_stiffness": "swimid.optimisation.optimise_stiffness",
-    "optimise_gait": "swimid.optimisation.optimise_gait",
-    "export": "swimid.exporters.export",
-    "report": "swimid.results.report",
-    "plot": "swimid.logs.plot",
-    # classes of results
-    "Result": "swimid.results.result",
-    "Fitted": "swimid.results.parameters",
-    "Logged": "swimid.logs.logged",
-    "Simulation": "swimid.simulation.simulate",
-    "Comparison": "swimid.simulation.compare",
-    "Diagnosis": "swimid.diagnosis.evidence",
-    "DetectionPower": "swimid.diagnosis.power",
-    "Sensitivity": "swimid.sensitivity_analysis.sensitivity",
-    "PerformanceMap": "swimid.optimisation.performance_map",
-    "StiffnessRule": "swimid.optimisation.optimise_stiffness",
-    "BestGait": "swimid.optimisation.optimise_gait",
-    # classes for models and effects of the user
-    "Model": "swimid.fitting.model",
-    "Parameter": "swimid.fitting.model",
-    "Channel": "swimid.fitting.model",
-    "Trial": "swimid.fitting.model",
-    "Effect": "swimid.effects.base",
-    # errors and warnings
-    "SwimidError": "swimid.errors",
-    "InputError": "swimid.errors",
-    "UsageError": "swimid.errors",
-    "NoTrustworthyResult": "swimid.errors",
-    "SwimidWarning": "swimid.notices",
-}
+NAMES = {name: module for module, names in _NAMES_OF.items() for name in names}
 
 
 def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
@@ -157,13 +141,15 @@ def load(
     if isinstance(trials, str | Path | TrialSet):
         if experiment is not None or robot is not None or keys:
             raise UsageError("a trials file names its experiment, robot and keys itself")
-        return trials if isinstance(trials, TrialSet) else TrialSet.read(trials)
+        if isinstance(trials, TrialSet):
+            return trials
+        return TrialSet.read(trials)
     if experiment is None or robot is None:
         raise UsageError("name the experiment and the robot of these trials")
-    if not isinstance(trials, Sequence):  # the table of a cruise
-        return TrialSet.of([], experiment=experiment, robot=str(robot), table=trials, **keys)
-    given: list[Mapping[str, Any]] = list(trials)  # type: ignore[arg-type]
-    return TrialSet.of(given, experiment=experiment, robot=str(robot), **keys)
+    given: Any = trials
+    if not isinstance(trials, Sequence):
+        given, keys = [], {**keys, "table": trials}  # the table of a cruise
+    return TrialSet.of(list(given), experiment=experiment, robot=str(robot), **keys)
 
 
 def read_robot(name: str | Path) -> Robot:

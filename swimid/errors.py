@@ -53,8 +53,8 @@ def in_words_of_the_caller(text: str) -> str:
     ...     in_words_of_the_caller("give --start-state rest, or --raw")
     'give start_state rest, or clean=False'
     """
-    arguments = _ARGUMENTS.get({})
-    return _OPTION.sub(lambda found: arguments.get(found[0], found[0]), text) if arguments else text
+    arguments = _ARGUMENTS.get({}) or {}
+    return _OPTION.sub(lambda found: arguments.get(found[0], found[0]), text)
 
 
 class SwimidError(Exception):
@@ -74,20 +74,17 @@ class SwimidError(Exception):
 
     def __init__(self, message: str, *, hint: str | None = None) -> None:
         self.message = in_words_of_the_caller(message)
-        self.hint = None if hint is None else in_words_of_the_caller(hint)
+        self.hint = hint
+        if hint is not None:
+            self.hint = in_words_of_the_caller(hint)
         super().__init__(self.message)
 
     def __str__(self) -> str:
-        return self.message if self.hint is None else f"{self.message}\n  hint: {self.hint}"
+        return "\n  hint: ".join(filter(None, [self.message, self.hint]))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the error as data for the ``error`` member of the ``--json`` document."""
-        return {
-            "type": type(self).__name__,
-            "message": self.message,
-            "hint": self.hint,
-            "exit_status": self.exit_status,
-        }
+        """Return the error and its location as data for the ``error`` member of the ``--json`` document."""
+        return {"type": type(self).__name__, **vars(self), "exit_status": self.exit_status}
 
 
 class UsageError(SwimidError, ValueError):
@@ -145,29 +142,15 @@ class InputError(SwimidError, ValueError):
         column: str | None = None,
         hint: str | None = None,
     ) -> None:
-        self.file: str | None = None
         if file is not None:
-            self.file = str(file)
-        self.line = line
-        self.frame = frame
-        self.row = row
-        self.column = column
-        self.reason = in_words_of_the_caller(message)
+            file = str(file)
         counted = {"line": line, "frame": frame, "row": row}
-        place = [self.file, *(f"{name} {n}" for name, n in counted.items() if n is not None)]
+        place = [file, *(f"{name} {n}" for name, n in counted.items() if n is not None)]
         place.append(column and f"'{column}'")
         where = ", ".join(filter(None, place))
         super().__init__(": ".join(filter(None, [where, message])), hint=hint)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the error and its location as data for the ``error`` member of the ``--json`` document."""
-        return super().to_dict() | {
-            "file": self.file,
-            "line": self.line,
-            "frame": self.frame,
-            "column": self.column,
-            "reason": self.reason,
-        }
+        self.file, self.line, self.frame, self.row, self.column = file, line, frame, row, column
+        self.reason = in_words_of_the_caller(message)
 
 
 class NoTrustworthyResult(SwimidError):
@@ -201,11 +184,10 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
     """
     import difflib
 
-    matches = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.6)
-    if matches:
-        return matches[0]
+    for match in difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.6):
+        return match
     begun = [name for name in allowed if word and (name.startswith(word) or word.startswith(f"{name}_"))]
-    return min(begun, key=len) if begun else None
+    return min(begun, key=len, default=None)
 
 
 def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
@@ -262,5 +244,7 @@ def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        hint = "check the path" if isinstance(error, FileNotFoundError) else None
+        hint = None
+        if isinstance(error, FileNotFoundError):
+            hint = "check the path"
         raise InputError(f"cannot be {done}: {error.strerror or error}", file=file, hint=hint) from error

@@ -1,14 +1,15 @@
-"""Warnings with stable codes, which a command prints at its end and stores in its results.
+"""Warnings with stable codes, which a command prints at its end and stores in its results; progress of loops.
 
 Library code calls :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. The command line collects
-the warnings with :func:`recorded`, and the report repeats them.
+the warnings with :func:`recorded`, and the report repeats them. The caller of a long loop decides whether and
+how its progress is shown.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -161,3 +162,28 @@ def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
     finally:
         for notice in notices if repeat else []:
             warn(notice.code, notice.text)
+
+
+# ---------------------------------------------------------------- progress
+
+#: Function that advances one progress bar, by one step or by a number of steps: ``step(3)``.
+Step = Callable[..., None]
+#: Function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``. Without
+#: ``total`` the number of steps is unknown.
+Progress = Callable[..., AbstractContextManager[Step]]
+
+
+def show(step: Step, text: str) -> None:
+    """Show a remark next to a progress bar, if the bar has a method ``note(text)``."""
+    note = getattr(step, "note", None)
+    if note is not None:
+        note(text)
+
+
+def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:
+    """Show no progress. Library functions do this by default."""
+
+    def step(amount: int = 1) -> None:
+        return None
+
+    return nullcontext(step)

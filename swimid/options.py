@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
@@ -68,7 +69,7 @@ def option(
     """
     notes = {
         "flag": flag, "metavar": metavar, "separated": separated, "written": written, "recorded": recorded,
-        "part": part,
+        "part": part, "limits": limits,
     }  # fmt: skip
     return Field(default, description=help, json_schema_extra=cast(Any, notes), **cast(Any, limits))
 
@@ -91,10 +92,11 @@ class Options(BaseModel):
     argument : str
         Positional argument of the command, by default ``"TRIALS"``. ``"LOG..."`` stands for several files,
         ``"[NAME]"`` for an optional word, and an empty string for no argument.
-    function : str
-        Name of the function, and of its module in the same package. The default is the command with ``_`` in
-        place of ``-``. The function takes the files, ``output`` and the options, and also ``progress``,
-        ``allow`` or ``force`` if it has these arguments.
+    function, module : str
+        Name of the function, and of its module in the same package. The default of the function is the
+        command with ``_`` in place of ``-``, that of the module is the function. The function takes the
+        files, ``output`` and the options, and also ``progress``, ``allow`` or ``force`` if it has these
+        arguments.
     output_flags : tuple of str
         Flags of the output, if they are not ``-o`` and ``--output``.
     required : bool
@@ -139,10 +141,8 @@ class Options(BaseModel):
         **actual
             Values by key that replace the given values in the settings.
         """
-        recorded = {
-            entry.key: _plain(getattr(self, name)) for name, entry in self.declared().items() if entry.key
-        }
-        return {key: actual.get(key, value) for key, value in recorded.items()}
+        keys = {entry.key: name for name, entry in self.declared().items() if entry.key}
+        return {key: actual.get(key, _plain(getattr(self, name))) for key, name in keys.items()}
 
 
 class Declared:
@@ -170,12 +170,7 @@ class Declared:
         self.annotation = info.annotation
         self.required = info.is_required()
         self.default = None if self.required else info.default
-        self.limits: dict[str, float] = {
-            end: getattr(rule, end)
-            for rule in info.metadata
-            for end in ("ge", "gt", "le", "lt")
-            if hasattr(rule, end)
-        }
+        self.limits: dict[str, float] = notes["limits"]
         self.separated: bool = notes["separated"]
         self.written: bool = notes["written"]
         self.key: str = {True: name, False: ""}.get(notes["recorded"], notes["recorded"])
@@ -190,22 +185,24 @@ class Declared:
         """Return the input files that a value of this option names."""
         if value is None or self.written or Path not in _leaves(self.kind):
             return []
-        several = value if isinstance(value, list | tuple) else [value]
-        return [Path(one) for one in several if isinstance(one, str | Path)]
+        if not isinstance(value, list | tuple):
+            value = [value]
+        return [Path(one) for one in value if isinstance(one, str | Path)]
 
     def type_text(self) -> str:
         """Return the type of the value as text for a docstring."""
-        text = _type_text(self.kind)
+        text = re.sub(r"\b(?:\w+\.)+", "", inspect.formatannotation(self.kind))
+        text = re.sub(r"Literal\[(.*?)\]", r"{\1}", text)
+        text = text.replace("Union[Path, Any]", "path or its content").replace("Path", "path")
         if self.required or self.default in ((), {}):
             return text
-        return f"{text}, optional" if self.default is None else f"{text}, default {self.default!r}"
+        return f"{text}, default {self.default!r}".replace("default None", "optional")
 
 
 def without_none(kind: Any) -> Any:
     """Return a type with None removed from its alternatives."""
     if get_origin(kind) in (Union, UnionType):
-        left = [one for one in get_args(kind) if one is not type(None)]
-        return left[0] if len(left) == 1 else Union[tuple(left)]  # noqa: UP007 - made of a tuple
+        return Union[tuple(one for one in get_args(kind) if one is not type(None))]  # noqa: UP007 - made of a tuple
     return kind
 
 
@@ -230,21 +227,18 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
 
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Returned:
-            with naming(arguments):
-                return checked(*args, **given)
-
-        def checked(*args: Any, **given: Any) -> Returned:
             mine = {name: given.pop(name) for name in list(given) if name in keywords}
             if isinstance(mine.get("output"), str):
                 mine["output"] = Path(mine["output"])
-            if isinstance(given.get("options"), options) and len(given) == 1:
-                return function(*args, **given, **mine)
             known = [*options.model_fields, *keywords]
-            for name in given:
-                if name not in known:
-                    hint = suggestion(name, known)
-                    raise UsageError(f"{function.__name__} has no option '{name}'", hint=hint)
-            return function(*args, options=options.of(given), **mine)
+            with naming(arguments):
+                if isinstance(given.get("options"), options) and len(given) == 1:
+                    return function(*args, **given, **mine)
+                for name in given:
+                    if name not in known:
+                        hint = suggestion(name, known)
+                        raise UsageError(f"{function.__name__} has no option '{name}'", hint=hint)
+                return function(*args, options=options.of(given), **mine)
 
         positional = [p for p in own if p.kind is not p.KEYWORD_ONLY]
         shown = [
@@ -272,7 +266,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
     lines = inspect.cleandoc(text).splitlines()
     begin = lines.index("Parameters") + 2
     heads = [k for k in range(begin, len(lines) - 1) if set(lines[k + 1]) == {"-"}]
-    end = heads[0] - 1 if heads else len(lines)
+    end = min(heads, default=len(lines) + 1) - 1
     place = next((k for k in range(begin, end) if lines[k].split(" :")[0] in rest), end)
     entries = []
     for entry in options.declared().values():
@@ -282,24 +276,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
 
 def _leaves(kind: Any) -> list[Any]:
     """Return the innermost type arguments of a type, or the type itself if it has none."""
-    args = get_args(kind)
-    return [leaf for one in args for leaf in _leaves(one)] if args else [kind]
-
-
-def _type_text(kind: Any) -> str:
-    origin, args = get_origin(kind), get_args(kind)
-    if origin is Literal:
-        return f"{{{', '.join(map(repr, args))}}}"
-    if origin in (Union, UnionType):
-        names = [_type_text(one) for one in args if one is not Any]
-        return " or ".join([*names, "its content"] if Any in args else names)
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return f"mapping of {_type_text(args[0])} to {_type_text(args[1])}"
-    if origin is tuple and args[-1] is not Ellipsis:
-        return f"({', '.join(_type_text(one) for one in args)})"
-    if isinstance(origin, type) and issubclass(origin, Sequence):
-        return f"sequence of {_type_text(args[0])}"
-    return {Path: "path"}.get(kind, getattr(kind, "__name__", str(kind)))
+    return [leaf for one in get_args(kind) for leaf in _leaves(one)] or [kind]
 
 
 def _plain(value: Any) -> Any:

@@ -18,12 +18,11 @@ import pytest
 from click.testing import CliRunner
 
 import swimid as package
-from swimid.cli.common import Shared, running
 from swimid.cli.main import SECTIONS, found, main
+from swimid.cli.main import Run as Running
 from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
-from swimid.results.kinds import FORMATS
-from swimid.results.result import Result
+from swimid.results.result import FORMATS, Result
 from tests.conftest import ROOT, SAMPLES, Ran
 
 Run = Callable[..., Ran]
@@ -199,10 +198,12 @@ class TestTerminal:
 
     def run(self, *warnings: tuple[str, str], **shared: int) -> Any:
         def command() -> None:
-            with running("verb", Shared(**shared)) as run:
+            def work() -> Result:
                 for code, text in warnings:
                     warn(code, text)
-                run.outcome = Result("verb", "done")
+                return Result("verb", "done")
+
+            Running("verb", **shared)(work)  # type: ignore[arg-type]
 
         return CliRunner().invoke(click.Command("verb", callback=command))
 
@@ -279,9 +280,11 @@ class TestInterrupts:
 
     def verb(self, work: Callable[[], None], outputs: list[Path], output: Path | None = None) -> Any:
         def command() -> None:
-            with running("verb", Shared(output)) as run:
+            def result() -> Result:
                 work()
-                run.outcome = Result("verb", "done", {}, outputs)
+                return Result("verb", "done", {}, outputs)
+
+            Running("verb", output)(result)
 
         return CliRunner().invoke(click.Command("verb", callback=command))
 

@@ -12,9 +12,10 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from nbclient import NotebookClient
+from pydantic import ValidationError
 
-from swimid.errors import InputError
-from swimid.results import blocks, drawing
+from swimid.results import drawing
+from swimid.results import evidence as ev
 from swimid.results.evidence import Figure, Heat, Mark, Panel, Span, Trace
 
 ROOT = Path(__file__).parents[1]
@@ -68,10 +69,10 @@ def test_a_heat_map_says_each_number_and_shades_the_largest_most() -> None:
 
 
 def test_lists_of_different_lengths_are_refused() -> None:
-    with pytest.raises(InputError, match="1 numbers of 'y' for 2 of 'x'"):
-        drawn(Trace(x=[0.0, 1.0], y=[1.0]))
-    with pytest.raises(InputError, match="heat map"):
-        drawn(heat=Heat(rows=["a"], columns=["b", "c"], values=[[1.0]]))
+    with pytest.raises(ValidationError, match="1 numbers of 'y' for 2 of 'x'"):
+        Trace(x=[0.0, 1.0], y=[1.0])
+    with pytest.raises(ValidationError, match="heat map"):
+        Heat(rows=["a"], columns=["b", "c"], values=[[1.0]])
 
 
 class Series:
@@ -88,7 +89,7 @@ class Series:
 def test_the_worst_the_best_and_the_worst_held_out_trial_are_shown() -> None:
     trials = [Series(f"t{k}", size) for k, size in enumerate((1.0, 3.0, 0.5, 2.0))]
     trials += [Series("v0", 1.0, "validate"), Series("v1", 4.0, "validate")]
-    figure = blocks.measured_and_simulated("f", "t", "c", "time (s)", "x (m)", trials)
+    figure = ev.measured_and_simulated("f", "t", "c", "time (s)", "x (m)", trials)
     assert [panel.title for panel in figure.panels] == [
         "t1 (largest error)",
         "t2 (smallest error)",
@@ -104,7 +105,7 @@ def test_residuals_have_one_row_for_each_trial() -> None:
     trials = [Series("a", 1.0), Series("b", 50.0)]
     lags = np.arange(5)
     correlation = type("Correlation", (), {"lags": lags, "values": 0.1 * lags, "bound": 0.2 + 0.0 * lags})
-    rows, lagged = blocks.residuals("f", "t", "c", "time (s)", trials, correlation).panels
+    rows, lagged = ev.residuals("f", "t", "c", "time (s)", trials, correlation).panels
     assert rows.y_categories == ["a", "b"]
     for k, trace in enumerate(rows.traces):
         assert np.abs(np.array(trace.y) - k).max() < 0.5

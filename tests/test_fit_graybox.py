@@ -21,7 +21,7 @@ from scipy import stats
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import covariance, output_error
 from swimid.fitting.model import Parameter, Trial
-from swimid.progress import Step
+from swimid.notices import Step
 from swimid.results import evidence, parameters
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
@@ -481,7 +481,7 @@ class TestInterrupted:
         program = """
 import time
 from contextlib import contextmanager
-from swimid.cli import common
+from swimid.cli.main import Run
 
 @contextmanager
 def progress(description, total=None):
@@ -493,7 +493,7 @@ def progress(description, total=None):
     step.note = note
     yield step
 
-common.Run.progress = property(lambda self: progress)
+Run.progress = property(lambda self: progress)
 from swimid.cli.main import entry
 entry()
 """

@@ -269,7 +269,6 @@ class TestFilesOfOthers:
             ("plot", out / "a.csv", "-o", out / "a.png"),
             ("report", out / "c.yaml", "-o", out / "c.html"),
             ("report", out / "c.yaml", "-o", out / "c.md"),
-            ("report", out / "c.yaml", "-o", out / "c.json"),
             ("export", LINKS, "--to", "gazebo", "-o", out / "p.sdf"),
             ("export", LINKS, "--to", "json", "-o", out / "p.json"),
             ("schema", "map", "-o", out / "s.json"),
@@ -283,7 +282,7 @@ class TestFilesOfOthers:
                 writer.write(0.04 * k, np.full((64, 64, 3), 20 * k, dtype=np.uint8))
             writer.close()
         assert [p.name for p in sorted(out.iterdir()) if not provenance.is_own(p)] == []
-        assert len(list(out.iterdir())) == 17
+        assert len(list(out.iterdir())) == 16
 
     def test_a_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
         draft = tmp_path / "map.yaml"
@@ -434,14 +433,14 @@ POOL = SAMPLES / "pool"
 TELLING = """
 import time
 from contextlib import contextmanager
-from swimid.cli import common
+from swimid.cli.main import Run
 
 @contextmanager
 def progress(description, total=None):
     print(description, flush=True)
     yield lambda amount=1: time.sleep(0.02)
 
-common.Run.progress = property(lambda self: progress)
+Run.progress = property(lambda self: progress)
 from swimid.cli.main import entry
 entry()
 """

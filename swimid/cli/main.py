@@ -1,6 +1,8 @@
 """The ``swimid`` command: a click command for each class of options in the ``options.py`` of a package.
 
 The files are parsed as text, so that the list of commands can be shown without an import of the packages.
+stdout has the result only: plain text or, with ``--json``, one JSON document, which also reports errors.
+Progress, warnings and errors go to stderr.
 """
 
 from __future__ import annotations
@@ -8,25 +10,227 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import json
 import math
+import os
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import cache
+import shlex
+import sys
+import textwrap
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property, partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 import click
 
 import swimid
-from swimid.cli.common import SHARED, Shared, protect, running
-from swimid.errors import UsageError
+from swimid.errors import InputError, Interrupted, SwimidError, UsageError, naming
+from swimid.files import atomic, provenance
+from swimid.notices import Notice, Progress, Step, recorded, silent
 
 if TYPE_CHECKING:
     from swimid.options import Declared, Options
+    from swimid.results.result import Result
+
+#: Terminal codes that move up one line and clear it.
+ERASE_BAR = "\x1b[1A\x1b[2K"
+#: Maximum width of a line on the terminal.
+WIDTH = 100
+#: Maximum number of warnings of one code that are all printed. If there are more, three of them and a count
+#: are printed, unless -v is given.
+MAX_ALIKE = 5
+_flag = partial(click.Option, is_flag=True)
+#: Options of every command, in addition to ``-o``.
+SHARED = (
+    _flag(["--json", "as_json"], help="Print the result as one JSON document on stdout."),
+    _flag(["--force"], help="Overwrite an output that swimid did not write."),
+    _flag(["-q", "--quiet"], help="Print errors only."),
+    click.Option(["-v", "--verbose"], count=True, help="Print every warning, also many of one kind."),
+    _flag(["--no-progress"], help="No progress bars."),
+    _flag(["--debug"], help="Show tracebacks."),
+)
 
 #: Ending of an evidence file.
 EVIDENCE = ".evidence.json"
+
+# ---------------------------------------------------------------- run of one command
+
+
+class Bug(SwimidError):
+    """Error that is a bug in swimid."""
+
+
+@dataclass
+class Run:
+    """Run of one command, with the values of the options that every command has."""
+
+    command: str
+    output: Path | None = None
+    as_json: bool = False
+    force: bool = False
+    quiet: bool = False
+    verbose: int = 0
+    no_progress: bool = False
+    debug: bool = False
+
+    @property
+    def progress(self) -> Progress:
+        """Progress bars on stderr if stderr is a terminal, else no progress."""
+        if self.no_progress or self.quiet or not sys.stderr.isatty() or os.environ.get("CI"):
+            return silent
+        return _bar
+
+    def __call__(self, work: Callable[[], Result]) -> None:
+        """Call ``work``, print its outcome and warnings, and convert errors to exit statuses.
+
+        The exit status is 0 for success, 2 for wrong usage, 3 for an invalid input, 4 for no trustworthy
+        result, 1 for a bug, and 130 for an interrupt.
+        """
+        notices: list[Notice] = []
+        written: list[Path] = []
+        interrupts: list[Callable[[], None]] = []
+
+        def noted(interrupt: Callable[[], None]) -> None:
+            interrupts.append(interrupt)  # a search may catch the exception and return its best result
+            interrupt()
+
+        try:
+            with (
+                atomic.on_interrupt(noted),
+                naming(None),
+                recorded() as notices,
+                atomic.noted() as written,
+                atomic.locked(self.output),
+            ):
+                outcome = work()
+            if interrupts:
+                places = ", ".join(map(str, outcome.outputs)) or "nothing"
+                raise Interrupted(f"interrupted; the result is of a search cut short: wrote {places}")
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(0)
+        except (KeyboardInterrupt, Exception) as caught:  # noqa: BLE001 - the last line of defence
+            if self.debug:
+                traceback.print_exc()
+            error, lead = self._as_error(caught, written), "Error"
+            if isinstance(error, Bug):
+                lead = "This is a bug in swimid"
+            self._print({"error": error.to_dict()}, notices, written)
+            click.echo(f"{lead}: {error}", err=True)
+            sys.exit(error.exit_status)
+        self._print({"result": outcome.data}, notices, outcome.outputs, outcome)
+
+    def _as_error(self, caught: BaseException, written: list[Path]) -> SwimidError:
+        """Return the exception that ended the command as an error of swimid."""
+        if isinstance(caught, SwimidError):
+            return caught
+        if isinstance(caught, MemoryError):
+            return InputError(f"not enough memory for this input: {caught}")
+        if not isinstance(caught, KeyboardInterrupt):
+            hint = "run again with --debug and report the traceback"
+            return Bug(f"{type(caught).__name__}: {caught}", hint=hint)
+        left = "nothing was written"
+        if written:
+            left = f"written before: {', '.join(map(str, written))}"
+        elif self.output is not None and atomic.place(self.output).is_file():
+            left = f"{atomic.place(self.output)} keeps what was computed: the same command goes on from there"
+        return Interrupted(f"interrupted; {left}")
+
+    def _print(
+        self,
+        answer: dict[str, Any],
+        notices: list[Notice],
+        outputs: Iterable[Path],
+        outcome: Result | None = None,
+    ) -> None:
+        """Print the answer on stdout, and warnings, written files and the next command on stderr."""
+        if not self.quiet:
+            for line in _warning_lines(notices, (MAX_ALIKE, sys.maxsize)[self.verbose > 0]):
+                click.echo(line, err=True)
+        if self.as_json:
+            from swimid.files import yamlio
+
+            document = {
+                "schema": 1,
+                "ok": "result" in answer,
+                "command": self.command,
+                **answer,
+                "warnings": [{"code": one.code, "text": one.text} for one in notices],
+                "outputs": [str(path) for path in outputs],
+            }
+            click.echo(json.dumps(yamlio.plain(document, finite=True), ensure_ascii=False))
+        if self.as_json or self.quiet:
+            return
+        if outcome is not None and (text := outcome.summary()):
+            click.echo(text)
+        for path in outputs:
+            click.echo(f"wrote {path}", err=True)
+        if outcome is not None and outcome.outputs:
+            following = outcome.next_command(shlex.quote(str(outcome.path)))
+            if following:
+                click.echo(f"next: {following}", err=True)
+
+    def protect(self, output: Path, *, inputs: Iterable[str | Path] = ()) -> None:
+        """Refuse an output that would replace an input, or a file that swimid did not write.
+
+        Raises
+        ------
+        UsageError
+            If the output is an input, or was not written by swimid and ``--force`` is not given.
+        InputError
+            If the folder of the output does not exist.
+        """
+        if str(output) == "-":
+            hint = "--json prints it on stdout"
+            raise UsageError("this result is files, not a stream: name one", hint=hint)
+        atomic.check_writable(output, inputs=inputs)
+        if not self.force and not provenance.is_own(output):
+            raise UsageError(
+                f"{output} exists and was not written by swimid", hint="name another output, or give --force"
+            )
+
+
+def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
+    """Yield warnings by code, wrapped. Of more than ``most`` with one code, yield three and a count."""
+    wrapped = partial(
+        textwrap.fill,
+        width=WIDTH,
+        subsequent_indent="    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    for code in dict.fromkeys(one.code for one in notices):
+        shown = [one.text for one in notices if one.code == code]
+        more = len(shown) - 3
+        if len(shown) > most:
+            shown = shown[:3]
+        yield from (wrapped(f"warning {code}: {text}") for text in shown)
+        if len(shown) == 3 and more > 0:
+            yield f"warning {code}: {more} more like these; -v prints them"
+
+
+@contextmanager
+def _bar(description: str, total: int | None = None) -> Iterator[Step]:
+    """Draw a progress bar on stderr, and remove it at the end."""
+    steps = range(total or 0)
+    if total is None:
+        steps = count()  # type: ignore[assignment]
+    with click.progressbar(steps, label=description, file=sys.stderr, show_pos=True) as bar:
+
+        def step(amount: int = 1) -> None:
+            bar.update(amount)
+
+        step.note = lambda text: setattr(bar, "label", f"{description}: {text}")  # type: ignore[attr-defined]
+        yield step
+    click.echo(ERASE_BAR, file=sys.stderr, nl=False)
+
+
+# ---------------------------------------------------------------- commands
 
 
 @dataclass(frozen=True)
@@ -35,7 +239,7 @@ class CommandSpec:
 
     Attributes
     ----------
-    command, section, output, argument, output_flags, required, stdout, beside, function
+    command, section, output, argument, output_flags, required, stdout, beside, function, module
         Arguments of the class.
     package, options, help : str
         Name of the package, name of the class, and docstring of the class.
@@ -53,6 +257,7 @@ class CommandSpec:
     stdout: Mapping[str, Any] | None = None
     beside: tuple[str, ...] = (EVIDENCE,)
     function: str = ""
+    module: str = ""
 
     def model(self) -> type[Options]:
         """Import and return the class of the options."""
@@ -62,7 +267,7 @@ class CommandSpec:
     def run(self) -> Any:
         """Import and return the function of the command."""
         name = self.function or re.sub("[ -]", "_", self.command)
-        return getattr(importlib.import_module(f"{self.package}.{name}"), name)
+        return getattr(importlib.import_module(f"{self.package}.{self.module or name}"), name)
 
 
 @cache
@@ -94,79 +299,81 @@ class Command(click.Command):
         name = spec.command.split()[-1]
         super().__init__(name, params=[output, *SHARED], callback=self._called, help=help)
         self.spec = spec
-        self._own: list[click.Parameter] | None = None
+
+    @cached_property
+    def _own(self) -> list[click.Parameter]:
+        return [*_argument(self.spec.argument), *map(_option, self.spec.model().declared().values())]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the file argument, the options of this command, and the options of every command."""
-        if self._own is None:
-            declared = self.spec.model().declared().values()
-            self._own = [*_argument(self.spec.argument), *(_option(entry) for entry in declared)]
         return [*self._own, *super().get_params(ctx)]
 
     def _called(self, *, files: Any = None, **typed: Any) -> None:
-        """Read the options, protect the outputs, call the function, and print or store the outcome."""
-        shared = Shared.taken_from(typed)
+        """Run the command with the values that were typed."""
+        run = Run(self.spec.command, **{one.name: typed.pop(one.name) for one in fields(Run)[1:]})
+        run(partial(self._outcome, run, files, typed))
+
+    def _outcome(self, run: Run, files: Any, typed: dict[str, Any]) -> Result:
+        """Read the options, protect the outputs, call the function, and return its result."""
         spec = self.spec
-        with running(spec.command, shared) as run:
-            declared = spec.model().declared()
-            options = {name: value_of(declared[name], text) for name, text in typed.items()}
-            output = shared.output
-            if spec.stdout is not None and (output is None or str(output) == "-"):
-                output = None
-                options |= {name: value for name, value in spec.stdout.items() if options[name] is None}
-            read = [*(files if isinstance(files, tuple) else (files,))] if files else []
-            read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
-            written = [options[entry.name] for entry in declared.values() if entry.written]
-            written = [place for place in [output, *written] if place is not None]
-            _insist_distinct(written)
-
-            def allow(path: Path | None) -> None:
-                protect(path, shared, inputs=read)
-
-            function = spec.run()
-            offered: dict[str, Any] = {"progress": run.progress, "force": shared.force, "allow": allow}
-            given = {
-                name: offered[name] for name in inspect.signature(function).parameters if name in offered
-            }
-            if not {"allow", "force"} & set(given):
-                for place in written:
-                    allow(place)
-            if output is not None and not output.is_dir():
-                _protect_beside(output, spec, shared)
-            outcome = function(*([files] if files else []), output=output, **options, **given)
-            if spec.stdout is not None and output is None and not shared.as_json:
-                # the document is the result: print it also with --quiet
-                click.echo(outcome.text)
-                outcome = replace(outcome, text="")
-            run.outcome = outcome
+        declared = spec.model().declared()
+        options = {name: value_of(declared[name], text) for name, text in typed.items()}
+        output = run.output
+        if spec.stdout is not None and (output is None or str(output) == "-"):
+            output = None
+            options |= {name: value for name, value in spec.stdout.items() if options[name] is None}
+        read = [files]
+        if isinstance(files, tuple):
+            read = list(files)
+        read += [file for entry in declared.values() for file in entry.files(options[entry.name])]
+        written = [options[entry.name] for entry in declared.values() if entry.written]
+        written = [place for place in [output, *written] if place is not None]
+        _insist_distinct(written)
+        allow = partial(run.protect, inputs=read)
+        function = spec.run()
+        taken = inspect.signature(function).parameters.keys()
+        offered = {"progress": run.progress, "force": run.force, "allow": allow}
+        given: dict[str, Any] = {name: offered[name] for name in offered if name in taken}
+        if not {"allow", "force"} & taken:
+            for place in written:
+                allow(place)
+        if output is not None and not output.is_dir():
+            _protect_beside(output, spec, run)
+        outcome: Result = function(*filter(None, [files]), output=output, **options, **given)
+        if spec.stdout is not None and output is None and not run.as_json:
+            # the document is the result: print it also with --quiet
+            click.echo(outcome.text)
+            outcome = replace(outcome, text="")
+        return outcome
 
 
 def _argument(metavar: str) -> list[click.Parameter]:
     """Return the positional argument: ``LOG...`` is several files, ``[NAME]`` is an optional word."""
     if not metavar:
         return []
-    count = (1, -1)[metavar.endswith("...")]
-    if metavar.startswith("["):
-        return [click.Argument(["files"], nargs=count, required=False, metavar=metavar, type=str)]
-    path = click.Path(path_type=Path)
-    return [click.Argument(["files"], nargs=count, required=True, metavar=metavar, type=path)]
+    kind: click.ParamType = click.Path(path_type=Path)
+    count = 1
+    if metavar.endswith("..."):
+        count = -1
+    optional = metavar.startswith("[")
+    if optional:
+        kind = click.STRING
+    return [click.Argument(["files"], nargs=count, required=not optional, metavar=metavar, type=kind)]
 
 
 def _option(entry: Declared) -> click.Option:
     """Return the click option. A value of several words is parsed when the command runs."""
     names = [entry.flags, entry.name]
-    if entry.kind is bool:
-        shown = "/" in entry.flags and entry.default is not None
-        return click.Option(names, is_flag=True, default=entry.default, show_default=shown, help=entry.help)
-    word = word_of(entry)
+    about: dict[str, Any] = {"help": entry.help, "metavar": entry.metavar, **word_of(entry)}
     if entry.required:
         # no default: click does not require an option that has a default, even if it is None
-        return click.Option(names, required=True, metavar=entry.metavar, help=entry.help, **word)
-    default = (entry.default or None) if word.get("multiple") else entry.default
-    shown = default is not None
-    return click.Option(
-        names, metavar=entry.metavar, help=entry.help, default=default, show_default=shown, **word
-    )
+        return click.Option(names, required=True, **about)
+    default, shown = entry.default, entry.default is not None
+    if entry.kind is bool:
+        shown = shown and "/" in entry.flags
+    elif default in ((), {}):
+        default, shown = None, False
+    return click.Option(names, default=default, show_default=shown, **about)
 
 
 def _insist_distinct(places: list[Path]) -> None:
@@ -177,13 +384,13 @@ def _insist_distinct(places: list[Path]) -> None:
             raise UsageError(f"two outputs would be written to {place}", hint="name another file for one")
 
 
-def _protect_beside(output: Path, spec: CommandSpec, shared: Shared) -> None:
+def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
     """Refuse to replace files of other programs, or evidence of other results, next to the output."""
     from swimid.results import evidence
 
     for ending in spec.beside:
-        protect(output.with_name(output.stem + ending), shared)
-    if EVIDENCE in spec.beside and not shared.force:
+        run.protect(output.with_name(output.stem + ending))
+    if EVIDENCE in spec.beside and not run.force:
         evidence.check_beside(output)
 
 
@@ -192,17 +399,19 @@ def _protect_beside(output: Path, spec: CommandSpec, shared: Shared) -> None:
 
 def word_of(entry: Declared) -> dict[str, Any]:
     """Return the type arguments of a click option: ``type``, and ``multiple`` or ``nargs``."""
-    kind, args = entry.kind, get_args(entry.kind)
-    if _is_mapping(kind):
-        return {"type": str, "multiple": True}
-    if get_origin(kind) is not tuple:
-        return {"type": _simple(kind, entry.limits)}
-    if args[-1] is not Ellipsis:
-        return {"type": str} if _by_commas(entry) else {"type": args[0], "nargs": len(args)}
-    one = get_args(args[0]) if get_origin(args[0]) is tuple else ()
-    if one:
-        return {"type": one[0], "multiple": True, "nargs": len(one)}
-    return {"type": str if entry.separated else _simple(args[0], {}), "multiple": True}
+    one, args = entry.kind, get_args(entry.kind)
+    word: dict[str, Any] = {}
+    if one is bool:
+        return {"is_flag": True}
+    if args and args[-1] is Ellipsis:
+        one, word = args[0], {"multiple": True}
+    if _is_mapping(entry.kind):
+        one, word = str, {"multiple": True}
+    if entry.separated or _by_commas(entry):
+        one = str
+    if get_origin(one) is tuple:
+        return word | {"type": get_args(one)[0], "nargs": len(get_args(one))}
+    return word | {"type": _simple(one, entry.limits)}
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
@@ -217,15 +426,14 @@ def value_of(entry: Declared, typed: Any) -> Any:
         return None
     kind = entry.kind
     if _is_mapping(kind):
-        items, value = _named(typed, entry.flag), get_args(kind)[1]
-        if value not in _READERS:
-            return swept(items, entry.flag)
-        return {name: _READERS[value](text, entry.flag) for name, text in items}
+        return _named(typed, entry)
     if reads := getattr(next(iter(get_args(kind)), None), "of_text", None):
         return tuple(reads(text, entry.flag) for text in typed)
     if entry.separated:
         return tuple(part.strip() for text in typed for part in text.split(",") if part.strip())
-    return number_pair(typed, entry.flag) if _by_commas(entry) else typed
+    if _by_commas(entry):
+        return _numbers(typed, kind, entry, typed, "two numbers with a comma between them")
+    return typed
 
 
 def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
@@ -254,55 +462,39 @@ def _by_commas(entry: Declared) -> bool:
     return pair and "," in (entry.metavar or "")
 
 
-def number(text: str, option: str) -> float:
-    """Read one finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise UsageError(f"{option}: '{text}' is not a number")
-    return value
+def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> Any:
+    """Read the finite numbers of a value: one number, or a tuple if the type is a tuple."""
+    parts = re.split("[,:]", text)
+    count = max(len(get_args(kind)), 1)
+    if len(parts) != count:
+        raise UsageError(f"{entry.flag}: '{whole}' should be {form}")
+    numbers = []
+    for part in parts:
+        try:
+            numbers.append(float(part))
+        except ValueError:
+            numbers.append(math.nan)
+        if not math.isfinite(numbers[-1]):
+            raise UsageError(f"{entry.flag}: '{part}' is not a number")
+    if count == 1:
+        return numbers[0]
+    return tuple(numbers)
 
 
-def number_pair(text: str, option: str) -> tuple[float, float]:
-    """Read two numbers with a comma between them."""
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise UsageError(f"{option}: '{text}' should be two numbers with a comma between them")
-    return number(parts[0], option), number(parts[1], option)
-
-
-def swept(items: list[tuple[str, str]], option: str) -> dict[str, tuple[float, float, int]]:
-    """Read ``NAME=LOW:HIGH:COUNT`` items."""
-    sweeps = {}
-    for name, value in items:
-        parts = value.split(":")
-        if len(parts) != 3 or not parts[2].strip().isdigit():
-            raise UsageError(f"{option}: '{name}={value}' should be NAME=LOW:HIGH:COUNT")
-        if name in sweeps:
-            raise UsageError(f"{option}: {name} is given twice")
-        sweeps[name] = (number(parts[0], option), number(parts[1], option), int(parts[2]))
-    return sweeps
-
-
-def _named(texts: tuple[str, ...], option: str) -> list[tuple[str, str]]:
+def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
     """Read ``NAME=VALUE`` items."""
-    pairs = []
+    kind, named = get_args(entry.kind)[1], {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise UsageError(f"{option}: '{text}' should be NAME=VALUE")
-        pairs.append((name.strip(), value))
-    return pairs
-
-
-#: Function that reads a value of a mapping, by the type of the value.
-_READERS: dict[Any, Callable[[str, str], Any]] = {
-    float: number,
-    str: lambda text, option: text.strip(),
-    tuple[float, float]: number_pair,
-}
+            raise UsageError(f"{entry.flag}: '{text}' should be NAME=VALUE")
+        if name.strip() in named:
+            raise UsageError(f"{entry.flag}: {name.strip()} is given twice")
+        found: Any = value.strip()
+        if kind is not str:
+            found = _numbers(value, kind, entry, text, entry.metavar or "NAME=VALUE")
+        named[name.strip()] = found
+    return named
 
 
 # ---------------------------------------------------------------- groups of commands

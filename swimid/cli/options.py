@@ -11,9 +11,9 @@ class ImportLogOptions(
     command="import",
     section="Make logs",
     function="import_log",
+    module="commands",
     argument="FILE",
     output="The log, CSV or Parquet by its ending; with --guess the mapping.",
-    beside=(),
 ):
     """Import a log: delimited text, MATLAB, HDF5, Parquet, MCAP, ULog.
 
@@ -38,6 +38,7 @@ class DoctorOptions(
     Options,
     command="doctor",
     section="Help yourself",
+    module="commands",
     argument="",
     output="Write the findings as JSON to this file.",
     beside=(),
@@ -55,6 +56,7 @@ class SchemaOptions(
     Options,
     command="schema",
     section="Help yourself",
+    module="commands",
     argument="[NAME]",
     output="Write the schema to this file instead of stdout.",
     beside=(),

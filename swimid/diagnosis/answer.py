@@ -50,7 +50,7 @@ from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.covariance import sandwich
 from swimid.fitting.model import Array, Parameter, Trial
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.results.parameters import Estimate
 
 #: Significance level (two-sided, for all parameters together) at which a parameter is reported as moved.

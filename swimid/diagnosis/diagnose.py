@@ -18,10 +18,9 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks
+from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation import compare_series
@@ -167,7 +166,7 @@ def diagnose(
                 rows, without = power.shown(context, applicable, asked, seed=options.seed)
             keep.done()
             could = power.PowerFile(**about, effects=rows, left_out=without)
-            shown = power.evidence(could, blocks.notices(notices))
+            shown = power.evidence(could, ev.notices(notices))
             return power.DetectionPower.of(could, shown).saved(output)
         others, alike = readings.others(experiment, fitted)
         effects = [*applicable, *others, *begun.changes]
@@ -186,9 +185,7 @@ def diagnose(
         "as_given": as_given,
     }
     file = file.model_copy(update=about)
-    rests_on = evidence.evidence(
-        file, worst, sources=experiment.robot.sources, notices=blocks.notices(notices)
-    )
+    rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
     made = Diagnosis.of(file, rests_on).saved(output)
     keep.done()
     return made

@@ -33,7 +33,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Array, Model, Trial
 from swimid.fitting.problem import map_in_processes
 from swimid.logs.sampling import white_noise_sd
-from swimid.progress import Progress, show, silent
+from swimid.notices import Progress, show, silent
 
 #: Maximum change of a sample by a doubled integration step, as a fraction of the range of the channel. If a
 #: tenth of the noise is larger, that is the maximum.

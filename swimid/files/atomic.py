@@ -15,14 +15,14 @@ import tempfile
 import threading
 import unicodedata
 import weakref
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import swimid
 from swimid.errors import InputError, UsageError, file_errors
@@ -78,47 +78,40 @@ def is_device(path: Path) -> bool:
 class _Group:
     """Files that are written under temporary names and then renamed to their final names together."""
 
-    temporaries: list[Path] = field(default_factory=list)
-    #: Temporary name of each complete file, by its final name.
-    pending: dict[Path, Path] = field(default_factory=dict)
-    #: Files to remove, and folders that were created for this group.
-    removed: list[Path] = field(default_factory=list)
-    folders: list[Path] = field(default_factory=list)
+    #: Temporary name of each complete file by its final name; None for a file that is removed.
+    pending: dict[Path, Path | None] = field(default_factory=dict)
+    #: Removal of temporary files, and of new folders that are empty, at the end of the group.
+    cleanup: ExitStack = field(default_factory=ExitStack)
 
     def commit(self) -> None:
         """Rename every file to its final name. Ctrl-C is delayed, and an error undoes the renaming."""
-        several = len(self.pending) + len(self.removed) > 1
-        before: dict[Path, Path | None] = {}
+        backups: dict[Path, Path] = {}
+        done: list[Path] = []
         with _uninterrupted():
             try:
-                for path in (*self.pending, *self.removed):
-                    before[path] = _second_name(path) if several and path.exists() else None
+                for path in self.pending:
+                    if len(self.pending) > 1 and path.exists():
+                        backups[path] = _second_name(path)
                 for path, temporary in self.pending.items():
-                    temporary.chmod(_mode(path))
+                    if temporary is None:
+                        path.unlink(missing_ok=True)
+                        continue
+                    if path.exists():
+                        shutil.copymode(path, temporary)
                     temporary.replace(path)
-                for path in self.removed:
-                    path.unlink(missing_ok=True)
+                    done.append(path)
             except OSError as error:
-                for path, spare in before.items():
+                for undone in {*done, *backups}:
                     with suppress(OSError):
-                        if spare is not None:
-                            spare.replace(path)
-                        elif path in self.pending and not self.pending[path].exists():
-                            path.unlink()
+                        if undone in backups:
+                            backups[undone].replace(undone)
+                        else:
+                            undone.unlink()
                 raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
             finally:
-                for spare in filter(None, before.values()):
+                for spare in backups.values():
                     spare.unlink(missing_ok=True)
-            self.folders.clear()
-            _WRITTEN.get([]).extend(self.pending)
-
-    def discard(self) -> None:
-        """Remove the temporary files that were not renamed, and the folders created for this group."""
-        for temporary in self.temporaries:
-            temporary.unlink(missing_ok=True)
-        for folder in reversed(self.folders):
-            with suppress(OSError):  # somebody else has put a file there
-                folder.rmdir()
+            _WRITTEN.get([]).extend(done)
 
 
 _GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
@@ -143,11 +136,11 @@ def together() -> Iterator[_Group]:
     group = _Group()
     token = _GROUP.set(group)
     try:
-        yield group
-        group.commit()
+        with group.cleanup:
+            yield group
+            group.commit()
     finally:
         _GROUP.reset(token)
-        group.discard()
 
 
 @contextmanager
@@ -177,14 +170,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
     target = path
     if path.is_symlink():  # the link stays, and the file it points to is replaced
         target = Path(os.path.realpath(path))
-    folder = None if is_device(path) else target.parent
+    temporary = target.with_name(f".{target.stem}-{uuid4().hex}{path.suffix}")
+    if is_device(path):
+        temporary = Path(tempfile.gettempdir()) / temporary.name
     with file_errors(path, "written"), together() as group:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=path.suffix, dir=folder)
-        os.close(handle)
-        temporary = Path(name)
-        group.temporaries.append(temporary)
+        temporary.touch(exist_ok=False)
+        group.cleanup.callback(temporary.unlink, missing_ok=True)
         yield temporary
-        if folder is None:
+        if is_device(path):
             path.write_bytes(temporary.read_bytes())
         else:
             with temporary.open("r+b") as stream:
@@ -201,7 +194,7 @@ def write_text(path: str | Path, text: str) -> None:
 def remove(path: Path) -> None:
     """Remove an obsolete file when the group of the file that replaces it ends without an error."""
     with together() as group:
-        group.removed.append(path)
+        group.pending[path] = None
 
 
 def make_folder(path: Path) -> None:
@@ -216,7 +209,12 @@ def make_folder(path: Path) -> None:
         return
     with file_errors(path, "made"), together() as group:
         path.mkdir()
-        group.folders.append(path)
+        group.cleanup.callback(_remove_empty, path)
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # it has files
+        folder.rmdir()
 
 
 @contextmanager
@@ -250,56 +248,27 @@ def _uninterrupted() -> Iterator[None]:
 
 def _second_name(path: Path) -> Path:
     """Return the path of a hidden backup, from which the file can be restored."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".before", dir=path.parent)
-    os.close(handle)
-    spare = Path(name)
+    spare = path.with_name(f".{path.stem}-{uuid4().hex}.before")
     try:
-        spare.unlink()
         os.link(path, spare)
     except OSError:  # a file system without links
         shutil.copy2(path, spare)
     return spare
 
 
-def _mode(path: Path) -> int:
-    """Return the permissions of a new file: those of the old file, or the default ones."""
-    if path.exists():
-        return path.stat().st_mode & 0o777
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask
-
-
 # ---------------------------------------------------------------- one run at a time
 
 
-@dataclass(eq=False)
-class Lock:
-    """Lock of an output: the file ``<output>.lock``, which names the process that holds the lock.
+#: Each lock of this process and the thread that took it last, by the path of the lock file. Without a
+#: reference to it, a lock would be released.
+_TAKEN: dict[Path, tuple[BaseFileLock, threading.Thread]] = {}
+
+
+def lock(output: Path) -> BaseFileLock:
+    """Lock an output with the file ``<output>.lock``, which names the process that holds the lock.
 
     A lock of a process that no longer runs is replaced. A thread can lock an output again that it has locked
-    already, directly or through a run that failed.
-    """
-
-    file: BaseFileLock
-    thread: threading.Thread = field(default_factory=threading.current_thread)
-    holders: int = 1
-
-    def release(self) -> None:
-        """Release the lock once. The last release, one for each call of :func:`lock`, removes the file."""
-        self.holders -= 1
-        path = Path(self.file.lock_file)
-        if self.holders == 0 and _HELD.get(path) is self:
-            del _HELD[path]
-            self.file.release()
-
-
-#: Locks that this process holds, by the path of their file.
-_HELD: dict[Path, Lock] = {}
-
-
-def lock(output: Path) -> Lock:
-    """Lock an output and return the lock.
+    already, directly or through a run that failed. The last release, one for each call, removes the file.
 
     Raises
     ------
@@ -311,14 +280,13 @@ def lock(output: Path) -> Lock:
     from filelock import SoftFileLock, Timeout  # the import takes 60 ms
 
     path = output.resolve().with_name(f"{output.name}.lock")
-    own, thread = _HELD.get(path), threading.current_thread()
-    if own is not None and (own.thread is thread or not own.thread.is_alive()):
-        own.thread = thread
-        own.holders += 1
-        return own
-    file = SoftFileLock(path, timeout=0, thread_local=False)
+    file = SoftFileLock(path, timeout=0, thread_local=False, is_singleton=True)
+    thread = threading.current_thread()
+    holder = _TAKEN.get(path, (file, thread))[1]
     with file_errors(output, "locked"):
         try:
+            if file.is_locked and holder is not thread and holder.is_alive():
+                raise Timeout(str(path))
             file.acquire()
         except Timeout:
             who = "another run of swimid"
@@ -328,14 +296,14 @@ def lock(output: Path) -> Lock:
                 f"{output} is being written by {who}",
                 hint=f"wait for it, or name another output; if no such run exists, delete {path}",
             ) from None
-    _HELD[path] = Lock(file)
-    return _HELD[path]
+    _TAKEN[path] = file, thread
+    return file
 
 
 @contextmanager
 def locked(output: Path | None) -> Iterator[None]:
     """Hold the lock of an output during the block. A device or a stream is not locked."""
-    stored = output is not None and (output.is_file() or output.is_dir() or not output.exists())
+    stored = output is not None and (output.is_dir() or not is_device(output))
     if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
         yield
         return
@@ -357,15 +325,6 @@ def place(output: Path) -> Path:
     return output.with_name(f"{output.name}.partial")
 
 
-#: Number of stored pieces of the latest run of this process, by the path of the checkpoint.
-_PIECES: Counter[Path] = Counter()
-
-
-def has_pieces(output: Path) -> bool:
-    """Return whether the checkpoint of an output has pieces of the latest run of this process."""
-    return _PIECES[place(output)] > 0
-
-
 class Checkpoint:
     """Named pieces of a computation (arrays of numbers), each stored as one JSON line.
 
@@ -379,8 +338,6 @@ class Checkpoint:
         Checkpoint file. None stores nothing.
     key : str
         SHA-256 of the inputs and settings that determine the results.
-    anew : bool
-        Whether to discard the pieces that an earlier run with this key has stored.
 
     Raises
     ------
@@ -397,7 +354,7 @@ class Checkpoint:
         A piece cannot be stored, for instance because the disk is full.
     """
 
-    def __init__(self, path: Path | None = None, key: str = "", *, anew: bool = False) -> None:
+    def __init__(self, path: Path | None = None, key: str = "") -> None:
         self.path = path
         self._key = key
         self._known: dict[str, list[float]] = {}
@@ -411,19 +368,14 @@ class Checkpoint:
         # release the lock also after a failed run, when the checkpoint object is deleted
         self._release = weakref.finalize(self, lock(path.with_suffix("")).release)
         with file_errors(path):
-            self._read(path, anew)
+            self._read(path)
 
     @classmethod
-    def beside(cls, output: Path | None, belongs_to: Any, *, anew: bool = False) -> Checkpoint:
+    def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
         """Return the checkpoint of an output, with a key from ``belongs_to`` and the version of swimid."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = output and place(output)
-        return cls(path, hashlib.sha256(text.encode()).hexdigest(), anew=anew)
-
-    @property
-    def begun(self) -> bool:
-        """Whether an earlier run with the same key has stored pieces."""
-        return bool(self._known)
+        return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     def get(self, name: str) -> NDArray[np.float64] | None:
         """Return the values stored under a name; None if there are none."""
@@ -444,7 +396,6 @@ class Checkpoint:
                 with self.path.open("a", encoding="utf-8") as stream:
                     # the last line may be incomplete after a failed write: begin a new line
                     stream.write("\n" * self._full + json.dumps(line) + "\n")
-                _PIECES[self.path] += 1
             except OSError as error:
                 if not self._full:
                     warn("SWM151", f"{self.path} cannot be written: {error.strerror or error}")
@@ -462,58 +413,50 @@ class Checkpoint:
         """Remove the lines of this run, whose result is now written. Lines of other runs stay."""
         if self.path is None:
             return
-        self._rewrite()
-        _PIECES[self.path] = 0
-        self._release()
-
-    def _rewrite(self) -> None:
-        """Rewrite the file with the lines of other runs only."""
-        assert self.path is not None
         if self._others:
             with noted():  # no output of the command
                 write_text(self.path, "".join(f"{line}\n" for line in self._others))
         else:
             self.path.unlink(missing_ok=True)
+        self._release()
 
     def _key_of(self, name: str) -> str:
         return hashlib.sha256(f"{self._key}\n{name}".encode()).hexdigest()[:DIGITS]
 
-    def _read(self, path: Path, anew: bool) -> None:
+    def _read(self, path: Path) -> None:
         """Sort the lines of the file into lines of this run, lines of other runs and damaged lines."""
-        raw = path.read_bytes() if path.is_file() else b""
+        raw = b""
+        if path.is_file():
+            raw = path.read_bytes()
         lines = [line.decode("utf-8", "replace") for line in raw.splitlines() if line.strip()]
         if lines and not lines[0].startswith('{"key"'):
             raise UsageError(f"{path} is not a checkpoint of swimid", hint="move it away, or delete it")
         damaged = 0
         for line in lines:
-            key, name, values = _parsed(line)
-            if not key:
+            try:
+                piece = json.loads(line)
+                key, name, values = piece["key"], str(piece["name"]), [float(v) for v in piece["values"]]
+            except (ValueError, TypeError, KeyError):
                 damaged += 1
-            elif key != self._key_of(name):
-                self._others.append(line)
-            elif not anew:
+                continue
+            if key == self._key_of(name):
                 self._known[name] = values
-        _PIECES[path] = len(self._known)
-        if anew:
-            self._rewrite()
-        elif lines and not raw.endswith(b"\n"):
+            else:
+                self._others.append(line)
+        if lines and not raw.endswith(b"\n"):
             with path.open("ab") as stream:
                 stream.write(b"\n")
         others = len(self._others)
-        reasons = {"of runs with other inputs or options, or of another version": others, "damaged": damaged}
-        if others or damaged:
-            told = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
+        told = []
+        if others:
+            told.append(f"{others} of runs with other inputs or options, or of another version")
+        if damaged:
+            told.append(f"{damaged} damaged")
+        if told:
+            text = f"{path}: {others + damaged} of {len(lines)} lines were ignored: {', '.join(told)}"
             if others:
-                told += f"; delete {path.name} if nobody goes on with those runs"
-            warn("SWM150", f"{path}: {others + damaged} of {len(lines)} lines were ignored: {told}")
-
-
-def _parsed(line: str) -> tuple[str, str, list[float]]:
-    """Return key, name and values of a line; the key of a damaged line is empty."""
-    with suppress(ValueError, TypeError, KeyError):
-        piece = json.loads(line)
-        return str(piece["key"]), str(piece["name"]), [float(value) for value in piece["values"]]
-    return "", "", []
+                text += f"; delete {path.name} if nobody goes on with those runs"
+            warn("SWM150", text)
 
 
 # ---------------------------------------------------------------- file names

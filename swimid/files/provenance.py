@@ -7,7 +7,6 @@ the word "swimid" anywhere. ``docs/formats.md`` lists the marks.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import shlex
@@ -17,7 +16,6 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +103,7 @@ def collect(
         "command": command_line(),
         "version": swimid.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "inputs": digests_of(inputs) if digests is None else digests,
+        "inputs": digests or digests_of(inputs),
         "packages": _versions(),
     }
     if simulated := [os.path.relpath(path_of(given)) for given in inputs if says_simulated(given)]:
@@ -120,31 +118,38 @@ def says_simulated(given: Input) -> bool:
 
     The statement is in the comments at the top of a file, or in the metadata of a log in memory.
     """
-    if not isinstance(given, str | Path):
-        lines = [f"{key}: {value}" for key, value in getattr(given, "metadata", {}).items()]
-        return any(map(_SIMULATED.search, lines))
-    with file_errors(given), Path(given).open("rb") as stream:
+    if isinstance(given, str | Path):
+        head = _head(Path(given))
+    else:
+        head = "".join(f"#{key}: {value}\n" for key, value in getattr(given, "metadata", {}).items())
+    return _SIMULATED.match(head) is not None
+
+
+def _head(path: Path) -> str:
+    """Return the beginning of a file as text. Metadata of a Parquet file by swimid are comment lines."""
+    with file_errors(path), path.open("rb") as stream:
         head = stream.read(NEAR)
     if head.startswith(b"PAR1"):
-        return any(map(_SIMULATED.search, _parquet_comments(Path(given))))
-    return any(map(_SIMULATED.search, _comments(head.decode("utf-8-sig", "replace"))))
+        pyarrow, head = tabular.pyarrow(), b"PAR1"
+        with suppress(pyarrow.ArrowInvalid):
+            stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
+            head = b"".join(b"#%b\n" % line for line in stored.splitlines())
+    return head.decode("utf-8-sig", "replace").replace("\r\n", "\n")
 
 
 def command_line() -> str:
     """Return the command as it was typed, without the folder of the program."""
-    program = Path(sys.argv[0]).name
-    return shlex.join(["swimid" if program == "__main__.py" else program, *sys.argv[1:]])
+    program = Path(sys.argv[0]).name.replace("__main__.py", "swimid")
+    return shlex.join([program, *sys.argv[1:]])
 
 
 def _versions() -> dict[str, str]:
     """Return the versions of Python and of the imported libraries."""
-    labels = ("numpy", "scipy", "numba", "pandas", "opencv", "control")
-    loaded = {label: sys.modules.get(label.replace("opencv", "cv2")) for label in labels}
-    return {"python": sys.version.split()[0]} | {
-        label: str(getattr(module, "__version__", "unknown"))
-        for label, module in loaded.items()
-        if module is not None
-    }
+    versions = {"python": sys.version.split()[0]}
+    for name in ("numpy", "scipy", "numba", "pandas", "cv2", "control"):
+        if name in sys.modules:
+            versions[name.replace("cv2", "opencv")] = str(sys.modules[name].__version__)
+    return versions
 
 
 # ---------------------------------------------------------------- marks of files that swimid wrote
@@ -155,28 +160,37 @@ SOFTWARE = "swimid"
 MADE_BY = "made by swimid"
 #: ``free`` box at the end of a video file, which players skip (ISO/IEC 14496-12, section 8.1.2).
 VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
-#: Formats that people also write by hand. A file of such a format is never recognised as swimid's.
-AUTHORED = ("trials", "robot", "setup", "mapping")
 #: Maximum distance of the mark of a text file from the start or the end of the file, bytes.
 NEAR = 65536
 
-_SIMULATED = re.compile(r"\b(?:simulated?|synthetic)\b")
-_LOG = re.compile(r"(?:made_by|imported_by): *['\"]?swimid [a-z]")
-_FORMAT = re.compile(r"swimid-([a-z-]+)/\d+")
-#: Patterns of the marks at the beginning of a text, including the text that precedes the mark.
-_BEGINNINGS = (
-    re.compile(r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d"),
-    re.compile(r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
-               r"<meta name=\"generator\" content=\"swimid "),
-    re.compile(r"/\*(?:(?!\*/).)*\*/\s*#ifndef SWIMID_STIFFNESS_RULE_H\b", re.DOTALL),
-    re.compile(r"index,profile,(?:[^,\n]+,)+[^,\n]+\[[^\n]*\]\n"),
-)  # fmt: skip
-_SVG = re.compile(
-    r"<\?xml [^>]*>\s*(?:<!DOCTYPE [^>]*>\s*)?<svg [^>]*>\s*<metadata>(?:(?!</metadata>).)*"
-    r"<dc:creator>\s*<cc:Agent>\s*<dc:title>swimid</dc:title>",
+_SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
+#: Pattern of a format that swimid writes. People also write the other formats by hand.
+_FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
+#: Patterns of the marks at the beginning of a file, including what precedes the mark: log, JSON, JSON Schema,
+#: findings of ``doctor``, XML, HTML, C header, CSV of a front, SVG, PNG, GIF.
+_BEGINNING = re.compile(
+    "|".join((
+        r"(?:#[^\n]*\n|\n)*?# *(?:made_by|imported_by): *['\"]?swimid [a-z]",
+        rf'\{{\s*"format": ?"{_FORMAT}"',
+        r'\{\s*"\$schema": "[^"]*",\s*"\$comment": "written by swimid ',
+        r'\{\s*"swimid": "[^"]*",\s*"python": ',
+        r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d",
+        r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
+        r'<meta name="generator" content="swimid ',
+        r"/\*(?:(?!\*/).)*\*/\s*#ifndef SWIMID_STIFFNESS_RULE_H\b",
+        r"index,profile,(?:[^,\n]+,)+[^,\n]+\[[^\n]*\]\n",
+        r"<\?xml [^>]*>\s*(?:<!DOCTYPE [^>]*>\s*)?<svg [^>]*>\s*<metadata>(?:(?!</metadata>).)*"
+        r"<dc:creator>\s*<cc:Agent>\s*<dc:title>swimid</dc:title>",
+        r".PNG(?:(?!IDAT).)*\x0ftEXtSoftware\x00swimid",
+        r"GIF8.{,4000}?!.\x0emade by swimid\x00",
+    )),
     re.DOTALL,
-)
+)  # fmt: skip
+#: Pattern of the mark at the end of a Markdown page.
 _MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
+#: Patterns of the first line of a YAML file, and of the origin of the file, which may follow anywhere.
+_YAML = re.compile(rf"format: *['\"]?{_FORMAT}['\"\s]")
+_ORIGIN = re.compile(r"^provenance:\n(?: .*\n)*?  version: ", re.MULTILINE)
 
 
 def is_own(path: Path) -> bool:
@@ -189,17 +203,16 @@ def is_own(path: Path) -> bool:
     """
     if not path.is_file():
         return True
-    with file_errors(path), suppress(ValueError):  # neither JSON nor Parquet
-        with path.open("rb") as stream:
-            head = stream.read(NEAR)
-            stream.seek(max(path.stat().st_size - NEAR, 0))
-            tail = stream.read()
-        if head[:4] == b"PAR1":
-            return any(_LOG.match(line) for line in _parquet_comments(path))
-        if head[:4] in (b"\x89PNG", b"GIF8"):
-            return _own_picture(path)
-        return not head or tail.endswith(VIDEO_BOX) or _own_text(path, head, tail)
-    return False
+    start = _head(path)
+    with file_errors(path), path.open("rb") as stream:
+        stream.seek(max(path.stat().st_size - NEAR, 0))
+        tail = stream.read()
+    if not tail or tail.endswith(VIDEO_BOX):
+        return True
+    if _YAML.match(start):
+        return _ORIGIN.search(path.read_text(encoding="utf-8", errors="replace")) is not None
+    end = tail.decode("utf-8", "replace").replace("\r\n", "\n")
+    return _BEGINNING.match(start) is not None or _MARKDOWN.search(end) is not None
 
 
 def mark_png(data: bytes) -> bytes:
@@ -208,56 +221,3 @@ def mark_png(data: bytes) -> bytes:
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
     after_header = 8 + 25  # signature and IHDR chunk
     return data[:after_header] + chunk + data[after_header:]
-
-
-def _comments(text: str) -> list[str]:
-    """Return the comment lines at the top of a text, without ``#``."""
-    lines = takewhile(lambda line: line.startswith("#") or not line, text.split("\n"))
-    return [line[1:].strip() for line in lines]
-
-
-def _parquet_comments(path: Path) -> list[str]:
-    """Return the metadata lines that swimid stored in a Parquet file; empty for files of other programs."""
-    pyarrow = tabular.pyarrow()
-    try:
-        stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
-    except pyarrow.ArrowInvalid:
-        return []
-    lines: list[str] = stored.decode("utf-8", "replace").splitlines()
-    return lines
-
-
-def _own_picture(path: Path) -> bool:
-    from PIL import Image, UnidentifiedImageError
-
-    with suppress(UnidentifiedImageError), Image.open(path) as picture:
-        return picture.info.get("Software") == SOFTWARE or picture.info.get("comment") == MADE_BY.encode()
-    return False
-
-
-def _own_text(path: Path, head: bytes, tail: bytes) -> bool:
-    start = head.decode("utf-8-sig", "replace").replace("\r\n", "\n")
-    end = tail.decode("utf-8", "replace").replace("\r\n", "\n")
-    if any(mark.match(start) for mark in (*_BEGINNINGS, _SVG)) or _MARKDOWN.search(end):
-        return True
-    if start.startswith("#"):
-        return any(_LOG.match(line) for line in _comments(start))
-    if start.startswith("{"):
-        return _own_json(path)
-    if named := re.match(r"format: *['\"]?([^\s'\"]+)", start):
-        text = path.read_text(encoding="utf-8", errors="replace")
-        stated = re.search(r"^provenance:\n(?: .*\n)*?  version: ", text, re.MULTILINE)
-        return _written_format(named[1]) and stated is not None
-    return False
-
-
-def _own_json(path: Path) -> bool:
-    data = json.loads(path.read_text(encoding="utf-8"))
-    comment = str(data.get("$comment", ""))
-    by_verb = comment.startswith("written by swimid ") or {"swimid", "packages", "healthy"} <= set(data)
-    return by_verb or _written_format(str(data.get("format")))
-
-
-def _written_format(name: str) -> bool:
-    form = _FORMAT.fullmatch(name)
-    return form is not None and form[1] not in AUTHORED

@@ -33,16 +33,16 @@ def head(path: Path) -> tuple[list[str], str, int]:
             if len(raw) > 1_000_000 or b"\x00" in raw or b"\r" in raw.rstrip():
                 raise InputError("is not a text file with line feeds", file=path, line=number)
             try:
-                line = raw.decode("utf-8-sig" if number == 1 else "utf-8").strip()
+                line = raw.decode("utf-8-sig").strip()
             except UnicodeDecodeError as error:
                 raise InputError("is not UTF-8 text", file=path, line=number) from error
             if line.startswith("#"):
                 comments.append(line[1:])
             elif line:
                 return comments, line, number
-    raise InputError(
-        "is empty" if not comments else "holds comments only, no header and no samples", file=path
-    )
+    if not comments:
+        raise InputError("is empty", file=path)
+    raise InputError("holds comments only, no header and no samples", file=path)
 
 
 def column_names(header: str, path: Path, line: int) -> list[str]:
@@ -133,11 +133,10 @@ def missing_column(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
     """Return the error for a missing column, with the most similar name as a hint."""
-    close = nearest(column, list(names))
-    hint = f"did you mean '{close}'? " if close else ""
-    return InputError(
-        what, file=path, line=line, column=column, hint=f"{hint}the file has: {', '.join(names)}"
-    )
+    hint = f"the file has: {', '.join(names)}"
+    if close := nearest(column, list(names)):
+        hint = f"did you mean '{close}'? {hint}"
+    return InputError(what, file=path, line=line, column=column, hint=hint)
 
 
 def number(text: str) -> float | None:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -71,21 +71,24 @@ class ResultFile(Document):
 
 def plain(value: Any, *, finite: bool = False) -> Any:
     """Return data as plain Python dicts, lists, strings and numbers; with ``finite``, NaN and inf as None."""
-    if isinstance(value, BaseModel):
-        value = value.model_dump(mode="python")
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(k): plain(v, finite=finite) for k, v in value.items()}
+    if isinstance(value, float):
+        if finite and not math.isfinite(value):
+            return None
+        return float(value)
+    for kind in (bool, int, str):
+        if isinstance(value, kind):
+            return kind(value)
     if isinstance(value, list | tuple):
-        return [plain(v, finite=finite) for v in value]
+        return [plain(one, finite=finite) for one in value]
+    if isinstance(value, Mapping):
+        return {str(name): plain(one, finite=finite) for name, one in value.items()}
+    if isinstance(value, BaseModel):
+        return plain(value.model_dump(mode="python"), finite=finite)
     if isinstance(value, Path):
         return value.as_posix()
-    if finite and isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, bool):
-        return value
-    return next((kind(value) for kind in (float, int, str) if isinstance(value, kind)), value)
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return plain(value.tolist(), finite=finite)
+    return value
 
 
 _known = partial(plain, finite=True)
@@ -204,8 +207,10 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
         first = min(problems, key=lambda p: p["type"] != "extra_forbidden")
         message, hint = _explain(first, data, model)
         others = {tuple(_key(data, problem)) for problem in problems}
+        if len(others) > 1:
+            message += f" (and {len(others) - 1} more)"
         raise InputError(
-            f"{message} (and {len(others) - 1} more)" if len(others) > 1 else message,
+            message,
             file=path,
             line=line_of(data, first["loc"]),
             column=".".join(map(str, _key(data, first))) or None,
@@ -224,7 +229,8 @@ def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int |
         in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
         if in_list or (isinstance(data, Mapping) and part in data):
             lines: dict[Any, Any] = getattr(getattr(data, "lc", None), "data", None) or {}
-            line = lines[part][0] + 1 if part in lines else line
+            if part in lines:
+                line = lines[part][0] + 1
             parts.append(part)
             data = data[part]
     return parts, data, line
@@ -246,82 +252,92 @@ def _key(data: Any, problem: Any) -> list[Any]:
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
     """Return the message and the hint for a validation error."""
     kind, location, value = problem["type"], problem["loc"], problem.get("input")
+    hint = None
     if kind == "extra_forbidden":
         allowed = sorted(_keys_at(model, location[:-1]))
-        hint = suggestion(str(location[-1]), allowed, "allowed here") if allowed else None
+        if allowed:
+            hint = suggestion(str(location[-1]), allowed, "allowed here")
         return f"unknown key '{location[-1]}'", hint
     if kind == "missing":
         place = _followed(data, location[:-1])[1]
-        wrote = nearest(str(location[-1]), [str(key) for key in place] if isinstance(place, Mapping) else [])
-        return f"key '{location[-1]}' is missing", f"you wrote '{wrote}'" if wrote else None
+        if isinstance(place, Mapping) and (wrote := nearest(str(location[-1]), [*map(str, place)])):
+            hint = f"you wrote '{wrote}'"
+        return f"key '{location[-1]}' is missing", hint
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     if kind == "value_error":
         return message, None
     expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
-    close = nearest(str(value), [word.strip(" '") for word in expected.split(",")])
-    shown = repr(value) if value is None or isinstance(value, str | int | float) else type(value).__name__
-    hint = f"did you mean '{close}'?" if close else None
+    if close := nearest(str(value), [word.strip(" '") for word in expected.split(",")]):
+        hint = f"did you mean '{close}'?"
+    shown = type(value).__name__
+    if value is None or isinstance(value, str | int | float):
+        shown = repr(value)
     return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", hint
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
     """Return the keys that the schema allows at a location."""
     schema = model.model_json_schema()
-    definitions = schema.get("$defs", {})
-
-    def resolve(node: dict[str, Any]) -> list[dict[str, Any]]:
-        if "$ref" in node:
-            return resolve(definitions[node["$ref"].rsplit("/", 1)[-1]])
-        branches = [*node.get("anyOf", []), *node.get("oneOf", [])]
-        return [leaf for branch in branches for leaf in resolve(branch)] if branches else [node]
-
-    nodes = resolve(schema)
+    nodes = _branches(schema, schema)
     for part in location:
         following: list[dict[str, Any]] = []
         for node in nodes:
-            inner = node.get("properties", {}).get(part, node.get("additionalProperties"))
-            if isinstance(part, int):
-                inner = node.get("items")
-            following += resolve(inner) if isinstance(inner, dict) else []
+            inner = node.get("items")
+            if not isinstance(part, int):
+                inner = node.get("properties", {}).get(part, node.get("additionalProperties"))
+            if isinstance(inner, dict):
+                following += _branches(inner, schema)
         nodes = following or nodes
     return {name for node in nodes for name in node.get("properties", {})}
 
 
-def dumps(data: Mapping[str, Any], *, flat: bool = False) -> str:
-    """Return the YAML text of a mapping.
+def _branches(node: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the alternatives of a part of a schema, with references resolved."""
+    if "$ref" in node:
+        return _branches(schema["$defs"][node["$ref"].rsplit("/", 1)[-1]], schema)
+    branches = [*node.get("anyOf", []), *node.get("oneOf", [])]
+    if not branches:
+        return [node]
+    return [leaf for branch in branches for leaf in _branches(branch, schema)]
 
-    Short lists and mappings are on one line. With ``flat``, each value of the top level is on one line.
-    """
-    stream = io.StringIO()
-    _yaml().dump(_styled(plain(data), flat=flat), stream)
-    return stream.getvalue()
+
+def dumps(data: Mapping[str, Any]) -> str:
+    """Return the YAML text of a mapping, with short lists and mappings on one line."""
+    return _text(_styled(plain(data, finite=True), _is_short))
 
 
 def dumps_flat(data: Mapping[str, Any]) -> str:
     """Return the YAML text of a mapping, with every value on the line of its key."""
     if not data:
         return ""
-    return dumps(data, flat=True)
+    return _text(_styled(plain(data), lambda value, depth: depth > 0))
 
 
-def _styled(value: Any, depth: int = 0, *, flat: bool = False) -> Any:
+def _text(styled: Any) -> str:
+    stream = io.StringIO()
+    _yaml().dump(styled, stream)
+    return stream.getvalue()
+
+
+def _styled(value: Any, on_one_line: Callable[[Any, int], bool], depth: int = 0) -> Any:
     """Return the data with marks for the lists and mappings that are written on one line."""
-    short = len(str(value)) < 150
     styled: Any = value
     if isinstance(value, dict):
-        styled = CommentedMap((k, _styled(v, depth + 1, flat=flat)) for k, v in value.items())
-        leaves = [v for v in value.values() if isinstance(v, dict | list)]
-        short = depth > 1 and short and bool(value) and all(_short_list(v) for v in leaves)
-        if flat:
-            short = depth > 0
+        styled = CommentedMap((k, _styled(v, on_one_line, depth + 1)) for k, v in value.items())
     elif isinstance(value, list):
-        styled = CommentedSeq(_styled(v, depth + 1, flat=flat) for v in value)
-        short = flat or (short and not any(isinstance(v, dict) for v in value))
-    elif isinstance(value, float) and not math.isfinite(value) and not flat:
-        return None
-    if styled is not value and short:
+        styled = CommentedSeq(_styled(v, on_one_line, depth + 1) for v in value)
+    if styled is not value and on_one_line(value, depth):
         styled.fa.set_flow_style()
     return styled
+
+
+def _is_short(value: Any, depth: int) -> bool:
+    if len(str(value)) >= 150:
+        return False
+    if isinstance(value, list):
+        return not any(isinstance(v, dict) for v in value)
+    inner = [v for v in value.values() if isinstance(v, dict | list)]
+    return depth > 1 and bool(value) and all(_short_list(v) for v in inner)
 
 
 def _short_list(value: Any) -> bool:

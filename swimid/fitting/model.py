@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from swimid.errors import UsageError, suggestion
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 
 Array = NDArray[np.float64]
 #: Channels of the position, by axis.

@@ -24,8 +24,7 @@ from swimid.fitting.covariance import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.fitting.metrics import FitResult, Noise, Series
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem, minimise
-from swimid.notices import warn
-from swimid.progress import Progress, show, silent
+from swimid.notices import Progress, show, silent, warn
 
 #: Maximum number of noise iterations, and the maximum relative change of a weight at which they have
 #: converged.

@@ -15,7 +15,8 @@ from swimid.logs.log import TIME, Log, runs
 from swimid.logs.rhythm import Rhythm
 from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import warn
-from swimid.results import blocks, numbers
+from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.evidence import (
     MAX_POINTS,
     Evidence,
@@ -238,7 +239,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
         return None
     title = {"y_m": "Path from above", "z_m": "Path from the side"}[across]
     caption, y_label = "The path, with arrows along the heading.", numbers.column_title(across)
-    return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
+    return ev.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:

@@ -26,8 +26,7 @@ from swimid.logs import units
 from swimid.logs.foreign import Options, Table, is_text, open_table
 from swimid.logs.log import TIME, Log, longest_run, metadata_of, written_by
 from swimid.logs.rotation import AXES, rearranged
-from swimid.notices import warn
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent, warn
 
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"

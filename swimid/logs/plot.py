@@ -15,7 +15,8 @@ from swimid.logs.logged import figures_of
 from swimid.logs.options import PlotOptions
 from swimid.notices import recorded
 from swimid.options import takes
-from swimid.results import blocks, drawing
+from swimid.results import drawing
+from swimid.results import evidence as ev
 from swimid.results.evidence import Evidence, Verdict
 from swimid.results.result import Result
 
@@ -105,7 +106,7 @@ def plot(
         verdict=Verdict(level="good", text="Drawn as logged, nothing judged."),
         facts={record.name: f"{len(record)} samples" for record in records},
         figures=figures,
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
     )
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
     drawn = Drawn("plot", "", data, evidence=proof, document=records)

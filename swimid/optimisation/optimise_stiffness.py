@@ -21,16 +21,15 @@ from swimid.files import atomic, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
-from swimid.notices import Notice, recorded
+from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.performance import BEAT, Performance, points_of
 from swimid.optimisation.problem import Problem, drawn, interval95
 from swimid.optimisation.study import StudyFile, in_parallel, study_of
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.result import FileResult
 
 #: Maximum power of the frequency in a curve of the rule (tendon fish, Algorithm 1).
@@ -544,18 +543,18 @@ def answer(file: RuleFile) -> str:
 def _curve_table(file: RuleFile) -> ev.Table:
     rows = []
     for c in file.curves:
-        row: dict[str, blocks.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
+        row: dict[str, ev.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
         row |= {f"c{k}": numbers.number(value, 6) for k, value in enumerate(c.coefficients)}
         rows.append({**row, "RMS of residuals": numbers.number(c.rms, 2, file.unit)})
     caption = (
         f"{file.coefficient} = c0 + c1 f + c2 f², f in Hz, held within {numbers.interval(*file.between)}; "
         "linear interpolation between amplitudes."
     )
-    return blocks.table("rule", "The rule", rows, caption)
+    return ev.table("rule", "The rule", rows, caption)
 
 
 def _optima_table(file: RuleFile) -> ev.Table:
-    rows: list[dict[str, blocks.Cell]] = [
+    rows: list[dict[str, ev.Cell]] = [
         {
             "frequency": numbers.number(o.frequency_hz, 3, "Hz"),
             "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
@@ -572,7 +571,7 @@ def _optima_table(file: RuleFile) -> ev.Table:
     ]
     reference = numbers.number(file.reference, 3, file.unit)
     caption = f"The reference is {reference}. A run without a settling time still gains speed at its end."
-    return blocks.table("optima", "Optima over the grid", rows, caption)
+    return ev.table("optima", "Optima over the grid", rows, caption)
 
 
 def _rule_figure(file: RuleFile) -> ev.Figure:
@@ -583,12 +582,12 @@ def _rule_figure(file: RuleFile) -> ev.Figure:
         label = f"{numbers.number(c.amplitude_deg, 3)} deg"
         y = [file.stiffness_for(float(f), c.amplitude_deg, outside="hold") for f in x]
         traces += [
-            blocks.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
+            ev.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
             ev.Trace(x=x, y=y, group=group),
         ]
     caption = "Points are the optima, curves the rule."
     y_label = f"{file.coefficient} ({numbers.unit_text(file.unit) or '1'})"
-    return blocks.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
+    return ev.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
 
 
 def _speed_figure(file: RuleFile) -> ev.Figure:
@@ -602,6 +601,6 @@ def _speed_figure(file: RuleFile) -> ev.Figure:
             ev.Trace(x=x, y=[o.reference_speed_m_s for o in optima], style="dashed", label=fixed),
         ]
         title = f"{c.amplitude_deg:g} deg"
-        panels.append(blocks.panel("frequency (Hz)", "mean speed (m/s)", traces, title=title))
+        panels.append(ev.panel("frequency (Hz)", "mean speed (m/s)", traces, title=title))
     caption = f"Each point is a run of {file.duration_s:g} s from rest (tendon fish, Fig 11)."
-    return blocks.panels("speeds", "Speed with the rule and with a fixed stiffness", caption, panels)
+    return ev.panels("speeds", "Speed with the rule and with a fixed stiffness", caption, panels)

@@ -21,15 +21,14 @@ from swimid.files.yamlio import Number, Rows
 from swimid.fitting.model import Array, Trial
 from swimid.logs.kinematics import UNSTEADY
 from swimid.logs.trials import TrialSet
-from swimid.notices import Notice, recorded
+from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
 from swimid.optimisation.performance import BATCH, BEAT, STROKE, Performance, Point, points_of
 from swimid.optimisation.study import StudyFile, in_parallel, study_of
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.result import FileResult
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Applied
@@ -411,7 +410,7 @@ def _best_table(file: MapFile) -> ev.Table:
     """
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):
-        row: dict[str, blocks.Cell] = {first.name: numbers.number(at)}
+        row: dict[str, ev.Cell] = {first.name: numbers.number(at)}
         if len(file.axes) == 1:
             row |= {name: _cell(file, name, i, 0) for name in _drawn(file)}
         for name in BEST if len(file.axes) == 2 else ():
@@ -422,7 +421,7 @@ def _best_table(file: MapFile) -> ev.Table:
                 row[f"{word} at {file.axes[1].name}"] = numbers.number(file.axes[1].values[j])
                 row[word] = _cell(file, name, i, j)
         rows.append(row)
-    return blocks.table("best", f"Best points at each {first.name}", rows)
+    return ev.table("best", f"Best points at each {first.name}", rows)
 
 
 def _cell(file: MapFile, name: str, row: int, column: int) -> str:
@@ -433,7 +432,7 @@ def _cell(file: MapFile, name: str, row: int, column: int) -> str:
 
 
 def _measured_table(file: MapFile) -> ev.Table:
-    rows: list[dict[str, blocks.Cell]] = [
+    rows: list[dict[str, ev.Cell]] = [
         {
             "trial": m.trial,
             "role": {"fit": "fit", "validate": "held out"}[m.role],
@@ -444,7 +443,7 @@ def _measured_table(file: MapFile) -> ev.Table:
         for m in file.measured
     ]
     caption = "Mean speed over the last beats of log and simulation."
-    return blocks.table("measured", "Measured trials on the map", rows, caption)
+    return ev.table("measured", "Measured trials on the map", rows, caption)
 
 
 def _drawn(file: MapFile) -> list[str]:
@@ -456,13 +455,13 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     caption = f"Runs of {file.duration_s:g} s from rest, over their last whole beats; {drive}."
     if len(file.axes) == 1:
         curves = [_curve(file, name) for name in _drawn(file)]
-        return [blocks.panels("map", "Over the gait", caption, curves)]
+        return [ev.panels("map", "Over the gait", caption, curves)]
     heats = [_heat(file, name) for name in _drawn(file)]
     contours = [_contours(file, name) for name in _drawn(file)]
     lines = "Lines of equal value; outside the frame of the identification trials they are extrapolation."
     return [
-        blocks.panels("map", "Over the grid of gaits", caption, heats),
-        blocks.panels("contours", "Contours", lines, contours),
+        ev.panels("map", "Over the grid of gaits", caption, heats),
+        ev.panels("contours", "Contours", lines, contours),
     ]
 
 
@@ -491,7 +490,7 @@ def _heat(file: MapFile, name: str) -> ev.Panel:
     cells = [[float(f"{v:.3g}") for v in row] for row in values]
     heat = ev.Heat(rows=rows, columns=columns, values=cells, scale="linear")  # type: ignore[arg-type]
     down, along = (_axis_title(axis) for axis in file.axes)
-    return blocks.panel(along, down, [], title=title, heat=heat)
+    return ev.panel(along, down, [], title=title, heat=heat)
 
 
 def _contours(file: MapFile, name: str) -> ev.Panel:
@@ -513,9 +512,9 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
         traces.append(ev.Trace(**frame, style="dashed", label="identified inside", group=N_LEVELS + 1))
     inside = [m for m in file.measured if m.inside]
     if inside:
-        points = blocks.points(inside, lambda m: m.at[along.name], lambda m: m.at[down.name], label="trials")
+        points = ev.points(inside, lambda m: m.at[along.name], lambda m: m.at[down.name], label="trials")
         traces.append(points)
-    return blocks.panel(_axis_title(along), _axis_title(down), traces, title=title)
+    return ev.panel(_axis_title(along), _axis_title(down), traces, title=title)
 
 
 def _curve(file: MapFile, name: str) -> ev.Panel:
@@ -525,14 +524,14 @@ def _curve(file: MapFile, name: str) -> ev.Panel:
     traces = [ev.Trace(x=x, y=y, label="model")]
     if q.stderr is not None:
         half = 2 * numbers.in_degrees(q.unit)[0] * np.array(q.stderr, dtype=float)[:, 0]
-        traces = [blocks.band(x, y, half, label="model, 2 sd")]
+        traces = [ev.band(x, y, half, label="model, 2 sd")]
     measured = [m for m in file.measured if m.measured_m_s is not None]
     if measured and name == "mean_speed_m_s":
         traces.append(
-            blocks.points(measured, lambda m: m.at[axis.name], lambda m: m.measured_m_s, label="measured")
+            ev.points(measured, lambda m: m.at[axis.name], lambda m: m.measured_m_s, label="measured")
         )
     spans = []
     if axis.name in file.identified:
         low, high = file.identified[axis.name]
         spans = [ev.Span(start=low, end=high, label="range of the identification trials")]
-    return blocks.panel(_axis_title(axis), title, traces, spans=spans)
+    return ev.panel(_axis_title(axis), title, traces, spans=spans)

@@ -14,12 +14,11 @@ from swimid.files import provenance, yamlio
 from swimid.files.provenance import Input
 from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
-from swimid.notices import Notice
+from swimid.notices import Notice, Progress
 from swimid.optimisation.options import GaitOptions
 from swimid.optimisation.performance import Performance
-from swimid.progress import Progress
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.robots import file as robot_format
 
@@ -144,7 +143,7 @@ def evidence(
         verdict=ev.judged(answer, checks),
         facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},
         checks=list(checks),
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         references=REFERENCES,
         provenance=origin,
         **shown,

@@ -14,7 +14,6 @@ import textwrap
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from html import escape
-from importlib import resources
 from itertools import count
 from pathlib import Path
 from string import ascii_lowercase
@@ -30,7 +29,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
-from swimid.errors import InputError
 from swimid.files import atomic
 from swimid.files.provenance import SOFTWARE
 from swimid.results import numbers
@@ -44,7 +42,7 @@ WIDTH, HEIGHT = 3.5, 2.3
 TALLEST, LOW = 5.1, 1.2
 #: Space for labels and title beside and around the axes of a panel, inches.
 FRAME = 0.6
-#: Font size, points.
+#: Font size in ``figure.mplstyle``, points.
 FONT = 8.0
 #: Approximate width of a letter, as a fraction of the font size.
 LETTER = 0.58
@@ -65,49 +63,28 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES = ((4, 2), (1, 1.5), (6, 2, 1, 2))
 
 
+TEMPLATES = Path(__file__).parent / "templates"
+
+
 @cache
 def palette() -> dict[str, str]:
     """Return the colours of the page in light mode by name: ``ink``, ``paper``, ``s1``..."""
-    css = (resources.files("swimid.results") / "templates" / "report.css").read_text(encoding="utf-8")
+    css = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     names = ("ink", "grid", "paper", "shade", *(f"s{k}" for k in range(1, 7)))
     return {name: re.search(rf"--{name}: (#[0-9a-f]+)", css)[1] for name in names}  # type: ignore[index]
 
 
+@cache
 def style() -> Any:
     """Return matplotlib's settings for all figures."""
-    ink = palette()["ink"]
+    file: Any = mpl.rc_params_from_file(TEMPLATES / "figure.mplstyle", use_default_template=False)
+    inked = ("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color")
     return {
-        "font.family": "DejaVu Sans",
-        "font.size": FONT,
-        "figure.constrained_layout.use": True,
+        **file,
+        **dict.fromkeys(inked, palette()["ink"]),
         "figure.facecolor": palette()["paper"],
-        "axes.facecolor": "none",
-        "axes.edgecolor": ink,
-        "axes.labelcolor": ink,
-        "axes.titlesize": FONT,
-        "axes.titleweight": "bold",
-        "axes.titlelocation": "left",
-        "axes.linewidth": 0.6,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.grid": True,
-        "axes.prop_cycle": cycler(color=[_colour(k) for k in range(6)]),
-        "axes.axisbelow": True,
-        "axes.xmargin": 0.02,
-        "axes.formatter.limits": (-3, 5),
         "grid.color": palette()["grid"],
-        "grid.linewidth": 0.5,
-        "text.color": ink,
-        "text.parse_math": False,
-        "xtick.color": ink,
-        "ytick.color": ink,
-        "legend.frameon": False,
-        "legend.fontsize": FONT - 1,
-        "legend.handlelength": 1.6,
-        "legend.borderaxespad": 0.2,
-        "legend.columnspacing": 1.2,
-        "legend.markerscale": 1.5,
-        "svg.hashsalt": "swimid",
+        "axes.prop_cycle": cycler(color=[_colour(k) for k in range(6)]),
     }
 
 
@@ -129,11 +106,6 @@ def paint(
         Draw a trace of many points as one path, which takes a tenth of the space in an SVG.
     legend : bool
         Draw the legend.
-
-    Raises
-    ------
-    InputError
-        If the lists of a trace, or the rows of a heat map, differ in length.
     """
     if panel.heat is not None:
         _heat(axes, panel.heat)
@@ -197,10 +169,6 @@ def _trace(
     ``paired`` marks a measurement or its model, which are drawn together. ``small`` asks for small points,
     ``compact`` draws many points as one path.
     """
-    for name in ("y", "y_error", "lower", "upper"):
-        values = getattr(trace, name)
-        if values is not None and len(values) != len(trace.x):
-            raise InputError(f"a trace has {len(values)} numbers of '{name}' for {len(trace.x)} of 'x'")
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
     marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
@@ -316,12 +284,6 @@ def _legend(axes: Axes) -> int:
 
 def _heat(axes: Axes, heat: Heat) -> None:
     """Draw a heat map: a table of numbers in cells that are shaded by value."""
-    shape = {len(row) for row in heat.values}
-    if len(heat.values) != len(heat.rows) or shape - {len(heat.columns)}:
-        raise InputError(
-            f"a heat map has values of {len(heat.values)} rows and {sorted(shape)} columns for "
-            f"{len(heat.rows)} and {len(heat.columns)} labels"
-        )
     values = np.array([_array(row) for row in heat.values]).reshape(len(heat.rows), len(heat.columns))
     shades = values
     if heat.scale == "log":
@@ -352,14 +314,14 @@ def _heat(axes: Axes, heat: Heat) -> None:
 # ---------------------------------------------------------------- whole figures
 
 
-def _height(panel: Panel) -> float:
-    """Return the height of a panel, inches."""
+def _height(panel: Panel, panels: int = 1) -> float:
+    """Return the height of a panel in a figure of several panels, inches."""
     if panel.heat is not None:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
     if not panel.equal_aspect or _shape(panel) <= MIN_SHAPE:
-        return HEIGHT
+        return max(min(HEIGHT, TALLEST / panels), LOW)
     return min(max((WIDTH - FRAME) * _shape(panel), 0.8), 4.0) + FRAME
 
 
@@ -396,11 +358,9 @@ def canvas(
     step : callable
         Function that is called once for each panel drawn.
     """
-    heights = [
-        _height(panel) if _height(panel) != HEIGHT else max(min(HEIGHT, TALLEST / len(figure.panels)), LOW)
-        for figure in figures
-        for panel in figure.panels
-    ]
+    heights: list[float] = []
+    for figure in figures:
+        heights += [_height(panel, len(figure.panels)) for panel in figure.panels]
     # Create the figure outside ``rc_context``: a notebook backend changes other settings, which must stay
     # changed.
     drawn = new(figsize=(WIDTH, sum(heights)), layout="constrained", facecolor=palette()["paper"])
@@ -412,15 +372,19 @@ def canvas(
             slots = slots_of(figure)
             place: Axes | None = None
             for index, panel in enumerate(figure.panels):
-                heading = figure.title if len(figures) > 1 and index == 0 else ""
-                shown = panel.model_copy(update={"title": _lettered(figure, index, heading)})
-                above = figure.panels[index - 1] if index else None
-                shared = place if above and _same_range(above, panel) else None
+                heading, legend, shared = "", True, None
+                if index == 0 and len(figures) > 1:
+                    heading = figure.title
+                if place is not None:
+                    above = figure.panels[index - 1]
+                    legend = not _labels(panel) <= _labels(above)
+                    if _same_range(above, panel):
+                        place.set_xlabel("")
+                        place.tick_params(labelbottom=False)
+                        shared = place
                 place = drawn.add_subplot(next(grid), sharex=shared)
-                paint(place, shown, slots, legend=not above or not _labels(panel) <= _labels(above))
-                if shared is not None:
-                    shared.set_xlabel("")
-                    shared.tick_params(labelbottom=False)
+                shown = panel.model_copy(update={"title": _lettered(figure, index, heading)})
+                paint(place, shown, slots, legend=legend)
                 step(1)
     return drawn
 
@@ -466,47 +430,34 @@ def write(
 # ---------------------------------------------------------------- on a page
 
 
-def for_page(figure: Figure, prefix: str, step: Callable[[int], None] = lambda amount: None) -> list[str]:
-    """Return each panel of a figure as an SVG element of a page.
-
-    Parameters
-    ----------
-    figure : Figure
-    prefix : str
-        Prefix of every id in the SVG elements, unique on the page.
-    step : callable
-        Function that is called once, after the figure is drawn.
-    """
+def for_page(figure: Figure, prefix: str) -> list[str]:
+    """Return each panel of a figure as an SVG element of a page, with ids that depend on the prefix."""
     drawings = []
     slots = slots_of(figure)
-    with mpl.rc_context({**style(), "svg.fonttype": "none", "figure.facecolor": "none"}):
-        for index, panel in enumerate(figure.panels):
+    for index, panel in enumerate(figure.panels):
+        page: Any = {"svg.fonttype": "none", "figure.facecolor": "none", "svg.hashsalt": f"{prefix}{index}"}
+        with mpl.rc_context({**style(), **page}):
             drawn = Canvas(figsize=(WIDTH, _height(panel)))
-            try:
-                shown = panel.model_copy(update={"title": _lettered(figure, index)})
-                paint(drawn.add_subplot(), shown, slots, compact=True)
-            except InputError as error:
-                raise InputError(error.reason, column=f"figures.{figure.id}.panels.{index}") from error
+            shown = panel.model_copy(update={"title": _lettered(figure, index)})
+            paint(drawn.add_subplot(), shown, slots, compact=True)
             file = io.StringIO()
             drawn.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-            names = ", ".join(trace.label for trace in panel.traces if trace.label)
-            title = ": ".join(filter(None, [figure.title, panel.title]))
-            about = f"{title}. {panel.y_label} over {panel.x_label}. {names}"
-            drawings.append(_inline(file.getvalue(), f"{prefix}{index}-", about))
-    step(1)
+        names = ", ".join(trace.label for trace in panel.traces if trace.label)
+        title = ": ".join(filter(None, [figure.title, panel.title]))
+        about = f"{title}. {panel.y_label} over {panel.x_label}. {names}"
+        drawings.append(_inline(file.getvalue(), about))
     return drawings
 
 
-def _inline(text: str, prefix: str, about: str) -> str:
+def _inline(text: str, about: str) -> str:
     """Convert an SVG file into an element of an HTML page.
 
-    The style sheet and the metadata are removed, ids get the prefix, colours and fonts become those of the
-    page, and coordinates are rounded to a tenth of a point. Only tags are changed, never the text between
+    The style sheet, the metadata and ids without a reference are removed, colours and fonts become those of
+    the page, and coordinates are rounded to a tenth of a point. Only tags are changed, never the text between
     tags.
     """
     text = re.sub(r"<(metadata|style)\b.*?</\1>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
-    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
-    text = re.sub(r"<[^>]*>", lambda match: _tag(match[0], prefix, used), text)
+    text = re.sub(r"<[^>]*>", _tag, text)
     text = re.sub(r">\s+<", "><", re.sub(r"<defs>\s*</defs>", "", text))
     box = "".join(re.findall(r'viewBox="[^"]+"', text)[:1])
     inside = text[text.index(">") + 1 :].strip()
@@ -514,12 +465,11 @@ def _inline(text: str, prefix: str, about: str) -> str:
     return f'<svg {frame} role="img" aria-label="{escape(about, quote=True)}">{inside}'
 
 
-def _tag(tag: str, prefix: str, used: set[str]) -> str:
-    tag = re.sub(r' id="([^"]+)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", tag)
-    tag = re.sub(r'(?:xlink:)?href="#([^"]+)"', rf'href="#{prefix}\1"', tag)
-    tag = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}\1)", tag)
+def _tag(match: re.Match[str]) -> str:
+    # matplotlib refers to markers and clip paths only, whose ids are a letter and a hash
+    tag = re.sub(r' id="(?![a-z][0-9a-f]{10}")[^"]*"', "", match[0]).replace("xlink:href", "href")
     for name, colour in palette().items():
-        tag = tag.replace(colour, "currentColor" if name == "ink" else f"var(--{name})")
+        tag = tag.replace(colour, f"var(--{name})".replace("var(--ink)", "currentColor"))
     tag = re.sub(r"font: (?:\w+ )?([\d.]+)px [^;\"]*", r"font-size: \1px", tag)
     tag = re.sub(r"font-family: [^;\"]*;? ?", "", tag)
     tag = re.sub(r'\bd="([^"]+)"', lambda m: f'd="{_path(m[1])}"', tag)

@@ -1,22 +1,23 @@
 """Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
 
 A command writes the evidence next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show the
-evidence of all commands with the same code. Numbers keep all digits; NaN is written as null.
+evidence of all commands with the same code. yamlio.Numbers keep all digits; NaN is written as null.
 """
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from swimid.errors import InputError, UsageError, file_errors
 from swimid.files import atomic, yamlio
+from swimid.notices import Notice
+from swimid.results import numbers
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
 #: Name of the check that fails if values are impossible for a swimmer, which suggests a wrong unit.
@@ -27,18 +28,6 @@ MAX_POINTS = 2000
 MAX_REASONS = 3
 
 
-def _numbers(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if not isinstance(value, list | tuple):
-        return value
-    return [None if isinstance(x, float) and not math.isfinite(x) else x for x in value]
-
-
-#: List of numbers. A numpy array is accepted, and numbers that are not finite become None.
-Numbers = Annotated[list[float | None], BeforeValidator(_numbers)]
-
-
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
@@ -46,17 +35,25 @@ class _Part(BaseModel):
 class Trace(_Part):
     """Curve or set of points in a panel."""
 
-    x: Numbers
-    y: Numbers
+    x: yamlio.Numbers
+    y: yamlio.Numbers
     label: str = ""
     style: Literal["line", "dashed", "points", "step", "stems", "arrows"] = "line"
     #: Traces with the same group number share a colour (a measurement and its model).
     group: int | None = None
     #: Half-width of the error bars of ``points``, same length as y.
-    y_error: Numbers | None = None
+    y_error: yamlio.Numbers | None = None
     #: Lower and upper end of a shaded band in the colour of the trace, each as long as x.
-    lower: Numbers | None = None
-    upper: Numbers | None = None
+    lower: yamlio.Numbers | None = None
+    upper: yamlio.Numbers | None = None
+
+    @model_validator(mode="after")
+    def _of_one_length(self) -> Self:
+        for name in ("y", "y_error", "lower", "upper"):
+            values = getattr(self, name)
+            if values is not None and len(values) != len(self.x):
+                raise ValueError(f"a trace has {len(values)} numbers of '{name}' for {len(self.x)} of 'x'")
+        return self
 
 
 class Mark(_Part):
@@ -85,11 +82,17 @@ class Heat(_Part):
 
     rows: list[str]
     columns: list[str]
-    #: Numbers of each row; None for a cell without a number.
-    values: list[Numbers]
+    #: yamlio.Numbers of each row; None for a cell without a number.
+    values: list[yamlio.Numbers]
     #: Largest number of a cell without shade, with the scale ``log``.
     neutral: float = Field(default=1.0, gt=0)
     scale: Literal["log", "linear"] = "log"
+
+    @model_validator(mode="after")
+    def _a_number_for_each_cell(self) -> Self:
+        if [len(row) for row in self.values] != [len(self.columns)] * len(self.rows):
+            raise ValueError("a heat map has other rows or columns than its labels")
+        return self
 
 
 class Panel(_Part):
@@ -168,11 +171,8 @@ class Verdict(_Part):
         return self.model_copy(update={"level": worst, "text": text})
 
 
-class NoticeRecord(_Part):
-    """Warning that is stored with the result."""
-
-    code: str
-    text: str
+#: Warning that is stored with the result.
+NoticeRecord = Notice
 
 
 class Evidence(_Part):
@@ -193,7 +193,7 @@ class Evidence(_Part):
     tables: list[Table] = []
     figures: list[Figure] = []
     images: list[Image] = []
-    notices: list[NoticeRecord] = []
+    notices: list[Notice] = []
     #: Sentences for the methods section of a paper, generated from the settings of the computation.
     methods: list[str] = []
     #: Sources to cite with the sentences in ``methods``.
@@ -242,12 +242,8 @@ def check(
     reason : str
         Clause for the verdict of the result, such as ``"residuals are not white in yaw_rad"``.
     """
-    verdict: Literal["info", "pass", "warn", "fail"] = otherwise
-    if passed is None:
-        verdict = "info"
-    elif passed:
-        verdict = "pass"
-    return Check(name=name, value=value, limit=limit, verdict=verdict, text=text, reason=reason)
+    verdicts: dict[bool | None, Any] = {None: "info", True: "pass", False: otherwise}
+    return Check(name=name, value=value, limit=limit, verdict=verdicts[passed], text=text, reason=reason)
 
 
 def judged(answer: str, checks: Sequence[Check]) -> Verdict:
@@ -256,12 +252,11 @@ def judged(answer: str, checks: Sequence[Check]) -> Verdict:
     The level is bad if a check fails, caution if a check warns, and good otherwise.
     """
     for grade, level, words in (("fail", "bad", "Do not rely on it"), ("warn", "caution", "Caution")):
-        failed = [c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade]
-        reasons = list(dict.fromkeys(failed))
-        if reasons:
-            shown = reasons[:MAX_REASONS]
-            if len(reasons) > MAX_REASONS:
-                shown.append(f"and {len(reasons) - MAX_REASONS} more")
+        failed = (c.reason or f"{c.name} {c.value}".strip() for c in checks if c.verdict == grade)
+        shown = list(dict.fromkeys(failed))
+        if shown:
+            if len(shown) > MAX_REASONS:
+                shown[MAX_REASONS:] = [f"and {len(shown) - MAX_REASONS} more"]
             return Verdict(level=level, text=f"{answer} {words}: {'; '.join(shown)}.")  # type: ignore[arg-type]
     return Verdict(level="good", text=answer)
 
@@ -298,9 +293,7 @@ def sidecar(result: str | Path) -> Path:
 
 def write(path: str | Path, evidence: Evidence) -> None:
     """Write evidence as JSON, complete or not at all; numbers that are not finite are null."""
-    data = yamlio.plain(evidence.model_dump(mode="json"), finite=True)
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
-    atomic.write_text(path, text + "\n")
+    atomic.write_text(path, evidence.model_dump_json() + "\n")
 
 
 def check_beside(result: Path) -> None:
@@ -371,15 +364,210 @@ def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.nd
     y = np.asarray(y, dtype=float)
     if len(x) <= points:
         return x, y
-    keep: set[int] = {0, len(x) - 1}
-    first, whole = 0, not np.isnan(y).any()
-    for values in np.array_split(y, max(points // 2 - 1, 1)):
-        if whole:
-            keep.update((first + int(np.argmin(values)), first + int(np.argmax(values))))
-        elif np.all(np.isnan(values)):
-            keep.add(first)
+    keep = {0, len(x) - 1}
+    for part in np.array_split(np.arange(len(x)), max(points // 2 - 1, 1)):
+        known = part[~np.isnan(y[part])]
+        if len(known):
+            keep |= {known[y[known].argmin()], known[y[known].argmax()]}
         else:
-            keep.update((first + int(np.nanargmin(values)), first + int(np.nanargmax(values))))
-        first += len(values)
+            keep.add(part[0])
     index = np.array(sorted(keep))
     return x[index], y[index]
+
+
+# ---------------------------------------------------------------- parts that several packages use
+
+#: Maximum number of points of one trial in a figure of several trials.
+POINTS = 400
+#: Number of measured points over the width of a panel that also shows a line, for a straight curve.
+MAX_MARKS = 50
+#: Maximum number of trials in a figure of residuals, and largest residual in it. Each trial is a row of the
+#: figure, which shows weighted residuals between -ROW_SD and ROW_SD standard deviations of the noise.
+MAX_ROWS, ROW_SD = 12, 4.0
+#: Distance of ROW_SD standard deviations from the middle of a row, in rows.
+HALF_ROW = 0.45
+
+Cell = str | float | int | bool | None
+
+
+#: Channel of one trial, an object with ``trial``, ``role`` ("fit" or "validate"), and the arrays ``time_s``,
+#: ``measured``, ``simulated`` and ``weighted`` (measured minus simulated, divided by the standard deviation
+#: of the noise).
+Series = Any
+#: Correlation function, an object with ``lags``, ``values`` and ``bound``. The bound is the half-width of the
+#: 95 % band of white noise.
+Correlogram = Any
+
+
+def p_text(p: float) -> str:
+    """Return a p-value as text.
+
+    >>> p_text(0.0321), p_text(1e-20)
+    ('p = 0.032', 'p < 10⁻¹⁶')
+    """
+    if p < 1e-16:
+        return "p < 10⁻¹⁶"
+    return f"p = {numbers.number(p, 2)}"
+
+
+def notices(recorded: Sequence[Notice]) -> list[Notice]:
+    """Return recorded warnings as entries of the evidence."""
+    return list(recorded)
+
+
+# ---------------------------------------------------------------- tables
+
+
+def table(
+    id: str, title: str, rows: Sequence[Mapping[str, Cell]], caption: str = "", columns: Sequence[str] = ()
+) -> Table:
+    """Return a table from rows, each a mapping of column names to cells.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Names of the columns, required if there may be no rows. The default is the columns of the first row.
+    """
+    names = list(columns or rows[0])
+    return Table(
+        id=id, title=title, columns=names, rows=[[row[n] for n in names] for row in rows], caption=caption
+    )
+
+
+# ---------------------------------------------------------------- figures
+
+
+def figure(
+    id: str,
+    title: str,
+    caption: str,
+    x_label: str,
+    y_label: str,
+    traces: Sequence[Trace],
+    **more: Any,
+) -> Figure:
+    """Return a figure with one panel. Further keyword arguments are fields of :class:`Panel`."""
+    return panels(id, title, caption, [panel(x_label, y_label, traces, **more)])
+
+
+def panels(id: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure:
+    """Return a figure with several panels."""
+    return Figure(id=id, title=title, caption=caption, panels=list(panels))
+
+
+def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> Panel:
+    """Return a panel. Further keyword arguments are fields of :class:`Panel`."""
+    return Panel(x_label=x_label, y_label=y_label, traces=list(traces), **more)
+
+
+def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
+    """Return a curve with a band of half-width ``half`` around the curve."""
+    return Trace(x=x, y=y, lower=y - half, upper=y + half, **trace)
+
+
+def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any], **trace: Any) -> Trace:
+    """Return a trace with one point for each of ``runs``, at the coordinates that ``x`` and ``y`` compute."""
+    return Trace(x=[x(run) for run in runs], y=[y(run) for run in runs], style="points", **trace)
+
+
+def measured_and_simulated(
+    id: str,
+    title: str,
+    caption: str,
+    x_label: str,
+    y_label: str,
+    shown: Sequence[Series],
+    factor: float = 1.0,
+) -> Figure:
+    """Return a figure of measured points and simulated lines for the worst and the best trial.
+
+    There is a panel for the fitted trial with the largest root-mean-square weighted residual, for the fitted
+    trial with the smallest, and for the held-out trial with the largest. ``factor`` converts values to the
+    unit of the figure.
+    """
+    drawn: list[Panel] = []
+    for name, s in _extremes(shown).items():
+        known = apart(s.time_s, s.measured)
+        x, y = thinned(s.time_s, factor * s.simulated, POINTS)
+        measured = factor * s.measured[known]
+        traces = [
+            Trace(x=s.time_s[known], y=measured, style="points", label="measured", group=0),
+            Trace(x=x, y=y, label="simulated", group=0),
+        ]
+        drawn.append(panel(x_label, y_label, traces, title=name))
+    return panels(id, title, caption, drawn)
+
+
+def apart(x: Any, y: Any) -> Any:
+    """Return the indices of samples that are 1 / MAX_MARKS of the panel's width apart along the curve.
+
+    A curve that rises and falls gets more points than a straight one, at most :data:`POINTS`. The panel is
+    twice as wide as it is high.
+    """
+    known = np.flatnonzero(np.isfinite(y))
+    if not len(known):
+        return known
+    steps = np.hypot(
+        np.diff(x[known]) / max(float(np.ptp(x[known])), 1e-300),
+        np.diff(y[known]) / max(2.0 * float(np.ptp(y[known])), 1e-300),
+    )
+    number = np.floor(np.concatenate(([0.0], np.cumsum(steps))) * MAX_MARKS)
+    marks = known[np.unique(number, return_index=True)[1]]
+    return marks[:: -(-len(marks) // POINTS)]
+
+
+def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
+    """Return the worst and the best fitted trial and the worst held-out trial, by panel title."""
+    ranked = sorted(shown, key=lambda s: _rms(s.weighted))
+    fitted = [s for s in ranked if s.role == "fit"]
+    held_out = [s for s in ranked if s.role != "fit"]
+    if len(fitted) == 1:
+        found = {fitted[0].trial: fitted[0]}
+    else:
+        found = {
+            f"{s.trial} ({word})": s
+            for word, s in zip(("largest error", "smallest error"), fitted[-1:] + fitted[:1], strict=False)
+        }
+    return found | {f"{s.trial} (held out)": s for s in held_out[-1:]}
+
+
+def _rms(values: Any) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.sum(known**2) / max(len(known), 1)))
+
+
+def residuals(
+    id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
+) -> Figure:
+    """Return a figure of the weighted residuals of the worst trials, and of a given autocorrelation."""
+    worst = sorted(range(len(shown)), key=lambda k: -_rms(shown[k].weighted))[:MAX_ROWS]
+    rows = [shown[k] for k in sorted(worst)]
+    mixed = len({s.role for s in rows}) > 1
+    traces: list[Trace] = []
+    for k, s in enumerate(rows):
+        x, y = thinned(s.time_s, np.clip(s.weighted, -ROW_SD, ROW_SD), POINTS)
+        group, label = 0, "fitted" if mixed else "residuals"
+        if s.role != "fit":
+            group, label = 1, "held out"
+        traces.append(Trace(x=x, y=k - y * HALF_ROW / ROW_SD, style="points", label=label, group=group))
+    middles, half = range(len(rows)), HALF_ROW / 2
+    spans = [Span(start=k - half, end=k + half, axis="y", label=f"±{ROW_SD / 2:g} sd") for k in middles]
+    names = [s.trial for s in rows]
+    over_time = panel(x_label, "trial", traces, y_categories=names, invert_y=True, spans=spans)
+    caption += f" Each row is a trial; the band is ±{ROW_SD / 2:g} standard deviations."
+    if correlation is None:
+        return panels(id, title, caption, [over_time])
+    lagged = correlogram(correlation, "autocorrelation", "residuals", skip_zero=True)
+    caption += " The autocorrelation is of all fitted trials, with the 95 % band of white noise."
+    return panels(id, title, caption, [over_time, lagged])
+
+
+def correlogram(correlation: Correlogram, y_label: str, label: str, *, skip_zero: bool) -> Panel:
+    """Return a panel with a correlation function as stems, and with the 95 % band of white noise."""
+    keep = np.ones(len(correlation.lags), dtype=bool)
+    if skip_zero:
+        keep = correlation.lags != 0
+    lags = correlation.lags[keep]
+    stems = Trace(x=lags, y=correlation.values[keep], style="stems", label=label, group=0)
+    null = band(lags, np.zeros(len(lags)), correlation.bound[keep], label="95 % band", group=1)
+    return panel("lag (samples)", y_label, [stems, null], marks=[Mark(at=0.0)])

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import re
-from decimal import ROUND_HALF_EVEN, Decimal
 from typing import TypeGuard
 
 #: Two-sided 95 % quantile of the normal distribution.
@@ -58,14 +57,8 @@ def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
 
 def fixed(value: float, decimals: int) -> str:
     """Return a value as text, rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
-    exact = Decimal(repr(float(value)))
-    step = Decimal(1).scaleb(-decimals)
-    # The default precision of ``decimal`` (28 digits) is enough, because ``_MOST_DIGITS`` limits
-    # ``decimals``.
-    rounded = exact.quantize(step, rounding=ROUND_HALF_EVEN)
-    if rounded == 0:
-        rounded = abs(rounded)
-    return f"{rounded:f}".replace("-", "−")
+    rounded = round(float(value), decimals) + 0.0
+    return f"{rounded:.{max(decimals, 0)}f}".replace("-", "−")
 
 
 def power_of_ten(exponent: int) -> str:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from swimid.options import Options, option
 
-Kind = Literal["html", "md", "json"]
+Kind = Literal["html", "md"]
 
 
 class ReportOptions(

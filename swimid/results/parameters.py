@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, PrivateAttr
 
@@ -12,7 +12,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
-from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
+from swimid.results.evidence import Evidence, Table, Verdict
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -122,16 +122,8 @@ class ParameterFile(yamlio.ResultFile):
         return self.parameters[name].value
 
 
-class HasFile(Protocol):
-    """Result of a fit, an object with a parameter file."""
-
-    @property
-    def file(self) -> ParameterFile:
-        """Parameter file of the fit."""
-
-
 #: Source of parameters: a parameter file, its content, or the result of a fit.
-Source = str | Path | ParameterFile | HasFile
+Source = str | Path | ParameterFile | FileResult[ParameterFile]
 
 
 def place(source: Source) -> Path:
@@ -175,15 +167,12 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
     """
     path = place(source)
     parameters = _file(source)
-    models = model
-    if isinstance(model, str):
-        models = (model,)
-    if models and parameters.model not in models:
-        raise InputError(
-            f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}",
-            file=path,
-            column="model",
-        )
+    models = model or (parameters.model,)
+    if isinstance(models, str):
+        models = (models,)
+    if parameters.model not in models:
+        text = f"holds parameters of the model '{parameters.model}', not of {' or '.join(models)}"
+        raise InputError(text, file=path, column="model")
     return parameters
 
 
@@ -195,20 +184,15 @@ def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path)
     InputError
         If a parameter is missing, or its status is ``unidentifiable``.
     """
-    values = []
     for name in names:
-        estimate = parameters.parameters.get(name)
-        if estimate is None:
-            raise InputError("this parameter is missing", file=path, column=f"parameters.{name}")
-        if estimate.status == "unidentifiable":
-            raise InputError(
-                "this parameter was not identifiable from its trials and cannot be used further",
-                file=path,
-                column=f"parameters.{name}",
-                hint="add trials that tell it apart, or fix it from another source",
-            )
-        values.append(estimate.value)
-    return values
+        column = f"parameters.{name}"
+        if name not in parameters.parameters:
+            raise InputError("this parameter is missing", file=path, column=column)
+        if parameters.parameters[name].status == "unidentifiable":
+            text = "this parameter was not identifiable from its trials and cannot be used further"
+            hint = "add trials that tell it apart, or fix it from another source"
+            raise InputError(text, file=path, column=column, hint=hint)
+    return [parameters.value(name) for name in names]
 
 
 # ---------------------------------------------------------------- result of a fit
@@ -292,15 +276,10 @@ class Fitted(FileResult[ParameterFile]):
             _estimates("parameters", "Parameters", shared),
             _estimates("parameters-of-trials", "Parameters of single trials", own, folded=True),
             _estimates("derived", "Derived quantities", file.derived),
-            _poles(file),
             _correlation(file.correlation),
         ]
         if file.fit is not None:
             tables.insert(3, _channels(file.fit))
-            more = file.fit.model_extra or {}
-            single = {name: value for name, value in more.items() if not _is_records(value)}
-            details = {"trials": file.fit.trials, "noise": file.fit.noise, **single}
-            tables.append(leaf_table("fit", "Fit details", details))
         return [table for table in tables if table.rows]
 
     def bare(self) -> Evidence:
@@ -316,10 +295,6 @@ class Fitted(FileResult[ParameterFile]):
                 verdict.level = "caution"
         title = f"Parameters of {self.file.model}"
         return Evidence(command=self.command, title=title, verdict=verdict, provenance=self.file.provenance)
-
-
-def _is_records(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
 
 
 def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: bool = False) -> Table:
@@ -349,16 +324,15 @@ def value_text(estimate: Estimate) -> str:
 
 def _correlation(correlation: Correlation | None) -> Table:
     """Return the correlation matrix as a table, without rows if there are fewer than two estimates."""
-    names: list[str] = []
+    found = correlation or Correlation(names=[], matrix=[])
     rows: list[list[Any]] = []
-    if correlation is not None and len(correlation.names) > 1:
-        names = correlation.names
-        for name, row in zip(names, correlation.matrix, strict=True):
+    if len(found.names) > 1:
+        for name, row in zip(found.names, found.matrix, strict=True):
             rows.append([name, *(numbers.fixed(r, 2) for r in row)])
     return Table(
         id="correlation",
         title="Correlation of the estimates",
-        columns=["", *names],
+        columns=["", *found.names],
         rows=rows,
         caption="Above 0.9 in size the trials determine a combination of two better than either of them.",
         folded=True,
@@ -390,17 +364,6 @@ def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, s
     elif rmse is not None and sd:
         ratio = numbers.number(rmse / sd, 3)
     return text, ratio
-
-
-def _poles(file: ParameterFile) -> Table:
-    """Return a table of the poles of a discrete-time model."""
-    rows: list[list[Any]] = []
-    for p in file.poles or []:
-        magnitude = numbers.measured(p.magnitude, p.stderr_magnitude)
-        place = ("inside", "on or outside")[p.magnitude >= 1]
-        rows.append([numbers.fixed(p.real, 4), numbers.fixed(p.imag, 4), magnitude, place])
-    columns = ["real", "imaginary", "magnitude", "unit circle"]
-    return Table(id="poles", title="Poles", columns=columns, rows=rows)
 
 
 def _estimates_frame(estimates: dict[str, Estimate]) -> pd.DataFrame:

@@ -1,30 +1,43 @@
-"""Command ``report``: one page with results and their evidence."""
+"""Command ``report``: one page with results and their evidence.
+
+The page is HTML without scripts, or Markdown, from one template for each format.
+"""
 
 from __future__ import annotations
 
-import json
+import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 import swimid
 from swimid.errors import UsageError
-from swimid.files import atomic, yamlio
+from swimid.files import atomic
 from swimid.files.provenance import sha256
-from swimid.notices import recorded, warn
+from swimid.notices import CODES, Progress, recorded, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, page
-from swimid.results.evidence import Evidence, sidecar
-from swimid.results.kinds import load_result
+from swimid.results import drawing
+from swimid.results import evidence as ev
 from swimid.results.options import Kind, ReportOptions
-from swimid.results.result import Result, Text
+from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
-#: ``format`` of the JSON report.
-FORMAT = "swimid-report/1"
-_ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md", ".json": "json"}
+_ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
+#: Symbol and word for each level of a verdict, so that the level can be read without colour.
+LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
+CHECKS = {
+    "pass": ("✓", "pass", "good"),
+    "warn": ("!", "warn", "caution"),
+    "fail": ("✕", "fail", "bad"),
+    "info": ("i", "info", "muted"),
+}
+#: Maximum number of panels, and maximum number of tables, in the main part of a result. The first figure is
+#: always in the main part. Other figures and tables are folded.
+MAIN_PANELS, MAIN_TABLES = 3, 1
 
 
 @takes(ReportOptions)
@@ -47,12 +60,12 @@ def report(
     output : path, optional
         File to write. With None or ``-`` no file is written.
     progress : Progress
-        Progress over the files that are read and the figures that are drawn.
+        Progress over the figures that are drawn.
 
     Returns
     -------
     Result
-        ``.document`` is the page (HTML, Markdown or JSON); a notebook shows it. ``.save(path)`` writes it.
+        ``.document`` is the page (HTML or Markdown); a notebook shows it. ``.save(path)`` writes it.
 
     Raises
     ------
@@ -74,13 +87,13 @@ def report(
     paths = [source for source in sources if isinstance(source, Path)]
     target, kind = None, options.format or "html"
     if output is not None and str(output) != "-":
-        target = atomic.check_writable(output, inputs=[*paths, *map(sidecar, paths)])
+        target = atomic.check_writable(output, inputs=[*paths, *map(ev.sidecar, paths)])
         kind = options.format or _ENDINGS.get(target.suffix.lower(), "html")
     results = []
-    with progress("reading", total=len(sources)) as step:
-        for source in sources:
-            results.append(_read(source) if isinstance(source, Path) else source)
-            step()
+    for source in sources:
+        if isinstance(source, Path):
+            source = _read(source)
+        results.append(source)
     contents = [result.content() for result in results]
     heading = options.title or "Identification report"
     if options.title is None and len(contents) == 1:
@@ -88,27 +101,26 @@ def report(
     created = datetime.now(UTC)
     digests = {str(result.path): "of nothing: it was in memory" for result in results}
     digests |= {str(path): sha256(path) for path in paths}
-    document = _as_json(results, contents, title=heading, created=created, digests=digests)
-    if kind == "json":
-        text = json.dumps(document, ensure_ascii=False, allow_nan=False, default=str) + "\n"
-    else:
-        text = page.render(
-            results,
-            contents,
-            template=f"report.{kind}",
-            title=heading,
-            created=created,
-            digests=digests,
-            progress=progress,
-        )
-    if target is None:
-        return Text("report", text.rstrip("\n"), document, document=text)
-    atomic.write_text(target, text)
-    whole = page.overall(contents)
+    text = render(
+        results,
+        contents,
+        template=f"report.{kind}",
+        title=heading,
+        created=created,
+        digests=digests,
+        progress=progress,
+    )
+    whole = overall(contents)
     lines = [f"{whole.level}: {whole.text}"]
+    verdicts = []
     for result, content in zip(results, contents, strict=True):
         lines.append(f"  {result.path.name}: {content.verdict.level}. {content.verdict.text}")
-    return Text("report", "\n".join(lines), document, [target], document=text)
+        verdicts.append({"file": str(result.path), **content.verdict.model_dump()})
+    data = {"title": heading, "verdict": whole.model_dump(), "results": verdicts}
+    if target is None:
+        return Text("report", text.rstrip("\n"), data, document=text)
+    atomic.write_text(target, text)
+    return Text("report", "\n".join(lines), data, [target], document=text)
 
 
 def _read(path: Path) -> Result:
@@ -124,36 +136,143 @@ def _read(path: Path) -> Result:
         shown = result.evidence
         if shown is None:
             shown = result.bare()
-            place = sidecar(path).name
+            place = ev.sidecar(path).name
             warn("SWM050", f"{path.name} has no evidence beside it ({place}): its checks are not shown")
-    notices = [record for record in blocks.notices(raised) if record not in shown.notices]
-    update = {"notices": [*shown.notices, *notices]}
-    return replace(result, evidence=shown.model_copy(update=update))
+    notices = [*shown.notices, *(notice for notice in raised if notice not in shown.notices)]
+    return replace(result, evidence=shown.model_copy(update={"notices": notices}))
 
 
-def _as_json(
+# ---------------------------------------------------------------- page
+
+
+def overall(contents: Sequence[ev.Evidence]) -> ev.Verdict:
+    """Return the worst level among the results, and a sentence with the number of results at this level."""
+    levels = [shown.verdict.level for shown in contents]
+    worst = max(levels, key=list(LEVELS).index)
+    count = levels.count(worst)
+    verb = {"good": "can be used", "caution": "needs care", "bad": "should not be used"}[worst]
+    if len(levels) == 1:
+        return ev.Verdict(level=worst, text=f"This result {verb}.", word=contents[0].verdict.word)
+    which = f"{count} of {len(levels)} results"
+    if count == len(levels):
+        which = f"All {count} results"
+    if count > 1:
+        verb = verb.replace("needs", "need")
+    return ev.Verdict(level=worst, text=f"{which} {verb}.")
+
+
+def render(
     results: Sequence[Result],
-    contents: Sequence[Evidence],
+    contents: Sequence[ev.Evidence],
     *,
+    template: str,
     title: str,
     created: datetime,
     digests: dict[str, str],
-) -> dict[str, Any]:
-    """Return all results and their evidence, at full precision, as plain data."""
+    progress: Progress = silent,
+) -> str:
+    """Return the report as text.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        Results in the report, at least one.
+    contents : sequence of Evidence
+        Evidence of each result, as :meth:`Result.content` returns it.
+    template : str
+        Name of the template, ``"report.html"`` or ``"report.md"``.
+    title : str
+    created : datetime
+        Time that is printed at the foot of the page. Reports with the same input and time are identical.
+    digests : dict of str to str
+        SHA-256 of each result file by its path.
+    progress : Progress
+        Progress over the figures.
+    """
+    environment = Environment(
+        loader=PackageLoader("swimid.results"),
+        autoescape=template.endswith("html"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.globals.update(
+        levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
+    )
+    environment.filters.update(md=_markdown, code=_code)
+    sections = []
+    with progress("drawing", total=sum(len(content.figures) for content in contents)) as step:
+        for k, (result, content) in enumerate(zip(results, contents, strict=True), 1):
+            pictures = []
+            for n, figure in enumerate(content.figures):
+                panels: list[str] = []
+                if template.endswith("html"):
+                    panels = drawing.for_page(figure, f"{k}-{n}-")
+                pictures.append((_explained(figure), panels))
+                step()
+            command = result.next_command(result.path.name)
+            section = {"anchor": f"r{k}", "kind": result.kind, "path": result.path, "next": command}
+            sections.append(section | _parts(content, pictures))
+    return environment.get_template(template).render(
+        title=title,
+        version=swimid.__version__,
+        created=created,
+        verdict=overall(contents),
+        results=sections,
+        references=list(dict.fromkeys(text for content in contents for text in content.references)),
+        warnings=_warnings(results, contents),
+        digests=digests,
+    )
+
+
+def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> dict[str, Any]:
+    """Return the content of one result for the template. Main parts and folded parts are separate."""
+    panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
+    n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
+    tables = [table for table in content.tables if not table.folded][:MAIN_TABLES]
+    verdicts = [check.verdict for check in content.checks]
+    counts = [f"{verdicts.count(one)} {one}" for one in ("pass", "warn", "fail") if one in verdicts]
     return {
-        "format": FORMAT,
-        "title": title,
-        "created": created.isoformat(timespec="seconds"),
-        "version": swimid.__version__,
-        "verdict": page.overall(contents).model_dump(include={"level", "text"}),
-        "results": [
-            {
-                "file": str(result.path),
-                "sha256": digests[str(result.path)],
-                "kind": result.kind,
-                "result": yamlio.plain(result.data),
-                "evidence": content.model_dump(mode="json"),
-            }
-            for result, content in zip(results, contents, strict=True)
-        ],
+        "content": content,
+        "figures": figures[:n_main],
+        "tables": tables,
+        "more_figures": figures[n_main:],
+        "more_tables": [table for table in content.tables if table not in tables],
+        "checks": ", ".join(counts),
     }
+
+
+def _explained(figure: ev.Figure) -> ev.Figure:
+    """Return a figure with a remark in its caption if long traces are drawn as envelopes."""
+    if all(len(trace.x) <= ev.MAX_POINTS for panel in figure.panels for trace in panel.traces):
+        return figure
+    caption = f"{figure.caption} Long traces are drawn as their envelope."
+    return figure.model_copy(update={"caption": caption})
+
+
+def _warnings(
+    results: Sequence[Result], contents: Sequence[ev.Evidence]
+) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """Return each warning code with its meaning and its (result, text) pairs, without duplicates."""
+    texts: dict[str, list[tuple[str, str]]] = {}
+    for result, content in zip(results, contents, strict=True):
+        for notice in content.notices:
+            entry = (result.path.name, notice.text.removeprefix(f"{result.path.name}, "))
+            if entry not in texts.setdefault(notice.code, []):
+                texts[notice.code].append(entry)
+    return [(code, CODES.get(code, "unknown code"), texts[code]) for code in sorted(texts)]
+
+
+def _markdown(text: str) -> str:
+    """Return text on one line, with the special characters of Markdown and HTML escaped."""
+    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([\\`*\[\]|]|(?<!\w)_|_(?!\w))", r"\\\1", plain)
+
+
+def _code(text: str) -> str:
+    plain = " ".join(str(text).split()).replace("|", "\\|")
+    fence = "`" * (max(map(len, re.findall(r"`+", plain)), default=0) + 1)
+    if len(fence) > 1:
+        plain = f" {plain} "
+    return f"{fence}{plain}{fence}"

@@ -1,30 +1,23 @@
-"""Base classes of the results that commands return: an answer together with its evidence."""
+"""Results that commands return: an answer together with its evidence, and its text for a terminal."""
 
 from __future__ import annotations
 
 import html
+import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from swimid.errors import UsageError
-from swimid.files import atomic
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.files import atomic, tabular, yamlio
 from swimid.notices import warn
-from swimid.results import terminal
-from swimid.results.evidence import (
-    Check,
-    Evidence,
-    NoticeRecord,
-    Table,
-    Verdict,
-    leaf_table,
-    sidecar,
-)
-from swimid.results.evidence import read as read_evidence
-from swimid.results.evidence import write as write_evidence
+from swimid.results import evidence as ev
+from swimid.results import numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,9 +25,39 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
     from swimid.files.yamlio import ResultFile
-    from swimid.results.evidence import Figure
 
 File = TypeVar("File", bound="ResultFile")
+
+#: Class of the results with each ``format:`` in a YAML file, as ``module:class``.
+FORMATS = {
+    "swimid-parameters/1": "swimid.results.parameters:Fitted",
+    "swimid-comparison/1": "swimid.simulation.compare:Comparison",
+    "swimid-gap/1": "swimid.diagnosis.evidence:Diagnosis",
+    "swimid-power/1": "swimid.diagnosis.power:DetectionPower",
+    "swimid-sensitivity/2": "swimid.sensitivity_analysis.sensitivity:Sensitivity",
+    "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
+    "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
+    "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
+}
+LOG_ENDINGS = (".csv", *tabular.PARQUET)
+LOG = "swimid.logs.logged:Logged"
+
+#: Maximum width of a line on a terminal, and minimum width of a column whose texts are shortened, characters.
+WIDTH, MIN_CUT = 100, 16
+#: Pattern of a number as :mod:`swimid.results.numbers` writes it, of a dash, or of an empty text.
+_NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
+
+#: Suggested next command after the result of each command. ``{trials}`` is the first YAML file among the
+#: inputs of the result, ``{params}`` the last.
+NEXT = {
+    **dict.fromkeys(
+        ("fit-drag", "fit-propulsion", "fit-graybox"),
+        "swimid compare {trials} --params {file} -o comparison.yaml",
+    ),
+    "compare": "swimid diagnose {trials} --params {params} -o gap.yaml",
+    **dict.fromkeys(("track video", "track imu", "import", "simulate"), "swimid plot {file} -o log.svg"),
+    **dict.fromkeys(("diagnose", "rwls", "map", "sensitivity"), "swimid report {file} -o report.html"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +99,7 @@ class Result:
     text: str = ""
     data: dict[str, Any] = field(default_factory=dict)
     outputs: Sequence[Path] = ()
-    evidence: Evidence | None = None
+    evidence: ev.Evidence | None = None
     document: Any = None
 
     #: Name of this kind of result in reports.
@@ -88,9 +111,31 @@ class Result:
         """Return the answer in plain text, as the command prints it."""
         if self.text or self.evidence is None:
             return self.text
-        return terminal.summary(self.content())
+        shown = self.content()
+        facts = "; ".join(f"{name[:1].lower()}{name[1:]} {value}" for name, value in shown.facts.items())
+        parts = [shown.title, *filter(None, [_wrapped(facts)])]
+        for table in [table for table in shown.tables if not table.folded][:1]:
+            parts += ["", table_text(table)]
+        if shown.notes:
+            parts += ["", *(_wrapped(note) for note in shown.notes)]
+        word = (shown.verdict.word or shown.verdict.level).upper()
+        verdict = f"{word}: {shown.verdict.text}"
+        passed = sum(check.verdict == "pass" for check in shown.checks)
+        if passed:
+            verdict += f" {passed} {('checks pass', 'check passes')[passed == 1]}."
+        return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
 
-    def content(self) -> Evidence:
+    def next_command(self, file: str) -> str:
+        """Return the suggested next command after this result in ``file``; empty if there is none."""
+        provenance = getattr(self.evidence, "provenance", {})
+        if not provenance and self.path.suffix not in LOG_ENDINGS:
+            return ""
+        files = [name for name in provenance.get("inputs") or {} if name.endswith((".yaml", ".yml"))]
+        trials, *others = files or ["TRIALS.yaml"]
+        params = (others or ["PARAMETERS.yaml"])[-1]
+        return NEXT.get(self.command, "").format(file=file, trials=trials, params=params)
+
+    def content(self) -> ev.Evidence:
         """Return the content of a report: the evidence, preceded by facts and tables from the result file.
 
         Without evidence, the verdict is not better than caution.
@@ -129,7 +174,7 @@ class Result:
 
     def checks(self) -> pd.DataFrame:
         """Return a table of all checks: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
-        names = list(Check.model_fields)
+        names = list(ev.Check.model_fields)
         return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -169,7 +214,11 @@ class Result:
         """
         from swimid.results import drawing
 
-        figure = self._figure(name)
+        figures = {figure.id: figure for figure in self._shown("figures")}
+        if name not in figures:
+            known = ", ".join(figures) or "none"
+            raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
+        figure = figures[name]
         if axes is None:
             from matplotlib import pyplot
 
@@ -207,8 +256,8 @@ class Result:
             written = self._write(target)
             if self.evidence is not None and not atomic.is_device(target):
                 made_for = {"result": target.name, "sha256": self.document.digest()}
-                write_evidence(sidecar(target), self.evidence.model_copy(update=made_for))
-                written.insert(1, sidecar(target))
+                ev.write(ev.sidecar(target), self.evidence.model_copy(update=made_for))
+                written.insert(1, ev.sidecar(target))
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
@@ -228,9 +277,9 @@ class Result:
         """
         document = cls._read(path)
         loaded = cls("", "", cls._plain(document), [Path(path)], document=document)
-        if not sidecar(path).exists():
+        if not ev.sidecar(path).exists():
             return loaded
-        evidence = _of_document(read_evidence(sidecar(path)), document, Path(path).name)
+        evidence = _of_document(ev.read(ev.sidecar(path)), document, Path(path).name)
         return replace(loaded, command=evidence.command, evidence=evidence)
 
     def _own_facts(self) -> dict[str, str]:
@@ -241,7 +290,7 @@ class Result:
         """Return the notes that are stored in the result file."""
         return []
 
-    def _own_tables(self) -> list[Table]:
+    def _own_tables(self) -> list[ev.Table]:
         """Return the tables of the content of the result file."""
         return []
 
@@ -250,13 +299,13 @@ class Result:
         """Return the content of a result file as plain data."""
         return {}
 
-    def bare(self) -> Evidence:
+    def bare(self) -> ev.Evidence:
         """Return the minimal evidence for a result file whose evidence file is missing."""
-        return Evidence(
+        return ev.Evidence(
             command=self.command,
             title=f"{self.kind} {self.path.name}",
-            verdict=Verdict(level="caution", text="No evidence file, so its checks cannot be shown."),
-            tables=[leaf_table("content", "Content of the file", self.data)],
+            verdict=ev.Verdict(level="caution", text="No evidence file, so its checks cannot be shown."),
+            tables=[ev.leaf_table("content", "Content of the file", self.data)],
             provenance=getattr(self.document, "provenance", {}),
         )
 
@@ -270,13 +319,6 @@ class Result:
     def _shown(self, what: str) -> Sequence[Any]:
         """Return the checks, tables, figures or notices of the evidence; an empty list without evidence."""
         return getattr(self.evidence, what, [])
-
-    def _figure(self, name: str) -> Figure:
-        for figure in self._shown("figures"):
-            if figure.id == name:
-                return figure
-        known = ", ".join(self.figure_names) or "none"
-        raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -315,7 +357,7 @@ class Text(Result):
         return f"<pre>{html.escape(text)}</pre>"
 
 
-def _of_document(evidence: Evidence, document: Any, name: str) -> Evidence:
+def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence:
     """Return the evidence of a result file, with a lower verdict if the file was changed since.
 
     Warns
@@ -332,7 +374,7 @@ def _of_document(evidence: Evidence, document: Any, name: str) -> Evidence:
     )
     warn("SWM052", text)
     said = f"The file was changed after this verdict: {evidence.verdict.text}"
-    notices = [*evidence.notices, NoticeRecord(code="SWM052", text=text)]
+    notices = [*evidence.notices, ev.NoticeRecord(code="SWM052", text=text)]
     verdict = evidence.verdict.lowered("caution", said)
     return in_memory.model_copy(update={"verdict": verdict, "notices": notices})
 
@@ -360,7 +402,7 @@ class FileResult(Result, Generic[File]):
         return file
 
     @classmethod
-    def of(cls, file: File, evidence: Evidence) -> Self:
+    def of(cls, file: File, evidence: ev.Evidence) -> Self:
         """Return the result with the given file content and evidence."""
         return cls(evidence.command, "", cls._plain(file), evidence=evidence, document=file)
 
@@ -375,3 +417,96 @@ class FileResult(Result, Generic[File]):
     def _write(self, path: Path) -> list[Path]:
         self.document.write(path)
         return [path]
+
+
+# ---------------------------------------------------------------- text for a terminal
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, WIDTH, initial_indent="  ", subsequent_indent="  ")
+
+
+def cell_text(value: Any) -> str:
+    """Return the text of a table cell: numbers with four significant digits, an empty cell as a dash."""
+    if isinstance(value, str):
+        return value or numbers.NOTHING
+    return numbers.number(value)
+
+
+def is_numeric(table: ev.Table) -> list[bool]:
+    """Return for each column whether all its cells are numbers, so that it is aligned to the right."""
+    right = []
+    for k in range(len(table.columns)):
+        column = [row[k] for row in table.rows]
+        right.append(all(not isinstance(v, bool) and _NUMBER.fullmatch(cell_text(v)) for v in column))
+    return right
+
+
+def table_text(table: ev.Table) -> str:
+    """Return a table as aligned columns. If lines are too long, texts are shortened or columns omitted."""
+    rows = [table.columns, *([cell_text(value) for value in row] for row in table.rows)]
+    right, left = is_numeric(table), WIDTH
+    columns: list[list[str]] = []
+    for k, column in enumerate(zip(*rows, strict=True)):
+        width = max(map(len, column))
+        left -= width + 2
+        if left < 0:
+            width += left
+            if right[k] or width < MIN_CUT:
+                break
+            column = tuple(textwrap.shorten(cell, width, placeholder="…") for cell in column)
+        columns.append([f"{cell:{'<>'[right[k]]}{width}}" for cell in column])
+        if left <= 0:
+            break
+    return "\n".join(f"  {'  '.join(line)}".rstrip() for line in zip(*columns, strict=True))
+
+
+# ---------------------------------------------------------------- results in files
+
+
+def load_result(path: str | Path) -> Result:
+    """Read any result that swimid wrote, together with its evidence file.
+
+    Parameters
+    ----------
+    path : path
+        A parameter, comparison, gap, power, sensitivity, map, rule or gait file, or a log.
+
+    Returns
+    -------
+    Result
+        Result, an object of the class that belongs to the format of the file.
+
+    Raises
+    ------
+    InputError
+        If the file is not a result, or is invalid.
+
+    Examples
+    --------
+    >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
+    '1'
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    place = LOG
+    if path.name.endswith(".evidence.json"):
+        stem = path.name.removesuffix(".evidence.json")
+        there = [e for e in (".yaml", ".yml", *LOG_ENDINGS) if path.with_name(stem + e).exists()]
+        result = stem + (there or [".yaml"])[0]
+        raise InputError("is the evidence of a result", file=path, hint=f"name the result itself: {result}")
+    if ending in (".yaml", ".yml"):
+        form = yamlio.load(path).get("format")
+        if form not in FORMATS:
+            reason = f"its format '{form}' is that of no result"
+            if form is None:
+                reason = "has no 'format'"
+            hint = suggestion(str(form), sorted(FORMATS), "known")
+            raise InputError(reason, file=path, line=1, column="format", hint=hint)
+        place = FORMATS[str(form)]
+    elif ending not in LOG_ENDINGS:
+        allowed = ", ".join([".yaml", *LOG_ENDINGS])
+        raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)
+    module, _, name = place.partition(":")
+    loaded: Result = getattr(import_module(module), name).load(path)
+    return loaded

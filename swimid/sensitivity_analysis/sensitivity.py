@@ -20,9 +20,8 @@ from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.sensitivity_analysis import evidence as sensitivity_evidence

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from swimid.files import atomic
 from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.swimmer.planar.model import Body
 
 Array = NDArray[np.float64]

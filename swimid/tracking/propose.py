@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
-from swimid.notices import warn
-from swimid.progress import Step
+from swimid.notices import Step, warn
 from swimid.tracking import detect
 from swimid.tracking.detect import SLACK, ColourModel, marker_mask
 from swimid.tracking.reader import Frame, FrameKeeper, Video, largest_channel

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance, yamlio
-from swimid.notices import warn
+from swimid.notices import Progress, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
 from swimid.results.result import Result
 from swimid.tracking import detect, propose, quality
 from swimid.tracking import setup as setup_format

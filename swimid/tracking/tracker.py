@@ -22,8 +22,7 @@ from scipy.optimize import linear_sum_assignment
 
 from swimid.errors import InputError
 from swimid.logs.log import runs
-from swimid.notices import warn
-from swimid.progress import Step
+from swimid.notices import Step, warn
 from swimid.tracking import detect, pose, quality
 from swimid.tracking.detect import GROWN, LOST, NOT_SEEN, WINDOW, Blob, ColourModel, Patch, RawTrack, Row
 from swimid.tracking.reader import Frame, FrameKeeper, Video

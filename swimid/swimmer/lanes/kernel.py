@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from swimid.files import atomic
 from swimid.fitting.model import Force, Traceable
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.swimmer.lanes import tracing
 from swimid.swimmer.lanes.tracing import LANES, Traced
 

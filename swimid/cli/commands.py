@@ -1,0 +1,211 @@
+"""Commands ``swimid import``, ``swimid schema`` and ``swimid doctor``, which belong to no other package."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import platform
+import re
+import sys
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+import swimid
+from swimid.cli.options import DoctorOptions, ImportLogOptions, SchemaOptions
+from swimid.errors import UsageError, suggestion
+from swimid.files import atomic
+from swimid.notices import Progress, silent
+from swimid.options import takes
+from swimid.results import numbers
+from swimid.results.evidence import Evidence, Table, Verdict
+from swimid.results.result import FORMATS, Result
+
+# ---------------------------------------------------------------- import
+
+
+@takes(ImportLogOptions)
+def import_log(
+    file: Path, *, options: ImportLogOptions, output: Path | None, progress: Progress = silent
+) -> Result:
+    """Import a file of another program, or draft its mapping.
+
+    Parameters
+    ----------
+    file : Path
+    output : Path
+        Log to write; the mapping with ``guess``.
+
+    Raises
+    ------
+    UsageError
+        If no output is given for a log, or if a mapping is given for the draft of one.
+    """
+    if options.guess:
+        if options.map_path is not None:
+            raise UsageError("--guess drafts a mapping, and takes none")
+        from swimid.logs.guess_mapping import guess_mapping
+
+        return guess_mapping(file, select=options.select, output=output)
+    if output is None:
+        raise UsageError("say where the log goes", hint="add -o run.csv")
+    from swimid.logs import import_log as logs
+
+    return logs.import_log(file, options=options, output=output, progress=progress)
+
+
+# ---------------------------------------------------------------- schema
+
+#: Model of each format that is not a result, as ``module:attribute``.
+OTHERS = {
+    "trials": "swimid.logs.trials:AnyTrials",
+    "robot": "swimid.robots.file:Robot",
+    "setup": "swimid.tracking.setup:Setup",
+    "mapping": "swimid.logs.mapping:Mapping",
+    "evidence": "swimid.results.evidence:Evidence",
+}
+
+
+@takes(SchemaOptions)
+def schema(name: str | None = None, *, options: SchemaOptions, output: Path | None = None) -> Result:
+    """Return the JSON Schema of one format, or the list of formats.
+
+    Parameters
+    ----------
+    name : str, optional
+        Name of the format: ``"gap"`` for ``format: swimid-gap/1``.
+    output : path, optional
+        File for the schema.
+
+    Raises
+    ------
+    UsageError
+        If there is no such format. The hint names the most similar format.
+    """
+    results = {form.removeprefix("swimid-").split("/")[0]: place for form, place in FORMATS.items()}
+    places = OTHERS | results
+    if name is None:
+        return Result("schema", "\n".join(places), {"formats": list(places)})
+    if name not in places:
+        raise UsageError(f"there is no format '{name}'", hint=suggestion(name, list(places)))
+    module, _, attribute = places[name].partition(":")
+    found = getattr(importlib.import_module(module), attribute)
+    document = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$comment": f"written by swimid {swimid.__version__}",
+        # a class of results has the model of its file as ``file_type``
+        **TypeAdapter(getattr(found, "file_type", found)).json_schema(),
+    }
+    text = json.dumps(document, indent=2)
+    if output is None:
+        return Result("schema", text, document)
+    atomic.write_text(output, text + "\n")
+    return Result("schema", "", document, [output])
+
+
+# ---------------------------------------------------------------- doctor
+
+#: Use of each optional package.
+OPTIONAL = {
+    "av": "overlay videos that browsers play (pip install 'swimid[video]')",
+    "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
+    "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
+    "mcap": "recordings of ROS 2 (pip install 'swimid[mcap]')",
+    "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
+    "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
+    "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
+    "pymoo": "genetic searches (pip install 'swimid[search]')",
+}
+#: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
+KERNELS = (
+    "swimid.rig.model",
+    "swimid.swimmer.planar.model",
+    "swimid.blackbox.recursive",
+    "swimid.fitting.metrics",
+    "swimid.tracking.detect",
+    "swimid.tracking.smooth",
+)
+
+
+@takes(DoctorOptions)
+def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
+    """Check versions, video decoding and optional packages. With ``warm_up``, compile the kernels.
+
+    Parameters
+    ----------
+    output : path, optional
+        File for the findings, as JSON.
+    """
+    findings: dict[str, Any] = {
+        "swimid": swimid.__version__,
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "packages": _versions(_required()),
+        "optional": _versions(OPTIONAL),
+        "video_decoding": _decodes_video(),
+    }
+    rows = [[name, version or "MISSING", ""] for name, version in findings["packages"].items()]
+    for name, version in findings["optional"].items():
+        rows.append([name, version or "not installed", OPTIONAL[name]])
+    if options.warm_up:
+        findings["kernels_s"] = {}
+        with progress("compiling", total=len(KERNELS)) as step:
+            for name in KERNELS:
+                began = time.perf_counter()
+                importlib.import_module(name).warm_up()
+                findings["kernels_s"][name] = round(time.perf_counter() - began, 3)
+                rows.append([name, "compiled", f"in {findings['kernels_s'][name]:.1f} s"])
+                step()
+    missing = [name for name, version in findings["packages"].items() if version is None]
+    findings["healthy"] = not missing and findings["video_decoding"]
+    verdict = Verdict(level="good", text="Everything is in place.")
+    if not findings["healthy"]:
+        lacking = ", ".join(missing) or "FFmpeg in OpenCV"
+        verdict = Verdict(level="bad", text=f"Reinstall swimid. Missing: {lacking}.")
+    evidence = Evidence(
+        command="doctor",
+        title=f"swimid {swimid.__version__}",
+        verdict=verdict,
+        facts={
+            "Python": findings["python"],
+            "Platform": findings["platform"],
+            "Video decoding": numbers.number(findings["video_decoding"]),
+        },
+        tables=[Table(id="packages", title="Packages", columns=["package", "state", "use"], rows=rows)],
+    )
+    outputs = []
+    if output is not None:
+        atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
+        outputs.append(output)
+    return Result("doctor", data=findings, outputs=outputs, evidence=evidence)
+
+
+def _required() -> list[str]:
+    """Return the packages that every command needs, from the metadata of the installed swimid."""
+    try:
+        stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
+    except metadata.PackageNotFoundError:
+        # swimid runs from its source and is not installed
+        return ["swimid"]
+    return [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in stated]
+
+
+def _versions(names: Iterable[str]) -> dict[str, str | None]:
+    """Return the version of each package; None for a package that is not installed."""
+    versions: dict[str, str | None] = dict.fromkeys(names)
+    for name in versions:
+        with suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions
+
+
+def _decodes_video() -> bool:
+    import cv2
+
+    backends, build = cv2.videoio_registry.getStreamBackends(), cv2.getBuildInformation()
+    return bool(backends) and "FFMPEG:                      YES" in build
