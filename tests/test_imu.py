@@ -12,7 +12,7 @@ import pytest
 from scipy import io, signal
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import alone, motion
+from swimid.inertial import estimate, motion
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import Record, integrated_attitude
 from swimid.inertial.setup import find_rests, measure_noise, prepare
@@ -134,7 +134,7 @@ def test_errors_are_as_large_as_their_bands_say() -> None:
         run = imu.marching(np.random.default_rng(100 + seed), swim_s=10.0, rest_s=2.5, rate_hz=50.0)
         record = Record(run.time_s, run.acceleration, run.rate)
         setup, _ = prepare(record, TrackImuOptions())
-        found = motion.at_reference(alone.smooth(setup, setup.sensor))
+        found = motion.at_reference(estimate._alone(setup).smoothed)
         squares.append(np.mean(((found.velocity - run.velocity) / found.velocity_sd)[300:-200] ** 2))
     # 36 independent numbers: chi square over its freedom lies in 0.6 ... 1.5 in 95 of 100 cases; prior
     # biases and the drift budget are bounds, not this sensor's values, so that less than 1 is expected

@@ -235,13 +235,13 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
         rows = np.flatnonzero(np.isfinite(values).all(axis=1))
         gap_s = np.max(np.diff(np.concatenate([t[:1], t[rows], t[-1:]])))
         if len(rows) < 2 or gap_s > max(STUCK_S, 2 * record.step_s) or is_dead(values[rows]):
-            return replace(record, **{column: None}), Finding(fault, "handled", text)
+            return record.changed(column, None), Finding(fault, "handled", text)
         known = values[rows]
         if len(rows) < len(record) and column == "quaternion":
             # q and -q are the same attitude: choose the signs between which interpolation is short
             same = np.sign(np.sum(known[1:] * known[:-1], axis=1, keepdims=True))
             known[1:] *= np.cumprod(same, axis=0)
-        return replace(record, **{column: resampled(t, t[rows], known)}), None
+        return record.changed(column, resampled(t, t[rows], known)), None
 
     return test
 

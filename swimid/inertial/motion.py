@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import alone, fusion
-from swimid.inertial.alone import GATE
-from swimid.inertial.fusion import Fused
+from swimid.inertial import estimate as estimation
+from swimid.inertial.estimate import GATE, Fused
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import (
     ACCELERATION,
@@ -352,7 +351,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     if options.method == "paper":
         moved, known["bias"] = compute_by_paper(body, setup.attitude, options)
         return Run(setup=setup, motion=moved, **known)
-    found = alone.estimate(setup) if poses is None else fusion.estimate(setup, poses)
+    found = estimation.estimate(setup, poses)
     setup = replace(found.setup, sensor=found.smoothed.sensor)
     known["findings"] = [*findings, *found.findings]
     impossible = found.impossible

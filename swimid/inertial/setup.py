@@ -230,6 +230,8 @@ QUATERNIONS = "quaternion columns"
 #: Standard deviations of the attitude, rad: of quaternions in a log (3DM-GX1, Table I of Shang et al.), and
 #: of an attitude filter.
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
+#: Standard deviations of a mounting from gravity and of a stated one, rad.
+GRAVITY_MOUNT_SD, STATED_MOUNT_SD = 3 * DEG, 0.5 * DEG
 #: Maximum angle between the vertical and the z axis of an upright sensor, rad.
 UPRIGHT = 45 * DEG
 #: Positions of the still periods that are rests of the robot, for each value of the option ``--rest``.
@@ -259,6 +261,8 @@ class Mount:
     by: str
     #: Unit vector opposite to gravity at rest, along sensor axes.
     up: Array
+    #: Standard deviation of the rotation, rad.
+    sd: float = GRAVITY_MOUNT_SD
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,15 +303,10 @@ class Setup:
         """Attitude from body to world before smoothing, n elements."""
         return self.source.rotation * self.mount.rotation
 
-    def lever(self, mount: Rotation) -> Array:
-        """Return the vector from the sensor to the reference point, sensor axes, m, shape (3,).
-
-        Parameters
-        ----------
-        mount : Rotation
-            Mounting from body to sensor.
-        """
-        return np.asarray(mount.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
+    @property
+    def lever(self) -> Array:
+        """Vector from the sensor to the reference point, sensor axes, m, shape (3,)."""
+        return np.asarray(self.mount.rotation.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
 
     def without(self, rests: list[Rest]) -> Setup:
         """Return the setup without the given rests.
@@ -351,7 +350,7 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
     up = up / np.linalg.norm(up)
     if options.mount_deg is not None:
         roll, pitch, yaw = (np.array([angle * DEG]) for angle in options.mount_deg)
-        return Mount(from_angles(roll, pitch, yaw)[0].inv(), "given", up), []
+        return Mount(from_angles(roll, pitch, yaw)[0].inv(), "given", up, STATED_MOUNT_SD), []
     if record.quaternion is not None:
         return Mount(Rotation.identity(), "quaternions", up), []
     if float(np.arccos(np.clip(up[2], -1, 1))) <= UPRIGHT:

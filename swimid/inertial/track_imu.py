@@ -12,8 +12,7 @@ import numpy as np
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.inertial import faults, motion
-from swimid.inertial.alone import GATE
-from swimid.inertial.fusion import MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Fused
+from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Fused
 from swimid.inertial.motion import Run
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import GRAVITY_M_S2, Array, read_poses, read_record
