@@ -360,7 +360,8 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
-        if len(rows) < MIN_SAMPLES:
+        # a coordinate that the other log lacks is constant
+        if len(rows) < MIN_SAMPLES or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
             return Rotation.identity()
         t = poses.time_s[rows]
         path = resampled(t, record.time_s, _fast_path(record, source)[:, :2])

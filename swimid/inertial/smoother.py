@@ -25,8 +25,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from swimid.inertial.record import GRAVITY_M_S2, Array, Record, integral, integrated_attitude, resampled
+from swimid.inertial.record import (
+    GRAVITY_M_S2,
+    Array,
+    Record,
+    integral,
+    integrated_attitude,
+    resampled,
+    turn_to_angles,
+)
 from swimid.inertial.setup import DRIFT_TIME_S, Noise, Sensor
+from swimid.logs.rotation import angles
 
 #: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
 PARTS = {
@@ -534,3 +543,132 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         q[:, 9 + i, 9 + i] = sensor.acceleration_drift**2 / DRIFT_TIME_S * dt_nodes
         q[:, 12 + i, 12 + i] = sensor.rate_drift**2 / DRIFT_TIME_S * dt_nodes
     return q
+
+
+# ---------------------------------------------------------------- the motion of the reference point
+
+
+#: Number of random error trajectories. They give a standard deviation to 1 / sqrt(2 N_DRAWS) = 6 %.
+N_DRAWS = 128
+#: Minimum number of samples for the high-pass filter, and its maximum cut-off frequency in sample rates.
+MIN_FILTERED, MAX_CUTOFF = 32, 0.45
+#: Quantities that are left empty where the motion is impossible.
+EMPTIED = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
+#: Motion of the reference point at n samples, as arrays of shape (n, 3) by name: ``position`` (m) and
+#: ``velocity`` (m/s) along world axes, ``body_velocity`` (m/s), ``angle`` (roll, pitch and yaw, rad),
+#: ``rate`` about body axes (rad/s), and ``acceleration`` of the sensor without gravity along world axes
+#: (m/s^2). ``quaternion`` (x, y, z, w) converts from body to world. Standard deviations end in ``_sd``.
+Motion = dict[str, Array]
+
+
+def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
+    """Return the velocity at the reference point, and the derivatives of the motion there.
+
+    The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
+    body rotation with respect to the errors at the nodes. Each has shape (nodes, 3, states).
+    """
+    rows = path.nodes
+    rate, rotation = path.rate[rows], path.rotation[rows]
+    matrix = rotation.as_matrix()
+    shape = (path.states, len(rows), 3)
+    arm, swing = rotation.apply(path.lever), rotation.apply(np.cross(rate, path.lever))
+    by_place = jacobian(*shape, position=np.eye(3), rotation=-cross_matrix(arm), lever=matrix)
+    by_speed = jacobian(
+        *shape,
+        velocity=np.eye(3),
+        rotation=-cross_matrix(swing),
+        rate_bias=matrix @ cross_matrix(path.lever),
+        lever=matrix @ cross_matrix(rate),
+    )
+    by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
+    velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
+    return velocity, by_place, by_speed, by_turn
+
+
+def at_reference(smoothed: Smoothed) -> Motion:
+    """Return the motion of the reference point with its standard deviations."""
+    path, covariance = smoothed.path, smoothed.errors.covariance
+    body, rows = path.rotation * path.mount, path.nodes
+    velocity, by_place, by_speed, by_turn = _carried(path)
+    by_body_speed = _in_body(body[rows], velocity[rows], by_speed, by_turn)
+
+    def sd(jacobian: Array) -> Array:
+        variance = np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian)
+        return resampled(path.time_s, path.node_s, np.sqrt(np.maximum(variance, 0.0)))
+
+    return attitude_only(body, path.mount.inv().apply(path.rate), path.acceleration) | {
+        "position": path.position + path.rotation.apply(path.lever),
+        "velocity": velocity,
+        "body_velocity": body.inv().apply(velocity),
+        "position_sd": sd(by_place),
+        "velocity_sd": sd(by_speed),
+        "body_velocity_sd": sd(by_body_speed),
+        "angle_sd": sd(turn_to_angles(body[rows]) @ by_turn),
+    }
+
+
+def attitude_only(rotation: Rotation, rate: Array, acceleration: Array, sd: float = np.nan) -> Motion:
+    """Return a motion without position and velocity.
+
+    Parameters
+    ----------
+    rotation : Rotation
+        Attitude from body to world, n elements.
+    rate, acceleration : ndarray, shape (n, 3)
+        See :data:`Motion`.
+    sd : float
+        Standard deviation of the angles, rad.
+    """
+    motion: Motion = {name: np.full(rate.shape, np.nan) for name in EMPTIED}
+    known = {"angle": np.column_stack(angles(rotation)), "quaternion": rotation.as_quat()}
+    return motion | known | {"rate": rate, "acceleration": acceleration, "angle_sd": np.full(rate.shape, sd)}
+
+
+def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Array) -> Array:
+    """Return velocity errors along body axes, from the errors of velocity and rotation along world axes.
+
+    ``velocity`` has shape (n, 3). The errors have shape (n, 3, m), where m counts random samples or
+    derivatives.
+    """
+    to_body = np.swapaxes(body.as_matrix(), 1, 2)
+    return np.asarray(to_body @ (speed_error + cross_matrix(velocity) @ turn_error))
+
+
+def surge_within_stroke(smoothed: Smoothed, cutoff_hz: float) -> Motion:
+    """Return the surge velocity within a stroke, ``surge``, and its standard deviation, m/s, shape (n, 1).
+
+    The velocity is high-pass filtered along world axes before it is converted to body axes. Otherwise drift
+    would enter the surge velocity as the heading oscillates.
+
+    Notes
+    -----
+    The standard deviation is that of :data:`N_DRAWS` random trajectories of the errors, filtered like the
+    velocity. It contains every error above the cut-off frequency: noise, errors of scale and alignment times
+    gravity and motion, and errors of the attitude times gravity.
+    """
+    path, nodes = smoothed.path, len(smoothed.path.nodes)
+    velocity, _, by_speed, by_turn = _carried(path)
+    body, fast = path.rotation * path.mount, _high_pass(path.time_s, velocity, cutoff_hz)
+    drawn = smoothed.errors.draw(np.concatenate([by_speed, by_turn], axis=1), N_DRAWS)
+    speed = _high_pass(path.node_s, drawn[:, :3].reshape(nodes, -1), cutoff_hz).reshape(nodes, 3, N_DRAWS)
+    error = _in_body(body[path.nodes], fast[path.nodes], speed, drawn[:, 3:])[:, :1]
+    sd = resampled(path.time_s, path.node_s, np.sqrt(np.mean(error**2, axis=2)))
+    return {"surge": body.inv().apply(fast)[:, :1], "surge_sd": sd}
+
+
+def _high_pass(time_s: Array, values: Array, cutoff_hz: float) -> Array:
+    """Return channels, shape (n, k), after a high-pass filter with the cut-off frequency ``cutoff_hz``.
+
+    The filter is a Butterworth filter of fourth order without phase shift. The result is NaN if the record is
+    too short for the filter or has too low a sample rate.
+    """
+    from scipy import signal
+
+    step = float(np.median(np.diff(time_s)))
+    even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
+    if len(even) < MIN_FILTERED or cutoff_hz >= MAX_CUTOFF / step:
+        return np.full_like(values, np.nan)
+    sos = signal.butter(2, cutoff_hz, "high", fs=1 / step, output="sos")
+    length = min(len(even) - 1, int(3 / (cutoff_hz * step)))
+    fast = signal.sosfiltfilt(sos, resampled(even, time_s, values), axis=0, padlen=length)
+    return resampled(time_s, even, fast)
