@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.inertial import estimate
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Record, integrated_attitude
-from swimid.inertial.setup import find_rests, measure_noise, prepare
+from swimid.inertial.record import Record, find_rests, integrated_attitude, measure_noise, prepare
 from swimid.inertial.smoother import at_reference
 from swimid.inertial.track_imu import compute_by_paper
 from swimid.logs.rotation import angles, from_angles

@@ -13,8 +13,17 @@ from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
-from swimid.inertial.record import GRAVITY_M_S2, Array, Poses, Record, integral, resampled, turns_of
-from swimid.inertial.setup import BAND, Source
+from swimid.inertial.record import (
+    BAND,
+    GRAVITY_M_S2,
+    Array,
+    Poses,
+    Record,
+    Source,
+    integral,
+    resampled,
+    turns_of,
+)
 from swimid.logs.rotation import angles
 
 #: Minimum number of samples for a comparison of two logs.

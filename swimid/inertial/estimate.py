@@ -17,16 +17,21 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.inertial import alignment, smoother
 from swimid.inertial.alignment import Alignment, Offset
-from swimid.inertial.record import Array, Finding, Flags, Poses, resampled, turn_to_angles
-from swimid.inertial.setup import (
+from swimid.inertial.record import (
     BAND,
     CLASSES,
     DEG,
     QUATERNION_SD,
     QUATERNIONS,
+    Array,
+    Finding,
+    Flags,
+    Poses,
     Rest,
     Sensor,
     Setup,
+    resampled,
+    turn_to_angles,
 )
 from swimid.inertial.smoother import (
     PARTS,

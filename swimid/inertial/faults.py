@@ -18,7 +18,9 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import InputError
 from swimid.inertial.record import (
     CHANNELS,
+    DEG,
     GRAVITY_M_S2,
+    MAX_REST_ACCELERATION,
     Array,
     Finding,
     Flags,
@@ -28,7 +30,6 @@ from swimid.inertial.record import (
     rotations,
     turns_of,
 )
-from swimid.inertial.setup import DEG, MAX_REST_ACCELERATION
 from swimid.logs import sampling
 from swimid.logs.log import runs
 from swimid.logs.mapping import in_order
@@ -143,8 +144,7 @@ def find_samples(
             record,
             acceleration=values[:, :3],
             rate=values[:, 3:],
-            filled_acceleration=record.filled_acceleration | bad[:, :3].any(axis=1),
-            filled_rate=record.filled_rate | bad[:, 3:].any(axis=1),
+            filled=record.filled | bad.reshape(-1, 2, 3).any(axis=2),
         )
         return fixed, Finding(name, "handled", said, count)
 

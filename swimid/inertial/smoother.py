@@ -26,15 +26,17 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from swimid.inertial.record import (
+    DRIFT_TIME_S,
     GRAVITY_M_S2,
     Array,
+    Noise,
     Record,
+    Sensor,
     integral,
     integrated_attitude,
     resampled,
     turn_to_angles,
 )
-from swimid.inertial.setup import DRIFT_TIME_S, Noise, Sensor
 from swimid.logs.rotation import angles
 
 #: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
@@ -529,10 +531,8 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 
     moving = record.acceleration - np.median(record.acceleration, axis=0)
-    velocity = white(
-        noise.acceleration_m_s2_per_rt_hz, record.acceleration, moving, record.filled_acceleration
-    )
-    angle = white(noise.rate_rad_s_per_rt_hz, record.rate, record.rate, record.filled_rate)
+    velocity = white(noise.acceleration_m_s2_per_rt_hz, record.acceleration, moving, record.filled[:, 0])
+    angle = white(noise.rate_rad_s_per_rt_hz, record.rate, record.rate, record.filled[:, 1])
     dt_nodes = np.diff(path.node_s)
     q = np.zeros((len(dt_nodes), path.states, path.states))
     for i in range(3):

@@ -18,17 +18,21 @@ from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY,
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import (
     ACCELERATION,
+    BAND,
+    DEG,
     GRAVITY_M_S2,
     RATE,
     Array,
     Finding,
     Poses,
     Record,
+    Setup,
     integral,
+    mean_accelerations,
+    prepare,
     read_poses,
     read_record,
 )
-from swimid.inertial.setup import BAND, DEG, Setup, mean_accelerations, prepare
 from swimid.inertial.smoother import (
     EMPTIED,
     PARTS,
@@ -226,7 +230,7 @@ class Run:
         if self.by_paper:
             return columns
         columns |= {"u_osc_m_s": motion["surge"][:, 0]} | _columns(motion, "_sd")
-        bridged = (record.filled_acceleration | record.filled_rate).astype(int)
+        bridged = record.filled.any(axis=1).astype(int)
         return columns | {"u_osc_sd_m_s": motion["surge_sd"][:, 0], "bridged": bridged}
 
 
