@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.errors import InputError, NoTrustworthyResult
+from swimid.errors import InputError
 from swimid.inertial import alignment, smoother
 from swimid.inertial.alignment import Alignment, Offset
 from swimid.inertial.record import (
@@ -71,9 +71,9 @@ REST_STEP_S, STEP_S = 0.5, 1.0
 LEVER_SD, TURNS_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 6 * DEG, 2 * DEG, 0.05
 #: Standard deviations of a stated lever, m, and of a fixed clock offset, s.
 STATED_LEVER_SD, HELD_CLOCK_SD = 1e-3, 1e-9
-#: Standard deviations at the first sample: velocity, m/s; tilt, rad; and yaw, rad, if the other log has a yaw
-#: and if it has none.
-VELOCITY_SD, TILT_START_SD, YAW_SD, FREE_YAW_SD = 1.0, 0.05, 0.05, 0.2
+#: Standard deviations at the first sample with another log: velocity, m/s; and yaw, rad, if the other log has
+#: a yaw and if it has none.
+VELOCITY_SD, YAW_SD, FREE_YAW_SD = 1.0, 0.05, 0.2
 #: Standard deviation of the reference point about the plane of motion, m, if the other log is planar.
 PLANE_SD = 0.05
 #: Minimum standard deviation of a fix, m and rad, and maximum of its first estimate, m and rad. The maximum
@@ -151,8 +151,6 @@ class HeldOut:
     """Errors of held-out fixes that are predicted from the other fixes."""
 
     fixes: int
-    #: Root-mean-square error of the coordinates; None if the other log has no positions.
-    rms_m: float | None
     #: Root-mean-square error divided by the predicted standard deviation. If it exceeds 1, it multiplies
     #: every band.
     deviations: float
@@ -289,26 +287,11 @@ def _most_likely_class(trial: _Trial) -> _Trial:
 
 def _alone(setup: Setup) -> _Trial:
     """Return the most likely motion without another log; the path starts at the origin of the world."""
-    stated = _smooth(_Trial(setup, _prior_alone(setup)), setup.sensor, smoother.PASSES)
+    stated = _smooth(_start(setup), setup.sensor, smoother.PASSES)
     best = _most_likely_class(stated)
     if best is stated:
         return stated
     return _smooth(best, passes=smoother.PASSES - 1)
-
-
-def _prior_alone(setup: Setup) -> Prior:
-    source, rests = setup.source, setup.rests
-    velocity_sd = 0.5 * setup.options.top_speed_m_s
-    if rests and rests[0].first == 0:
-        velocity_sd = REST_SPEED_SD
-    yaw_sd = QUATERNION_SD if source.heading else ORIGIN_SD
-    rotation_sd = (START_TILT_SD, START_TILT_SD, yaw_sd)
-    state = State(
-        rotation=source.rotation[0], rate_bias=setup.still_rate, lever=setup.lever, mount=setup.mount.rotation
-    )
-    return Prior(
-        source.rotation, state, {"position": ORIGIN_SD, "velocity": velocity_sd, "rotation": rotation_sd}
-    )
 
 
 # ---------------------------------------------------------------- observations
@@ -536,19 +519,20 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: Rest) -> float:
 
 def _fused(setup: Setup, poses: Poses) -> Fused:
     """Align the two logs, and smooth both together."""
-    alignments, refusal = _align(setup, poses)
-    first = alignments[0]
-    if first.handed < 0:
+    stated_s = setup.options.clock_offset_s
+    if stated_s is None:
+        alignments = alignment.align(setup.record, setup.source, poses)
+    else:
+        alignments = [alignment.align_at(setup.record, poses, stated_s)]
+    if alignments[0].handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
         hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
         raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
-    setup, findings = _start_mount(setup, first)
+    setup, findings = _start_mount(setup, alignments[0])
     start = _first_fixes(setup, poses, alignments)
     trial, setup, more, wrong = _with_rests(setup, lambda setup: _set_clocks(setup, start, alignments))
     fixes, errors, offset = trial.known_fixes, trial.smoothed.errors, trial.offset
     held_out = _hold_out(setup, trial)
-    if refusal is not None and not _predicts(held_out, poses):
-        raise refusal
     factor = lasting = _lasting_factor(fixes, trial.smoothed)
     if held_out is not None:
         factor *= max(held_out.deviations, 1.0)
@@ -564,21 +548,6 @@ def _fused(setup: Setup, poses: Poses) -> Fused:
         lasting=lasting,
         held_out=held_out,
     )
-
-
-def _align(setup: Setup, poses: Poses) -> tuple[list[Alignment], NoTrustworthyResult | None]:
-    """Return alignments in order of increasing standard error, and an exception or None.
-
-    If no offset is found, equal clocks are assumed. The exception is raised later if the held-out fixes also
-    show that the logs do not move together.
-    """
-    stated_s, refusal = setup.options.clock_offset_s, None
-    if stated_s is None:
-        try:
-            return alignment.align(setup.record, setup.source, poses), None
-        except NoTrustworthyResult as error:
-            refusal = error
-    return [alignment.align_at(setup.record, poses, stated_s or 0.0)], refusal
 
 
 def _start_mount(setup: Setup, found: Alignment) -> tuple[Setup, list[Finding]]:
@@ -665,7 +634,7 @@ def _at_offset(
     after : _Trial, optional
         Result from which the iteration continues.
     """
-    begun = _start(setup, fixes, offset_s, held)
+    begun = _start(setup, fixes, offset_s, held=held)
     if after is not None:
         path, origin = replace(after.smoothed.path, clock_s=offset_s), after.smoothed.origin
         smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
@@ -683,20 +652,31 @@ def _at_offset(
     return max(trials, key=lambda trial: trial.likelihood)
 
 
-def _start(setup: Setup, fixes: Fixes, offset_s: float, held: bool) -> _Trial:
+def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> _Trial:
     """Return what is known before smoothing, with the setup in the world of the other log.
 
-    If ``held``, the clock offset is fixed.
+    Without another log, the path starts at the origin of the world. If ``held``, the clock offset is fixed.
     """
-    on_record = replace(fixes, time_s=fixes.time_s + offset_s)
-    turn = alignment.find_world_turn(setup.record, setup.source, on_record, setup.mount.rotation)
-    guide, place, place_sd = turn * setup.source.rotation, np.zeros(3), 1.0
-    fixed = fixes.position[np.isfinite(fixes.position).any(axis=1)]
-    if len(fixed):
-        place = np.nan_to_num(fixed[0])
-        place_sd += float(np.max(np.nan_to_num(np.ptp(fixed, axis=0))))
+    source, place, velocity_sd = setup.source, np.zeros(3), VELOCITY_SD
+    place_sd, yaw_sd = ORIGIN_SD, ORIGIN_SD
+    if fixes is None:
+        velocity_sd = 0.5 * setup.options.top_speed_m_s
+        if setup.rests and setup.rests[0].first == 0:
+            velocity_sd = REST_SPEED_SD
+        if source.heading:
+            yaw_sd = QUATERNION_SD
+    else:
+        on_record = replace(fixes, time_s=fixes.time_s + offset_s)
+        turn = alignment.find_world_turn(setup.record, source, on_record, setup.mount.rotation)
+        source = replace(source, rotation=turn * source.rotation, heading=False)
+        fixed, place_sd, yaw_sd = fixes.position[np.isfinite(fixes.position).any(axis=1)], 1.0, FREE_YAW_SD
+        if len(fixed):
+            place = np.nan_to_num(fixed[0])
+            place_sd += float(np.max(np.nan_to_num(np.ptp(fixed, axis=0))))
+        if fixes.measured[2]:
+            yaw_sd = YAW_SD
     state = State(
-        rotation=guide[0],
+        rotation=source.rotation[0],
         position=place,
         rate_bias=setup.still_rate,
         lever=setup.lever,
@@ -705,15 +685,14 @@ def _start(setup: Setup, fixes: Fixes, offset_s: float, held: bool) -> _Trial:
     )
     sd = {
         "position": place_sd,
-        "velocity": VELOCITY_SD,
-        "rotation": (TILT_START_SD, TILT_START_SD, YAW_SD if fixes.measured[2] else FREE_YAW_SD),
+        "velocity": velocity_sd,
+        "rotation": (START_TILT_SD, START_TILT_SD, yaw_sd),
         "lever": LEVER_SD if setup.options.lever_m is None else STATED_LEVER_SD,
         "mount": setup.mount.sd,
         "tilt": TILT_SD,
         "clock_s": HELD_CLOCK_SD if held else CLOCK_SD,
     }
-    source = replace(setup.source, rotation=guide, heading=False)
-    return _Trial(replace(setup, source=source), Prior(guide, state, sd), fixes)
+    return _Trial(replace(setup, source=source), Prior(source.rotation, state, sd), fixes)
 
 
 def _with_noise(trial: _Trial, *, noise_known: bool = False) -> _Trial:
@@ -817,25 +796,13 @@ def _hold_out(setup: Setup, trial: _Trial) -> HeldOut | None:
     if count < MIN_HELD_OUT:
         return None
     held = setup.options.clock_offset_s is not None or trial.agree
-    begun = _start(setup, fixes, trial.smoothed.path.clock_s, held)
+    begun = _start(setup, fixes, trial.smoothed.path.clock_s, held=held)
     smoothed = _smooth(replace(begun, fixes=fixes.take(~out), smoothed=trial.smoothed)).smoothed
     left_out = fixes.take(out)
     residual, variance = _residuals(left_out, smoothed)
     measured = _is_measured(left_out, residual)
     squares = (residual**2 / (variance + left_out.sd**2))[measured]
-    places = residual[:, :3][measured[:, :3]]
-    rms = float(np.sqrt(np.mean(places**2))) if len(places) else None
-    return HeldOut(count, rms, float(np.sqrt(np.mean(squares))))
-
-
-def _predicts(held_out: HeldOut | None, poses: Poses) -> bool:
-    """Return whether the errors of held-out fixes are small enough to show that both logs move together."""
-    if held_out is None or held_out.rms_m is None or held_out.deviations > MAX_HELD_OUT:
-        return False
-    place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
-    rows = np.isfinite(place).all(axis=1)
-    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_PATH_S)
-    return held_out.rms_m**2 < (1 - alignment.MIN_EXPLAINED) * float(np.mean(fast**2))
+    return HeldOut(count, float(np.sqrt(np.mean(squares))))
 
 
 def _lasting_factor(fixes: Fixes, smoothed: Smoothed) -> float:

@@ -413,7 +413,9 @@ def smooth(
         # the next linearisation assumes constant biases, equal to the means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
-        now, path = now.corrected(begin), _corrected(record, path, errors)
+        now = now.corrected(begin)
+        path = path.corrected(resampled(path.time_s, path.node_s, errors.mean))
+        path = _with_readings(record, path)
     return Smoothed(path, errors, now, sensor)
 
 
@@ -430,23 +432,18 @@ def _integrated(record: Record, prior: Prior, states: int) -> Nominal:
 
 
 def _about(record: Record, origin: State, path: Nominal) -> Nominal:
-    """Return the path with its readings corrected by the biases and scales of the state ``origin``."""
-    force = record.acceleration - origin.acceleration_bias - record.acceleration @ origin.acceleration_scale.T
-    rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
+    """Return the path with the biases, scales and other constants of the state ``origin``."""
     constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
-    constant["acceleration_bias"] = np.broadcast_to(origin.acceleration_bias, force.shape)
-    constant["rate_bias"] = np.broadcast_to(origin.rate_bias, rate.shape)
-    return replace(path, **constant, force=force, rate=rate)
+    for name in ("acceleration_bias", "rate_bias"):
+        constant[name] = np.broadcast_to(getattr(origin, name), path.rate.shape)
+    return _with_readings(record, replace(path, **constant))
 
 
-def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
-    """Return the path with the estimated errors added and its readings corrected accordingly."""
-    x = resampled(path.time_s, path.node_s, errors.mean)
-    bias_a, bias_w = x[:, PARTS["acceleration_bias"]], x[:, PARTS["rate_bias"]]
-    scale_a, scale_w = (x[-1, PARTS[name]].reshape(3, 3) for name in ("acceleration_scale", "rate_scale"))
-    force = path.force - bias_a - record.acceleration @ scale_a.T
-    rate = path.rate - bias_w - record.rate @ scale_w.T
-    return replace(path.corrected(x), force=force, rate=rate)
+def _with_readings(record: Record, path: Nominal) -> Nominal:
+    """Return the path with its readings corrected by its biases and scales."""
+    force = record.acceleration - path.acceleration_bias - record.acceleration @ path.acceleration_scale.T
+    rate = record.rate - path.rate_bias - record.rate @ path.rate_scale.T
+    return replace(path, force=force, rate=rate)
 
 
 def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:

@@ -170,6 +170,8 @@ class Run:
     setup: Setup
     findings: list[Finding]
     stroke: Rhythm | None
+    #: Stroke frequency in the metadata, Hz; None if absent.
+    stated_hz: float | None
     cutoff_hz: float
     #: Motion, with the surge within a stroke (``surge``).
     motion: Motion
@@ -208,20 +210,11 @@ class Run:
         return float(np.arctan2(up[1], up[2])), float(np.arctan2(up[0], np.hypot(up[1], up[2])))
 
     @property
-    def stated_hz(self) -> float | None:
-        """Stroke frequency in the metadata, Hz; None if absent."""
-        value = self.setup.record.metadata.get("frequency_hz")
-        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-    @property
-    def contradiction(self) -> str | None:
-        """Sentence on the contradiction between measured and stated stroke frequency; None if they agree."""
-        stroke, stated = self.stroke, self.stated_hz
-        if stroke is None or stated is None:
+    def against(self) -> str | None:
+        """Words that say how the stroke contradicts the metadata; None if the two agree."""
+        if self.stroke is None or self.stated_hz is None:
             return None
-        if stroke.maybe_double and beat.contradiction(stroke.beat, 2 * stated) is None:
-            return None
-        return beat.contradiction(stroke.beat, stated)
+        return beat.contradiction(self.stroke.beat, self.stated_hz)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the log, in order."""
@@ -272,14 +265,19 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
     readings = dict(zip((*RATE, *ACCELERATION), np.hstack([body.rate, body.acceleration]).T, strict=True))
-    stroke = rhythm.find(t, readings)
-    cutoff = LOWEST_HZ if stroke is None else STROKE_SHARE * stroke.beat.frequency_hz
+    stated_hz = record.metadata.get("frequency_hz")
+    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
+        stated_hz = None
+    stroke, cutoff = rhythm.find(t, readings, stated_hz=stated_hz), LOWEST_HZ
+    if stroke is not None:
+        cutoff = STROKE_SHARE * stroke.beat.frequency_hz
+    run = Run(setup, findings, stroke, stated_hz, cutoff, {}, poses)
     if options.method == "paper":
         moved, constant = compute_by_paper(body, setup.attitude, options)
-        return Run(setup, findings, stroke, cutoff, moved, bias=constant)
+        return replace(run, motion=moved, bias=constant)
     found = estimation.estimate(setup, poses)
     setup, smoothed = replace(found.setup, sensor=found.smoothed.sensor), found.smoothed
-    run = Run(setup, [*findings, *found.findings], stroke, cutoff, {}, poses, found)
+    run = replace(run, setup=setup, findings=[*findings, *found.findings], found=found)
     if found.impossible:
         turning = setup.mount.rotation.inv().apply(record.rate - setup.still_rate)
         acceleration = setup.source.rotation.apply(record.acceleration) + gravity(np.zeros(2))
@@ -480,7 +478,7 @@ def _data(run: Run) -> dict[str, Any]:
             "frequency_hz": stroke.beat.frequency_hz,
             "stderr_hz": stroke.beat.stderr_hz,
             "stated_hz": run.stated_hz,
-            "contradicts": run.contradiction is not None,
+            "contradicts": run.against is not None,
         },
     }
     if run.bias is not None:
@@ -564,7 +562,7 @@ def _motion_tests(run: Run) -> Iterator[Test]:
         yield "SWM084", "Innovations at rests", value, f"below {MAX_REST_SCORE:g}", passed, reason
     stroke = run.stroke
     if stroke is not None and run.stated_hz is not None:
-        against, limit = run.contradiction, f"metadata: {run.stated_hz:g} Hz"
+        against, limit = run.against, f"metadata: {run.stated_hz:g} Hz"
         reason = f"{stroke.channel} {against}; the metadata say {run.stated_hz:g} Hz"
         yield "SWM032", "Stroke", f"{stroke.beat.frequency_hz:.4g} Hz", limit, against is None, reason
     elif stroke is not None and stroke.doubt:
