@@ -8,7 +8,7 @@ contradicts either by more than their uncertainty, no position or velocity is wr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,70 +136,38 @@ class Fixes(Poses):
 
 @dataclass(frozen=True)
 class Estimate:
-    """Most likely motion, with the rests that it assumes."""
+    """Most likely motion, with the rests that it assumes and with its relation to another log."""
 
-    smoothed: Smoothed
-    #: Setup with the rests that were used.
+    #: Setup with the rests that were used. While both logs are smoothed, the attitude is that in the world of
+    #: the other log.
     setup: Setup
-    findings: list[Finding]
+    prior: Prior
+    #: Poses in the other log, with their estimated noise and weights; None without another log.
+    fixes: Fixes = None  # type: ignore[assignment]
+    #: Result of the last smoothing; None before the first.
+    smoothed: Smoothed = None  # type: ignore[assignment]
+    findings: Sequence[Finding] = ()
     #: Reasons why the motion is impossible; empty if it is possible.
-    impossible: list[str]
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Errors of held-out fixes that are predicted from the other fixes."""
-
-    fixes: int
-    #: Root-mean-square error divided by the predicted standard deviation. If it exceeds 1, it multiplies
-    #: every band.
-    deviations: float
-
-
-@dataclass(frozen=True)
-class Fused(Estimate):
-    """Most likely motion, with the relation between the two logs."""
-
-    #: Clock offset estimated together with the motion.
-    offset: Offset
-    #: Whether both logs have equal clocks. This is decided by the Bayesian information criterion.
-    agree: bool
-    #: Fixes with their estimated noise and weights.
-    fixes: Fixes
+    impossible: Sequence[str] = ()
+    #: Clock offset of the other log, and whether both logs have equal clocks. This is decided by the Bayesian
+    #: information criterion.
+    offset: Offset = NO_OFFSET
+    agree: bool = False
     #: Factor by which correlated errors of the fixes widen every band; 1 if the errors are independent.
-    lasting: float
-    #: Errors of held-out fixes; None if there are too few fixes.
-    held_out: HeldOut | None
+    lasting: float = 1.0
+    #: ``fixes``, the number of held-out fixes, and ``deviations``, their root-mean-square error divided by
+    #: the predicted standard deviation. If it exceeds 1, it multiplies every band. None for too few fixes.
+    held_out: dict[str, float] | None = None
+
+    @property
+    def likelihood(self) -> float:
+        """Log-likelihood of the observations."""
+        return self.smoothed.errors.likelihood
 
     @property
     def stray(self) -> int:
         """Number of fixes with a residual above :data:`GATE`."""
         return int(np.sum(self.fixes.stray.any(axis=1)))
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """Result of smoothing. With another log, the attitude in ``setup`` refers to the world of that log."""
-
-    setup: Setup
-    prior: Prior
-    #: Poses in the other log; None without one.
-    fixes: Fixes | None = None
-    #: Result of the last smoothing; None before the first.
-    smoothed: Smoothed = None  # type: ignore[assignment]
-    #: Clock offset of the other log, and whether equal clocks are assumed.
-    offset: Offset = NO_OFFSET
-    agree: bool = False
-
-    @property
-    def known_fixes(self) -> Fixes:
-        """Fixes of a trial with another log."""
-        assert self.fixes is not None
-        return self.fixes
-
-    @property
-    def likelihood(self) -> float:
-        return self.smoothed.errors.likelihood
 
 
 def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
@@ -218,49 +186,42 @@ def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
     """
     if poses is not None:
         return _fused(setup, poses)
-    trial, used, findings, wrong = _with_rests(setup, _alone)
-    return Estimate(trial.smoothed, used, [*_class_findings(trial.smoothed), *findings], wrong)
+    return _with_rests(setup, _alone)
 
 
-def _with_rests(
-    setup: Setup, attempt: Callable[[Setup], _Trial]
-) -> tuple[_Trial, Setup, list[Finding], list[str]]:
-    """Return the motion with the rests that it does not contradict, its setup, findings and contradictions.
+def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
+    """Return the motion with the rests that it does not contradict, with findings and contradictions.
 
     If the motion contradicts a rest, the rest with the largest contradiction is excluded first, then the next
     one, and finally all rests. Contradictions remain if they do not disappear without rests.
     """
-    used, trial = setup, attempt(setup)
-    first = trial
-    wrong = doubts = find_contradictions(trial)
+    used, found = setup, attempt(setup)
+    first = found
+    wrong = doubts = find_contradictions(found)
     reasons: list[str] = []
     while doubts and used.rests:
         dropped, reason = used.rests, "no rest is used"
-        doubted = _doubted_rests(used, trial.smoothed)
+        doubted = _doubted_rests(found)
         if doubted and len(reasons) < MAX_SINGLE:
-            rest, size = max(doubted, key=lambda pair: pair[1])
-            dropped, reason = [rest], _contradiction(setup, rest, size)
+            _, reason, rest = max(doubted, key=lambda doubt: doubt[0])
+            dropped = [rest]
         reasons.append(reason)
         used = used.without(dropped)
-        trial = attempt(used)
-        doubts = find_contradictions(trial)
+        found = attempt(used)
+        doubts = find_contradictions(found)
     if doubts:
-        return first, setup, [], wrong
-    if not wrong:
-        return trial, used, [], []
-    count = len(setup.rests)
-    text = f"{'; '.join(reasons)}: {count - len(used.rests)} of {count} not used"
-    return trial, used, [Finding("rests", "handled", text)], []
-
-
-def _class_findings(smoothed: Smoothed) -> list[Finding]:
-    """Return a finding if the recording shows the errors of a class of sensor in :data:`CLASSES`."""
-    names = [name for name, sensor in CLASSES.items() if sensor == smoothed.sensor]
+        return replace(first, setup=setup, impossible=wrong)
+    classes = [name for name, sensor in CLASSES.items() if sensor == found.smoothed.sensor]
     text = "the log shows the errors of {}; bands are made for one"
-    return [Finding("sensor class", "noted", text.format(name)) for name in names]
+    findings = [Finding("sensor class", "noted", text.format(name)) for name in classes]
+    if wrong:
+        count = len(setup.rests)
+        text = f"{'; '.join(reasons)}: {count - len(used.rests)} of {count} not used"
+        findings.append(Finding("rests", "handled", text))
+    return replace(found, setup=used, findings=findings)
 
 
-def _smooth(trial: _Trial, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> _Trial:
+def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> Estimate:
     """Smooth with known noise, from the last result if any; the sensor is by default the last one."""
     setup, last, fixes = trial.setup, trial.smoothed, trial.fixes
     states = smoother.ALONE if fixes is None else smoother.FUSED
@@ -278,14 +239,14 @@ def _smooth(trial: _Trial, sensor: Sensor | None = None, passes: int = 1, gate: 
     return replace(trial, smoothed=smoothed)
 
 
-def _most_likely_class(trial: _Trial) -> _Trial:
+def _most_likely_class(trial: Estimate) -> Estimate:
     """Return the motion with the class of sensor that makes the log more likely by ``MIN_GAIN``, if any."""
     others = [_smooth(trial, sensor) for sensor in CLASSES.values() if sensor != trial.smoothed.sensor]
     best = max(others, key=lambda other: other.likelihood)
     return best if best.likelihood > trial.likelihood + MIN_GAIN else trial
 
 
-def _alone(setup: Setup) -> _Trial:
+def _alone(setup: Setup) -> Estimate:
     """Return the most likely motion without another log; the path starts at the origin of the world."""
     stated = _smooth(_start(setup), setup.sensor, smoother.PASSES)
     best = _most_likely_class(stated)
@@ -449,12 +410,12 @@ def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Ar
 # ---------------------------------------------------------------- contradictions
 
 
-def find_contradictions(trial: _Trial) -> list[str]:
+def find_contradictions(trial: Estimate) -> list[str]:
     """Return the contradictions of a motion with rests, attitude and most of the fixes, one sentence each."""
     setup, smoothed, fixes = trial.setup, trial.smoothed, trial.fixes
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing has no finite result"]
-    sentences = [_contradiction(setup, rest, size) for rest, size in _doubted_rests(setup, smoothed)]
+    sentences = [text for _, text, _ in _doubted_rests(trial)]
     up, other = (r.inv().apply([0.0, 0.0, 1.0]) for r in (smoothed.path.rotation, setup.source.rotation))
     away = np.arctan2(np.linalg.norm(np.cross(up, other), axis=1), np.sum(up * other, axis=1))
     tilt = slice(PARTS["rotation"].start, PARTS["rotation"].start + 2)
@@ -474,15 +435,16 @@ def find_contradictions(trial: _Trial) -> list[str]:
     return sentences
 
 
-def _doubted_rests(setup: Setup, smoothed: Smoothed) -> list[tuple[Rest, float]]:
-    """Return the rests that the motion contradicts by more than ``GATE``, each with its contradiction."""
-    sizes = [(rest, _departure(setup, smoothed, rest)) for rest in setup.rests]
-    return [(rest, size) for rest, size in sizes if size > GATE]
-
-
-def _contradiction(setup: Setup, rest: Rest, size: float) -> str:
-    begin, end = setup.record.time_s[[rest.first, rest.last - 1]]
-    return f"the rest from {begin:.1f} to {end:.1f} s contradicts the motion by {size:.0f} deviations"
+def _doubted_rests(found: Estimate) -> list[tuple[float, str, Rest]]:
+    """Return size and sentence of each contradiction with a rest by more than ``GATE``, and the rest."""
+    doubted = []
+    for rest in found.setup.rests:
+        size = _departure(found.setup, found.smoothed, rest)
+        if size > GATE:
+            begin, end = found.setup.record.time_s[[rest.first, rest.last - 1]]
+            text = f"the rest from {begin:.1f} to {end:.1f} s contradicts the motion by {size:.0f} deviations"
+            doubted.append((size, text, rest))
+    return doubted
 
 
 def _departure(setup: Setup, smoothed: Smoothed, rest: Rest) -> float:
@@ -517,7 +479,7 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: Rest) -> float:
 # ---------------------------------------------------------------- another log
 
 
-def _fused(setup: Setup, poses: Poses) -> Fused:
+def _fused(setup: Setup, poses: Poses) -> Estimate:
     """Align the two logs, and smooth both together."""
     stated_s = setup.options.clock_offset_s
     if stated_s is None:
@@ -530,21 +492,17 @@ def _fused(setup: Setup, poses: Poses) -> Fused:
         raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
     setup, findings = _start_mount(setup, alignments[0])
     start = _first_fixes(setup, poses, alignments)
-    trial, setup, more, wrong = _with_rests(setup, lambda setup: _set_clocks(setup, start, alignments))
-    fixes, errors, offset = trial.known_fixes, trial.smoothed.errors, trial.offset
-    held_out = _hold_out(setup, trial)
-    factor = lasting = _lasting_factor(fixes, trial.smoothed)
+    found = _with_rests(setup, lambda setup: _set_clocks(setup, start, alignments))
+    errors, offset, held_out = found.smoothed.errors, found.offset, _hold_out(found)
+    factor = lasting = _lasting_factor(found)
     if held_out is not None:
-        factor *= max(held_out.deviations, 1.0)
+        factor *= max(held_out["deviations"], 1.0)
     low, high = (offset.value_s + factor * (end - offset.value_s) for end in (offset.low_s, offset.high_s))
-    return Fused(
-        smoothed=replace(trial.smoothed, errors=replace(errors, covariance=errors.covariance * factor**2)),
-        setup=setup,
-        findings=[*findings, *more, *_class_findings(trial.smoothed)],
-        impossible=wrong,
+    return replace(
+        found,
+        smoothed=replace(found.smoothed, errors=replace(errors, covariance=errors.covariance * factor**2)),
+        findings=[*findings, *found.findings],
         offset=replace(offset, stderr_s=factor * offset.stderr_s, low_s=low, high_s=high),
-        agree=trial.agree,
-        fixes=fixes,
         lasting=lasting,
         held_out=held_out,
     )
@@ -592,7 +550,7 @@ def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fix
 # ---------------------------------------------------------------- clocks and noise
 
 
-def _set_clocks(setup: Setup, fixes: Fixes, alignments: list[Alignment]) -> _Trial:
+def _set_clocks(setup: Setup, fixes: Fixes, alignments: list[Alignment]) -> Estimate:
     """Return the most likely result, with its clock offset, and whether it assumes equal clocks."""
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
@@ -621,8 +579,8 @@ def _set_clocks(setup: Setup, fixes: Fixes, alignments: list[Alignment]) -> _Tri
 
 
 def _at_offset(
-    setup: Setup, fixes: Fixes, offset_s: float, *, held: bool, after: _Trial | None = None
-) -> _Trial:
+    setup: Setup, fixes: Fixes, offset_s: float, *, held: bool, after: Estimate | None = None
+) -> Estimate:
     """Smooth both logs, and estimate noise, weights and error class of the sensor from the residuals.
 
     Parameters
@@ -631,7 +589,7 @@ def _at_offset(
         Initial clock offset.
     held : bool
         Whether the clock offset is fixed at its initial value.
-    after : _Trial, optional
+    after : Estimate, optional
         Result from which the iteration continues.
     """
     begun = _start(setup, fixes, offset_s, held=held)
@@ -639,7 +597,7 @@ def _at_offset(
         path, origin = replace(after.smoothed.path, clock_s=offset_s), after.smoothed.origin
         smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
         return _with_noise(
-            replace(begun, fixes=after.known_fixes.unweighted(), smoothed=smoothed), noise_known=True
+            replace(begun, fixes=after.fixes.unweighted(), smoothed=smoothed), noise_known=True
         )
     # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is known
     prior = begun.prior
@@ -652,7 +610,7 @@ def _at_offset(
     return max(trials, key=lambda trial: trial.likelihood)
 
 
-def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> _Trial:
+def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> Estimate:
     """Return what is known before smoothing, with the setup in the world of the other log.
 
     Without another log, the path starts at the origin of the world. If ``held``, the clock offset is fixed.
@@ -692,13 +650,14 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
         "tilt": TILT_SD,
         "clock_s": HELD_CLOCK_SD if held else CLOCK_SD,
     }
-    return _Trial(replace(setup, source=source), Prior(source.rotation, state, sd), fixes)
+    prior = Prior(source.rotation, state, sd)
+    return Estimate(replace(setup, source=source), prior, fixes)  # type: ignore[arg-type]
 
 
-def _with_noise(trial: _Trial, *, noise_known: bool = False) -> _Trial:
+def _with_noise(trial: Estimate, *, noise_known: bool = False) -> Estimate:
     """Iterate noise, weights, error class of the sensor and motion until the noise converges."""
     for step in range(NOISE_STEPS):
-        fixes = last = trial.known_fixes
+        fixes = last = trial.fixes
         if step or not noise_known:
             fixes = _estimate_noise(trial.smoothed, fixes, trial.setup.options.fix_sd_m)
         if step > 1 and np.nanmax(np.abs(np.log(fixes.noise / last.noise))) < NOISE_TOL:
@@ -782,12 +741,12 @@ def _final_offset(smoothed: Smoothed) -> Offset:
 # ---------------------------------------------------------------- tests of the result
 
 
-def _hold_out(setup: Setup, trial: _Trial) -> HeldOut | None:
+def _hold_out(trial: Estimate) -> dict[str, float] | None:
     """Predict every fourth block of fixes from the other blocks; return None for too few fixes.
 
     A block lasts half a second, because neighbouring fixes would determine a single fix.
     """
-    fixes = trial.known_fixes
+    fixes = trial.fixes
     block = np.floor((fixes.time_s - fixes.time_s[0]) / BLOCK_S).astype(int)
     if len(block) > 1 and np.median(np.diff(fixes.time_s)) > BLOCK_S:
         block = np.arange(len(block))
@@ -795,23 +754,24 @@ def _hold_out(setup: Setup, trial: _Trial) -> HeldOut | None:
     count = int(np.sum(out & (np.isfinite(fixes.position).any(axis=1) | fixes.turned)))
     if count < MIN_HELD_OUT:
         return None
-    held = setup.options.clock_offset_s is not None or trial.agree
-    begun = _start(setup, fixes, trial.smoothed.path.clock_s, held=held)
+    held = trial.setup.options.clock_offset_s is not None or trial.agree
+    begun = _start(trial.setup, fixes, trial.smoothed.path.clock_s, held=held)
     smoothed = _smooth(replace(begun, fixes=fixes.take(~out), smoothed=trial.smoothed)).smoothed
     left_out = fixes.take(out)
     residual, variance = _residuals(left_out, smoothed)
     measured = _is_measured(left_out, residual)
     squares = (residual**2 / (variance + left_out.sd**2))[measured]
-    return HeldOut(count, float(np.sqrt(np.mean(squares))))
+    return {"fixes": count, "deviations": float(np.sqrt(np.mean(squares)))}
 
 
-def _lasting_factor(fixes: Fixes, smoothed: Smoothed) -> float:
+def _lasting_factor(trial: Estimate) -> float:
     """Return the factor by which correlated errors of the fixes enlarge the standard error of their mean.
 
     It is the square root of the integrated autocorrelation of the residuals. The sum ends before the first
     autocorrelation that is not positive (initial sequence of Geyer 1992, doi:10.1214/ss/1177011137).
     """
-    residual, _ = _residuals(fixes, smoothed)
+    fixes = trial.fixes
+    residual, _ = _residuals(fixes, trial.smoothed)
     used = _is_measured(fixes, residual) & ~np.repeat(fixes.stray, 3, axis=1)
     longest = 1.0
     for values, rows in zip(residual.T, used.T, strict=True):

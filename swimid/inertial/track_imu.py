@@ -14,7 +14,7 @@ from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.inertial import estimate as estimation
 from swimid.inertial import faults
-from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Estimate, Fused
+from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Estimate
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import (
     ACCELERATION,
@@ -198,9 +198,11 @@ class Run:
         return self.fused is None and not self.by_paper
 
     @property
-    def fused(self) -> Fused | None:
+    def fused(self) -> Estimate | None:
         """Result of the fusion with another log."""
-        return self.found if isinstance(self.found, Fused) else None
+        if self.found is None or self.found.fixes is None:
+            return None
+        return self.found
 
     @property
     def tilt(self) -> tuple[float, float]:
@@ -212,9 +214,12 @@ class Run:
     @property
     def against(self) -> str | None:
         """Words that say how the stroke contradicts the metadata; None if the two agree."""
-        if self.stroke is None or self.stated_hz is None:
+        stroke, stated_hz = self.stroke, self.stated_hz
+        if stroke is None or stated_hz is None:
             return None
-        return beat.contradiction(self.stroke.beat, self.stated_hz)
+        if stroke.maybe_double and beat.contradiction(stroke.beat, 2 * stated_hz) is None:
+            return None
+        return beat.contradiction(stroke.beat, stated_hz)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the log, in order."""
@@ -268,7 +273,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     stated_hz = record.metadata.get("frequency_hz")
     if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
         stated_hz = None
-    stroke, cutoff = rhythm.find(t, readings, stated_hz=stated_hz), LOWEST_HZ
+    stroke, cutoff = rhythm.find(t, readings), LOWEST_HZ
     if stroke is not None:
         cutoff = STROKE_SHARE * stroke.beat.frequency_hz
     run = Run(setup, findings, stroke, stated_hz, cutoff, {}, poses)
@@ -509,7 +514,7 @@ def _data(run: Run) -> dict[str, Any]:
             "fixes_used": len(fused.smoothed.errors.scores.get("position", ())),
             "fixes_stray": fused.stray,
             "widened_by_lasting_errors": fused.lasting,
-            "held_out": fused.held_out and vars(fused.held_out),
+            "held_out": fused.held_out,
         }
     return out
 
@@ -569,7 +574,7 @@ def _motion_tests(run: Run) -> Iterator[Test]:
         yield "SWM033", "Stroke", "in doubt", "one frequency", False, stroke.doubt
 
 
-def _fusion_tests(fused: Fused, options: TrackImuOptions) -> Iterator[Test]:
+def _fusion_tests(fused: Estimate, options: TrackImuOptions) -> Iterator[Test]:
     offset, count, stray = fused.offset, len(fused.fixes.time_s), fused.stray
     limit = f"below {MAX_HELD_OUT:g}"
     value = f"{1e3 * offset.value_s:.2f} ms"
@@ -598,8 +603,9 @@ def _fusion_tests(fused: Fused, options: TrackImuOptions) -> Iterator[Test]:
         reason = "too few fixes to hold some out and predict them"
         yield "", "Fixes predicted", "none", limit, False, reason
         return
-    value, passed = f"{held.deviations:.2f} sd (rms) of {held.fixes}", held.deviations <= MAX_HELD_OUT
-    reason = f"held-out fixes are predicted to {held.deviations:.2f} sd (rms) only"
+    deviations = f"{held['deviations']:.2f} sd (rms)"
+    value, passed = f"{deviations} of {held['fixes']}", held["deviations"] <= MAX_HELD_OUT
+    reason = f"held-out fixes are predicted to {deviations} only"
     yield "", "Fixes left out", value, limit, passed, reason
 
 
