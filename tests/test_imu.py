@@ -135,7 +135,7 @@ def test_errors_are_as_large_as_their_bands_say() -> None:
         run = imu.marching(np.random.default_rng(100 + seed), swim_s=10.0, rest_s=2.5, rate_hz=50.0)
         record = Record(run.time_s, run.acceleration, run.rate)
         setup, _ = prepare(record, TrackImuOptions())
-        found = at_reference(estimate._alone(setup).smoothed)
+        found = at_reference(estimate.smooth_alone(setup).smoothed)
         squares.append(np.mean(((found["velocity"] - run.velocity) / found["velocity_sd"])[300:-200] ** 2))
     # 36 independent numbers: chi square over its freedom lies in 0.6 ... 1.5 in 95 of 100 cases; prior
     # biases and the drift budget are bounds, not this sensor's values, so that less than 1 is expected

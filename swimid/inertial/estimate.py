@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.inertial import alignment, smoother
-from swimid.inertial.alignment import Alignment, Offset
+from swimid.inertial.alignment import Offset
 from swimid.inertial.record import (
     BAND,
     CLASSES,
@@ -186,7 +186,7 @@ def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
     """
     if poses is not None:
         return _fused(setup, poses)
-    return _with_rests(setup, _alone)
+    return _with_rests(setup, smooth_alone)
 
 
 def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
@@ -246,7 +246,7 @@ def _most_likely_class(trial: Estimate) -> Estimate:
     return best if best.likelihood > trial.likelihood + MIN_GAIN else trial
 
 
-def _alone(setup: Setup) -> Estimate:
+def smooth_alone(setup: Setup) -> Estimate:
     """Return the most likely motion without another log; the path starts at the origin of the world."""
     stated = _smooth(_start(setup), setup.sensor, smoother.PASSES)
     best = _most_likely_class(stated)
@@ -481,18 +481,14 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: Rest) -> float:
 
 def _fused(setup: Setup, poses: Poses) -> Estimate:
     """Align the two logs, and smooth both together."""
-    stated_s = setup.options.clock_offset_s
-    if stated_s is None:
-        alignments = alignment.align(setup.record, setup.source, poses)
-    else:
-        alignments = [alignment.align_at(setup.record, poses, stated_s)]
-    if alignments[0].handed < 0:
+    offsets = alignment.align(setup.record, setup.source, poses, setup.options.clock_offset_s)
+    if offsets[0].handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
         hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
         raise InputError(text, file=setup.record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
-    setup, findings = _start_mount(setup, alignments[0])
-    start = _first_fixes(setup, poses, alignments)
-    found = _with_rests(setup, lambda setup: _set_clocks(setup, start, alignments))
+    setup, findings = _start_mount(setup, offsets[0])
+    start = _first_fixes(setup, poses, offsets)
+    found = _with_rests(setup, lambda setup: _set_clocks(setup, start, offsets))
     errors, offset, held_out = found.smoothed.errors, found.offset, _hold_out(found)
     factor = lasting = _lasting_factor(found)
     if held_out is not None:
@@ -508,7 +504,7 @@ def _fused(setup: Setup, poses: Poses) -> Estimate:
     )
 
 
-def _start_mount(setup: Setup, found: Alignment) -> tuple[Setup, list[Finding]]:
+def _start_mount(setup: Setup, found: Offset) -> tuple[Setup, list[Finding]]:
     """Return the setup with the initial mounting, and findings.
 
     The mounting is the stated one. Otherwise it follows from the three angles of the other log or, if these
@@ -524,7 +520,7 @@ def _start_mount(setup: Setup, found: Alignment) -> tuple[Setup, list[Finding]]:
     return replace(setup, mount=replace(setup.mount, rotation=found.mount, sd=TURNS_MOUNT_SD)), findings
 
 
-def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fixes:
+def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
     """Return the poses with a first estimate of their noise.
 
     Only poses within the record for every candidate offset contribute to the log-likelihood, so that offsets
@@ -542,7 +538,7 @@ def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fix
     noises = [white_noise_sd(angle, MIN_SD_RAD) for angle in poses.angles.T[poses.measured]]
     noise = np.append(sd, [min(max(noises, default=MIN_SD_RAD), MAX_START_RAD)] * 3)
     t, margin = setup.record.time_s, BAND * CLOCK_SD
-    offsets = [0.0, *(found.offset.value_s for found in alignments)]
+    offsets = [0.0, *(found.value_s for found in candidates)]
     counted = (poses.time_s + min(offsets) - margin >= t[0]) & (poses.time_s + max(offsets) + margin <= t[-1])
     return Fixes(poses.time_s, position, poses.angles, noise, np.ones((len(position), 2)), counted)
 
@@ -550,14 +546,14 @@ def _first_fixes(setup: Setup, poses: Poses, alignments: list[Alignment]) -> Fix
 # ---------------------------------------------------------------- clocks and noise
 
 
-def _set_clocks(setup: Setup, fixes: Fixes, alignments: list[Alignment]) -> Estimate:
+def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimate:
     """Return the most likely result, with its clock offset, and whether it assumes equal clocks."""
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
         trial = _at_offset(setup, fixes, stated_s, held=True)
         return replace(trial, offset=_final_offset(trial.smoothed))
     starts: list[Offset] = []
-    for one in (found.offset for found in alignments):
+    for one in candidates:
         if all(abs(one.value_s - s.value_s) / np.hypot(one.stderr_s, s.stderr_s) > BAND for s in starts):
             starts.append(one)
     trials = [_at_offset(setup, fixes, start.value_s, held=False) for start in starts]
