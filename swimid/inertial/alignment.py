@@ -13,17 +13,8 @@ from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
-from swimid.inertial.record import (
-    BAND,
-    GRAVITY_M_S2,
-    Array,
-    Poses,
-    Record,
-    Source,
-    integral,
-    resampled,
-    turns_of,
-)
+from swimid.inertial import record as recording
+from swimid.inertial.record import BAND, Array, Poses, Record, Source, integral, resampled, turns_of
 from swimid.logs.rotation import angles
 
 #: Minimum number of samples for a comparison of two logs.
@@ -318,7 +309,7 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     span, count = when[last] - when, np.maximum(last - np.arange(len(when)), 1)
     long = span > MIN_GRAVITY_S
     force = resampled(when, t, integral(t, record.acceleration))
-    up_sensor = (force[last] - force)[long] / span[long, None] / GRAVITY_M_S2
+    up_sensor = (force[last] - force)[long] / span[long, None] / recording.GRAVITY_M_S2
     up = np.cumsum(rotation.inv().apply([0.0, 0.0, 1.0]), axis=0)
     up_body = (up[last] - up)[long] / count[long, None]
     cross = sensor.T @ body / max(np.sum(body**2), 1e-30)

@@ -16,33 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.inertial import alignment, smoother
+from swimid.inertial import record as recording
 from swimid.inertial.alignment import Offset
-from swimid.inertial.record import (
-    BAND,
-    CLASSES,
-    DEG,
-    QUATERNION_SD,
-    QUATERNIONS,
-    Array,
-    Finding,
-    Flags,
-    Poses,
-    Rest,
-    Sensor,
-    Setup,
-    resampled,
-    turn_to_angles,
-)
-from swimid.inertial.smoother import (
-    PARTS,
-    Nominal,
-    Observation,
-    Prior,
-    Smoothed,
-    State,
-    cross_matrix,
-    jacobian,
-)
+from swimid.inertial.record import BAND, DEG, Array, Finding, Flags, Poses, Sensor, Setup, resampled
+from swimid.inertial.smoother import Nominal, Observation, Prior, Smoothed, State, cross_matrix, jacobian
 from swimid.logs.rotation import angles
 from swimid.logs.sampling import white_noise_sd
 
@@ -211,7 +188,7 @@ def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
         doubts = find_contradictions(found)
     if doubts:
         return replace(first, setup=setup, impossible=wrong)
-    classes = [name for name, sensor in CLASSES.items() if sensor == found.smoothed.sensor]
+    classes = [name for name, sensor in recording.CLASSES.items() if sensor == found.smoothed.sensor]
     text = "the log shows the errors of {}; bands are made for one"
     findings = [Finding("sensor class", "noted", text.format(name)) for name in classes]
     if wrong:
@@ -241,7 +218,8 @@ def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1, gate
 
 def _most_likely_class(trial: Estimate) -> Estimate:
     """Return the motion with the class of sensor that makes the log more likely by ``MIN_GAIN``, if any."""
-    others = [_smooth(trial, sensor) for sensor in CLASSES.values() if sensor != trial.smoothed.sensor]
+    sensors = [sensor for sensor in recording.CLASSES.values() if sensor != trial.smoothed.sensor]
+    others = [_smooth(trial, sensor) for sensor in sensors]
     best = max(others, key=lambda other: other.likelihood)
     return best if best.likelihood > trial.likelihood + MIN_GAIN else trial
 
@@ -297,7 +275,7 @@ def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
     at = path.nodes[nodes]
     off = (source.rotation[at] * path.rotation[at].inv()).as_rotvec()[:, axes]
     memory_s = FILTER_MEMORY_S
-    if source.kind == QUATERNIONS:
+    if source.kind == recording.QUATERNIONS:
         memory_s = max(QUATERNION_MEMORY_S, 0.5 * float(np.ptp(path.time_s)))
     sd = np.full(axes.stop, setup.attitude_sd * np.sqrt(2 * memory_s))
     h = jacobian(path.states, 3, rotation=np.eye(3))[axes]
@@ -317,7 +295,7 @@ def _speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
     return [Observation(int(node), "top speed", -velocity[node], h, sd) for node in nodes]
 
 
-def rest_nodes(rest: Rest, path: Nominal) -> np.ndarray:
+def rest_nodes(rest: recording.Rest, path: Nominal) -> np.ndarray:
     """Return the indices of the nodes of a path that lie within a rest."""
     return np.flatnonzero((path.nodes >= rest.first) & (path.nodes < rest.last))
 
@@ -399,7 +377,7 @@ def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Ar
     if turns.all(axis=1).any():
         return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(turns), 3, 3))
     off = np.column_stack(angles(measured)) - np.column_stack(angles(body))
-    by_turn, pitch = turn_to_angles(body), angles(body)[1][:, None]
+    by_turn, pitch = recording.turn_to_angles(body), angles(body)[1][:, None]
     # at a pitch other than 0, a rotation about the heading direction changes roll by 1/cos(pitch), and also
     # yaw
     by_turn[:, 0] /= np.maximum(np.cos(pitch), 0.1)
@@ -418,7 +396,7 @@ def find_contradictions(trial: Estimate) -> list[str]:
     sentences = [text for _, text, _ in _doubted_rests(trial)]
     up, other = (r.inv().apply([0.0, 0.0, 1.0]) for r in (smoothed.path.rotation, setup.source.rotation))
     away = np.arctan2(np.linalg.norm(np.cross(up, other), axis=1), np.sum(up * other, axis=1))
-    tilt = slice(PARTS["rotation"].start, PARTS["rotation"].start + 2)
+    tilt = slice(smoother.PARTS["rotation"].start, smoother.PARTS["rotation"].start + 2)
     own = float(np.mean(np.trace(smoothed.errors.covariance[:, tilt, tilt], axis1=1, axis2=2)))
     off = float(np.sqrt(np.mean(away**2)))
     limit = GATE * float(np.sqrt(2 * setup.attitude_sd**2 + own))
@@ -435,7 +413,7 @@ def find_contradictions(trial: Estimate) -> list[str]:
     return sentences
 
 
-def _doubted_rests(found: Estimate) -> list[tuple[float, str, Rest]]:
+def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
     """Return size and sentence of each contradiction with a rest by more than ``GATE``, and the rest."""
     doubted = []
     for rest in found.setup.rests:
@@ -447,7 +425,7 @@ def _doubted_rests(found: Estimate) -> list[tuple[float, str, Rest]]:
     return doubted
 
 
-def _departure(setup: Setup, smoothed: Smoothed, rest: Rest) -> float:
+def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
     """Return the largest difference between the motion and a robot at rest, in standard deviations."""
     record, path, errors = setup.record, smoothed.path, smoothed.errors
     nodes = rest_nodes(rest, path)
@@ -460,8 +438,8 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: Rest) -> float:
     def mean(values: Array) -> Array:
         return np.asarray(values[rest.rows].mean(axis=0))
 
-    moving = np.abs(mean(path.velocity)) / np.sqrt(variance[PARTS["velocity"]] + REST_SPEED_SD**2)
-    turning = np.abs(mean(path.rate)) / np.sqrt(variance[PARTS["rate_bias"]] + REST_RATE_SD**2)
+    moving = np.abs(mean(path.velocity)) / np.sqrt(variance[smoother.PARTS["velocity"]] + REST_SPEED_SD**2)
+    turning = np.abs(mean(path.rate)) / np.sqrt(variance[smoother.PARTS["rate_bias"]] + REST_RATE_SD**2)
     duration = max(float(path.time_s[rest.last - 1] - path.time_s[rest.first]), record.step_s)
     force = path.rotation[rest.rows].apply(path.force[rest.rows]).mean(axis=0)
     turn = path.rotation[int(path.nodes[middle])].as_matrix()
@@ -618,7 +596,7 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
         if setup.rests and setup.rests[0].first == 0:
             velocity_sd = REST_SPEED_SD
         if source.heading:
-            yaw_sd = QUATERNION_SD
+            yaw_sd = recording.QUATERNION_SD
     else:
         on_record = replace(fixes, time_s=fixes.time_s + offset_s)
         turn = alignment.find_world_turn(setup.record, source, on_record, setup.mount.rotation)

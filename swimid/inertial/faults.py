@@ -16,20 +16,8 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
-from swimid.inertial.record import (
-    CHANNELS,
-    DEG,
-    GRAVITY_M_S2,
-    MAX_REST_ACCELERATION,
-    Array,
-    Finding,
-    Flags,
-    Record,
-    integrated_attitude,
-    resampled,
-    rotations,
-    turns_of,
-)
+from swimid.inertial import record as recording
+from swimid.inertial.record import CHANNELS, DEG, GRAVITY_M_S2, Array, Finding, Flags, Record, turns_of
 from swimid.logs import sampling
 from swimid.logs.log import runs
 from swimid.logs.mapping import in_order
@@ -241,7 +229,7 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
             # q and -q are the same attitude: choose the signs between which interpolation is short
             same = np.sign(np.sum(known[1:] * known[:-1], axis=1, keepdims=True))
             known[1:] *= np.cumprod(same, axis=0)
-        return record.changed(column, resampled(t, t[rows], known)), None
+        return record.changed(column, recording.resampled(t, t[rows], known)), None
 
     return test
 
@@ -329,7 +317,7 @@ def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
     count = len(record) // rows
     windows = record.acceleration[: count * rows].reshape(count, rows, 3)
     sizes = np.linalg.norm(windows.mean(axis=1), axis=1)
-    quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= MAX_REST_ACCELERATION / GRAVITY_M_S2 * sizes
+    quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= recording.MAX_REST_ACCELERATION / GRAVITY_M_S2 * sizes
     if quiet.any():
         size = float(np.median(sizes[quiet]))
         off = {name: abs(size * factor / GRAVITY_M_S2 - 1) for name, factor in UNITS.items()}
@@ -429,10 +417,12 @@ def _quaternion_residuals(record: Record, unit: float = 1.0) -> dict[tuple[str, 
     size = max(round(BLOCK_S / record.step_s), 1)
     if record.quaternion is None or len(record) <= MIN_ROTATIONS * size:
         return {}
-    sensed = turns_of(integrated_attitude(record.time_s, unit * record.rate, Rotation.identity())[::size])
+    sensed = turns_of(
+        recording.integrated_attitude(record.time_s, unit * record.rate, Rotation.identity())[::size]
+    )
     found = {}
     for convention in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
-        turned = turns_of(rotations(rearranged(record.quaternion[::size], *convention)))
+        turned = turns_of(recording.rotations(rearranged(record.quaternion[::size], *convention)))
         found[convention] = float(np.sum((turned - sensed) ** 2) / max(np.sum(sensed**2), 1e-300))
     return found
 

@@ -25,18 +25,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from swimid.inertial.record import (
-    DRIFT_TIME_S,
-    GRAVITY_M_S2,
-    Array,
-    Noise,
-    Record,
-    Sensor,
-    integral,
-    integrated_attitude,
-    resampled,
-    turn_to_angles,
-)
+from swimid.inertial import record as recording
+from swimid.inertial.record import Array, Noise, Record, Sensor, integral, resampled
 from swimid.logs.rotation import angles
 
 #: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
@@ -366,7 +356,7 @@ class Smoothed:
 
 def gravity(tilt: Array) -> Array:
     """Return gravity along world axes, m/s^2, shape (3,)."""
-    return -GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
+    return -recording.GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
 def smooth(
@@ -484,7 +474,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
 
     by_force, by_bias = -cross_matrix(mean(path.rotation.apply(path.force))), -mean(turn)
     by_scale_a, by_scale_w = -turn_by(record.acceleration), -turn_by(record.rate)
-    by_tilt = -GRAVITY_M_S2 * np.eye(3)[:, :2]
+    by_tilt = -recording.GRAVITY_M_S2 * np.eye(3)[:, :2]
     place = jacobian(states, len(dt), 3, velocity=np.eye(3))
     speed = jacobian(
         states, len(dt), 3, rotation=by_force, acceleration_bias=by_bias, acceleration_scale=by_scale_a,
@@ -498,7 +488,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
     velocity = integral(t, path.acceleration)
     position = integral(t, velocity)
     first, last = rows[:-1], rows[1:]
-    sensed = integrated_attitude(t, path.rate, path.rotation[0])
+    sensed = recording.integrated_attitude(t, path.rate, path.rotation[0])
     step = sensed[first].inv() * sensed[last]
     defect = np.hstack(
         [
@@ -537,8 +527,8 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         q[:, i, i] = velocity * dt_nodes**2 / 3
         q[:, i, 3 + i] = q[:, 3 + i, i] = velocity * dt_nodes / 2
         q[:, 6 + i, 6 + i] = angle
-        q[:, 9 + i, 9 + i] = sensor.acceleration_drift**2 / DRIFT_TIME_S * dt_nodes
-        q[:, 12 + i, 12 + i] = sensor.rate_drift**2 / DRIFT_TIME_S * dt_nodes
+        q[:, 9 + i, 9 + i] = sensor.acceleration_drift**2 / recording.DRIFT_TIME_S * dt_nodes
+        q[:, 12 + i, 12 + i] = sensor.rate_drift**2 / recording.DRIFT_TIME_S * dt_nodes
     return q
 
 
@@ -600,7 +590,7 @@ def at_reference(smoothed: Smoothed) -> Motion:
         "position_sd": sd(by_place),
         "velocity_sd": sd(by_speed),
         "body_velocity_sd": sd(by_body_speed),
-        "angle_sd": sd(turn_to_angles(body[rows]) @ by_turn),
+        "angle_sd": sd(recording.turn_to_angles(body[rows]) @ by_turn),
     }
 
 

@@ -13,35 +13,12 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
 from swimid.inertial import estimate as estimation
-from swimid.inertial import faults
+from swimid.inertial import faults, smoother
+from swimid.inertial import record as recording
 from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Estimate
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import (
-    ACCELERATION,
-    BAND,
-    DEG,
-    GRAVITY_M_S2,
-    RATE,
-    Array,
-    Finding,
-    Poses,
-    Record,
-    Setup,
-    integral,
-    mean_accelerations,
-    prepare,
-    read_poses,
-    read_record,
-)
-from swimid.inertial.smoother import (
-    EMPTIED,
-    PARTS,
-    Motion,
-    at_reference,
-    attitude_only,
-    gravity,
-    surge_within_stroke,
-)
+from swimid.inertial.record import BAND, DEG, GRAVITY_M_S2, Array, Finding, Record, Setup
+from swimid.inertial.smoother import Motion
 from swimid.logs import beat, log, mapping, rhythm
 from swimid.logs.log import Log, LogLike
 from swimid.logs.logged import Logged
@@ -50,18 +27,7 @@ from swimid.notices import Notice, recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks
-from swimid.results.evidence import (
-    Check,
-    Evidence,
-    Figure,
-    Panel,
-    Span,
-    Table,
-    Trace,
-    check,
-    judged,
-    leaf_table,
-)
+from swimid.results.evidence import Check, Evidence, Figure, Panel, Table, Trace, check, judged, leaf_table
 
 
 @takes(TrackImuOptions)
@@ -123,9 +89,9 @@ def track_imu(
     True
     """
     map_path, other = options.map_path, options.other
-    recording = log.unread(imu, name="imu")
+    unread = log.unread(imu, name="imu")
     rules = None if map_path is None else mapping.of(map_path)
-    given: list[provenance.Input] = [recording]
+    given: list[provenance.Input] = [unread]
     if rules is not None:
         given.append(map_path if isinstance(map_path, str | Path) else rules)
     if other is not None:
@@ -137,10 +103,10 @@ def track_imu(
         raise UsageError("--method paper fuses with nothing", hint=hint)
     with recorded(repeat=True) as notices:
         named = given[0 if rules is None else 1]
-        record, notes = read_record(recording, rules, provenance.path_of(named), progress)
+        record, notes = recording.read_record(unread, rules, provenance.path_of(named), progress)
         record, findings = faults.repair(record)
-        poses = None if other is None else read_poses(log.of(other, name="other"))
-        setup, more = prepare(record, options)
+        poses = None if other is None else recording.read_poses(log.of(other, name="other"))
+        setup, more = recording.prepare(record, options)
         with progress("smoothing", total=None) as step:
             made = estimate(replace(setup, advance=step), [*findings, *more], poses)
         for note in notes:
@@ -175,7 +141,7 @@ class Run:
     cutoff_hz: float
     #: Motion, with the surge within a stroke (``surge``).
     motion: Motion
-    poses: Poses | None = None
+    poses: recording.Poses | None = None
     #: Most likely motion of the smoother; None for the method of the paper.
     found: Estimate | None = None
     #: Time up to which the position can be used, s; None if it can be used throughout.
@@ -256,7 +222,7 @@ def _columns(motion: Motion, ending: str) -> dict[str, Array]:
     return columns
 
 
-def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
+def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | None) -> Run:
     """Estimate the motion of a recording by the method chosen in the options.
 
     Parameters
@@ -269,7 +235,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     """
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
-    readings = dict(zip((*RATE, *ACCELERATION), np.hstack([body.rate, body.acceleration]).T, strict=True))
+    readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
     stated_hz = record.metadata.get("frequency_hz")
     if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
         stated_hz = None
@@ -285,12 +251,12 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     run = replace(run, setup=setup, findings=[*findings, *found.findings], found=found)
     if found.impossible:
         turning = setup.mount.rotation.inv().apply(record.rate - setup.still_rate)
-        acceleration = setup.source.rotation.apply(record.acceleration) + gravity(np.zeros(2))
-        moved = attitude_only(setup.attitude, turning, acceleration, setup.attitude_sd)
+        acceleration = setup.source.rotation.apply(record.acceleration) + smoother.gravity(np.zeros(2))
+        moved = smoother.attitude_only(setup.attitude, turning, acceleration, setup.attitude_sd)
         moved |= dict.fromkeys(("surge", "surge_sd"), np.full((len(t), 1), np.nan))
         run = replace(run, motion=moved, impossible=found.impossible)
     else:
-        moved = at_reference(smoothed) | surge_within_stroke(smoothed, cutoff)
+        moved = smoother.at_reference(smoothed) | smoother.surge_within_stroke(smoothed, cutoff)
         bias = np.concatenate([smoothed.path.acceleration_bias[-1], smoothed.path.rate_bias[-1]])
         run = replace(run, motion=moved, rest_score=smoothed.score("rest"), bias=bias)
     return _checked(run) if run.alone else run
@@ -313,7 +279,7 @@ def _checked(run: Run) -> Run:
             f"{top_m_s:g} m/s (up to {speed.max():.1f} m/s)"
         ]
         hidden = np.where(fast[:, None], np.nan, 0.0)
-        moved = moved | {name: moved[name] + hidden for name in EMPTIED}
+        moved = moved | {name: moved[name] + hidden for name in smoother.EMPTIED}
     until_s = find_trust(run.setup.record.time_s, moved["position"], moved["position_sd"])
     return replace(run, motion=moved, impossible=impossible, trusted_until_s=until_s)
 
@@ -354,13 +320,13 @@ def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOption
     thresholds = np.repeat([options.threshold_m_s2, options.threshold_rad_s], 3)
     readings[np.abs(readings) < thresholds] = 0.0
     acceleration = rotation.apply(readings[:, :3])
-    velocity = integral(record.time_s, acceleration)
+    velocity = recording.integral(record.time_s, acceleration)
     moved = {
-        "position": integral(record.time_s, velocity),
+        "position": recording.integral(record.time_s, velocity),
         "velocity": velocity,
         "body_velocity": rotation.inv().apply(velocity),
     }
-    return attitude_only(rotation, readings[:, 3:], acceleration) | moved, constant
+    return smoother.attitude_only(rotation, readings[:, 3:], acceleration) | moved, constant
 
 
 def find_trust(time_s: Array, position: Array, position_sd: Array) -> float | None:
@@ -503,7 +469,7 @@ def _data(run: Run) -> dict[str, Any]:
         out["mounting"] |= {
             "body_to_sensor_rotation_vector_rad": path.mount.as_rotvec().tolist(),
             "lever_m": (-path.mount.inv().apply(path.lever)).tolist(),
-            "lever_sd_m": np.sqrt(np.diag(covariance)[PARTS["lever"]]).tolist(),
+            "lever_sd_m": np.sqrt(np.diag(covariance)[smoother.PARTS["lever"]]).tolist(),
             "world_tilt_rad": path.tilt.tolist(),
         }
         out["fusion"] = {
@@ -547,7 +513,7 @@ def _motion_tests(run: Run) -> Iterator[Test]:
     count = len(setup.still)
     reason = "no still period found; the biases are known to data-sheet accuracy only"
     yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
-    size = float(np.mean(np.linalg.norm(mean_accelerations(setup.record, setup.still), axis=1)))
+    size = float(np.mean(np.linalg.norm(recording.mean_accelerations(setup.record, setup.still), axis=1)))
     # half-width of the 95 % band, relative to g, from bias and scale of the sensor's class
     share = BAND * float(np.hypot(setup.sensor.acceleration_bias_sd / GRAVITY_M_S2, setup.sensor.scale_sd))
     value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
@@ -681,8 +647,7 @@ def _figures(run: Run) -> list[Figure]:
     }
     caption = "The estimate with its 95 % band, rests shaded; points are those of the other log."
     return [
-        Figure(id=title.split()[-1].lower(), title=title, caption=caption, panels=panels)
-        for title, panels in parts.items()
+        blocks.panels(title.split()[-1].lower(), title, caption, panels) for title, panels in parts.items()
     ]
 
 
@@ -694,7 +659,7 @@ def _panels(run: Run, names: Sequence[str], unit: str, quantity: str, factor: fl
     """
     t, values, sds = run.setup.record.time_s, run.motion[quantity], run.motion[f"{quantity}_sd"]
     rests = [period for period in _still_periods(run) if period["used_as_rest"]]
-    spans = [Span(start=rest["from_s"], end=rest["to_s"], label="rest") for rest in rests]
+    spans = [{"start": rest["from_s"], "end": rest["to_s"], "label": "rest"} for rest in rests]
     every = slice(None, None, max(len(t) // N_DRAWN, 1))
     panels = []
     for k, name in enumerate(names):
@@ -704,5 +669,5 @@ def _panels(run: Run, names: Sequence[str], unit: str, quantity: str, factor: fl
             seen = slice(None, None, max(len(run.poses.time_s) // N_DRAWN, 1))
             x, y = run.poses.time_s[seen] + run.fused.offset.value_s, run.poses.position[seen, k]
             traces.append(Trace(x=x, y=y, label="other log", style="points", group=1))
-        panels.append(Panel(x_label="time (s)", y_label=f"{name} ({unit})", traces=traces, spans=spans))
+        panels.append(blocks.panel("time (s)", f"{name} ({unit})", traces, spans=spans))
     return panels
