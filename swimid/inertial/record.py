@@ -513,7 +513,7 @@ QUATERNIONS = "quaternion columns"
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
 #: Standard deviations of a mounting from gravity and of a stated one, rad.
 GRAVITY_MOUNT_SD, STATED_MOUNT_SD = 3 * DEG, 0.5 * DEG
-#: Maximum angle between the vertical and the z axis of an upright sensor, rad.
+#: Maximum angle between the verticals of rests in the same attitude, rad.
 UPRIGHT = 45 * DEG
 #: Positions of the still periods that are rests of the robot, for each value of the option ``--rest``.
 REST_PLACES = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
@@ -629,13 +629,13 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
         return Mount(from_angles(roll, pitch, yaw)[0].inv(), "given", up, STATED_MOUNT_SD), []
     if record.quaternion is not None:
         return Mount(Rotation.identity(), "quaternions", up), []
-    if float(np.arccos(np.clip(up[2], -1, 1))) <= UPRIGHT:
-        if options.level_at_rest:
-            return Mount(_level(up), "level at rest", up), []
-        return Mount(Rotation.identity(), "as the sensor's axes", up), []
     axis = int(np.argmax(np.abs(up)))
-    nearest = np.sign(up[axis]) * np.eye(3)[axis]
-    name = f"{'-+'[int(up[axis] > 0)]}{'xyz'[axis]}"
+    name, by = f"{'-+'[int(up[axis] > 0)]}{'xyz'[axis]}", "as the sensor's axes"
+    rotation = _level(np.sign(up[axis]) * np.eye(3)[axis])
+    if options.level_at_rest:
+        rotation, by = _level(up), "level at rest"
+    if name == "+z":
+        return Mount(rotation, by, up), []
     if name == "-z":
         raise InputError(
             "gravity points the wrong way at rest: az is negative where a sensor with z up shows +9.81",
@@ -648,7 +648,6 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
         f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest "
         "turn that puts this axis up; give --mount-deg if the body's forward axis comes out wrong"
     )
-    rotation = _level(up if options.level_at_rest else nearest)
     return Mount(rotation, f"{name} axis up", up), [Finding("gravity axis", "handled", text)]
 
 
