@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,7 +20,7 @@ from swimid.inertial import alignment, smoother
 from swimid.inertial import record as recording
 from swimid.inertial.alignment import Offset
 from swimid.inertial.record import BAND, DEG, Array, Finding, Flags, Poses, Sensor, Setup, resampled
-from swimid.inertial.smoother import Nominal, Observation, Prior, Smoothed, State, cross_matrix, jacobian
+from swimid.inertial.smoother import Nominal, Observation, Smoothed, State, cross_matrix, jacobian
 from swimid.logs.rotation import angles
 from swimid.logs.sampling import white_noise_sd
 
@@ -117,7 +118,9 @@ class Estimate:
     #: Setup with the rests that were used. While both logs are smoothed, the attitude is that in the world of
     #: the other log.
     setup: Setup
-    prior: Prior
+    #: State at the first sample before any observation, and standard deviations of its parts.
+    start: State
+    sd: dict[str, Any]
     #: Poses in the other log, with their estimated noise and weights; None without another log.
     fixes: Fixes = None  # type: ignore[assignment]
     #: Result of the last smoothing; None before the first.
@@ -209,7 +212,7 @@ def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1) -> E
             more = _fixes(fixes, path)
         return [*_rests(setup, path), *_attitudes(setup, path), *more]
 
-    given = setup.record, trial.prior, sensor or last.sensor, setup.noise
+    given = setup, trial.start, trial.sd, sensor or last.sensor
     smoothed = smoother.smooth(*given, observe, states=states, after=last, passes=passes)
     setup.advance()
     return replace(trial, smoothed=smoothed)
@@ -567,9 +570,8 @@ def _at_offset(
             replace(begun, fixes=after.fixes.unweighted(), smoothed=smoothed), noise_known=True
         )
     # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is known
-    prior = begun.prior
-    begun = replace(begun, prior=replace(prior, sd={**prior.sd, "clock_s": HELD_CLOCK_SD}))
-    return _with_noise(replace(_smooth(begun, setup.sensor, 2), prior=prior))
+    fixed = replace(begun, sd={**begun.sd, "clock_s": HELD_CLOCK_SD})
+    return _with_noise(replace(_smooth(fixed, setup.sensor, 2), sd=begun.sd))
 
 
 def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> Estimate:
@@ -612,8 +614,7 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
         "tilt": TILT_SD,
         "clock_s": HELD_CLOCK_SD if held else CLOCK_SD,
     }
-    prior = Prior(source.rotation, state, sd)
-    return Estimate(replace(setup, source=source), prior, fixes)  # type: ignore[arg-type]
+    return Estimate(replace(setup, source=source), state, sd, fixes)  # type: ignore[arg-type]
 
 
 def _with_noise(trial: Estimate, *, noise_known: bool = False) -> Estimate:

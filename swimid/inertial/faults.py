@@ -223,13 +223,14 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
         rows = np.flatnonzero(np.isfinite(values).all(axis=1))
         gap_s = np.max(np.diff(np.concatenate([t[:1], t[rows], t[-1:]])))
         if len(rows) < 2 or gap_s > max(STUCK_S, 2 * record.step_s) or is_dead(values[rows]):
-            return record.changed(column, None), Finding(fault, "handled", text)
+            return replace(record, **{column: None}), Finding(fault, "handled", text)  # type: ignore[arg-type]
         known = values[rows]
         if len(rows) < len(record) and column == "quaternion":
             # q and -q are the same attitude: choose the signs between which interpolation is short
             same = np.sign(np.sum(known[1:] * known[:-1], axis=1, keepdims=True))
             known[1:] *= np.cumprod(same, axis=0)
-        return record.changed(column, recording.resampled(t, t[rows], known)), None
+        known = recording.resampled(t, t[rows], known)
+        return replace(record, **{column: known}), None  # type: ignore[arg-type]
 
     return test
 
@@ -257,11 +258,7 @@ def find_dropped(record: Record) -> tuple[Record, Finding | None]:
 
 def find_jitter(record: Record) -> tuple[Record, Finding | None]:
     """Find uneven time steps. All integrals use the time stamps of the samples."""
-    steps = np.diff(record.time_s)
-    single = steps[steps < LONG_STEP * record.step_s]
     jitter = sampling.rate(record.time_s).jitter
-    if jitter:
-        jitter = max(jitter, float(np.std(single)) / record.step_s)
     if jitter < MIN_JITTER:
         return record, None
     step = f"{1e3 * record.step_s:.3g} ms"

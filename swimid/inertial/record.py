@@ -84,10 +84,6 @@ class Record:
         """Accelerations and turn rates in the order of :data:`CHANNELS`, shape (n, 6)."""
         return np.hstack([self.acceleration, self.rate])
 
-    def changed(self, column: str, values: Array | None) -> Record:
-        """Return the record with other values of one of its attributes."""
-        return replace(self, **{column: values})  # type: ignore[arg-type]
-
     def take(self, rows: Any) -> Record:
         """Return the record with the rows selected by indices or flags."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from swimid.inertial import record as recording
-from swimid.inertial.record import Array, Noise, Record, Sensor, integral, resampled
+from swimid.inertial.record import Array, Noise, Record, Sensor, Setup, integral, resampled
 from swimid.logs.rotation import angles
 
 #: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
@@ -311,18 +311,6 @@ class Nominal(State):
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Knowledge about the motion before any observation."""
-
-    #: Attitude from sensor to world at which the iteration starts, n elements.
-    guide: Rotation
-    #: State at the first sample.
-    state: State
-    #: Standard deviations of the parts of the state, except for the biases and scales of the sensor.
-    sd: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
 class Smoothed:
     """Corrected path with the covariance of its errors."""
 
@@ -347,10 +335,10 @@ def gravity(tilt: Array) -> Array:
 
 
 def smooth(
-    record: Record,
-    prior: Prior,
+    setup: Setup,
+    start: State,
+    sd: Mapping[str, Any],
     sensor: Sensor,
-    noise: Noise,
     observe: Callable[[Nominal], list[Observation]],
     *,
     states: int = ALONE,
@@ -361,12 +349,15 @@ def smooth(
 
     Parameters
     ----------
-    record : Record
-    prior : Prior
+    setup : Setup
+        The iteration starts at the attitude of its source.
+    start : State
+        State at the first sample before any observation.
+    sd : mapping
+        Standard deviations of the parts of this state, except for the biases and scales of the sensor.
     sensor : Sensor
-    noise : Noise
     observe : callable
-        Returns the observations of a path; see :mod:`swimid.inertial.alone`.
+        Returns the observations of a path; see :mod:`swimid.inertial.estimate`.
     states : int
         Number of errors: :data:`ALONE`, or :data:`FUSED` to estimate also lever, mounting, tilt of the world
         and clock.
@@ -375,17 +366,18 @@ def smooth(
     passes : int
         Number of linearisations.
     """
+    record = setup.record
     if after is None:
-        now, path = prior.state, _integrated(record, prior, states)
+        now, path = start, _integrated(setup, start, states)
     else:
         now, path = after.origin, _about(record, after.origin, after.path)
-    driving = _driving_noise(record, sensor, noise, path)
-    covariance = _start_covariance(prior, sensor, states)
+    driving = _driving_noise(record, sensor, setup.noise, path)
+    covariance = _start_covariance(sd, sensor, states)
     for turn in range(passes):
         if turn:
             path = _about(record, now, path)
         transition, defect = _transitions(record, path)
-        mean = prior.state.minus(now)[:states]
+        mean = start.minus(now)[:states]
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
         # the next linearisation assumes constant biases, equal to the means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
@@ -396,13 +388,14 @@ def smooth(
     return Smoothed(path, errors, now, sensor)
 
 
-def _integrated(record: Record, prior: Prior, states: int) -> Nominal:
-    """Return the path by integration of the accelerations along the attitude of the prior."""
-    t, start, nodes = record.time_s, prior.state, np.arange(len(record))
+def _integrated(setup: Setup, start: State, states: int) -> Nominal:
+    """Return the path by integration of the accelerations along the attitude before smoothing."""
+    record, t = setup.record, setup.record.time_s
+    nodes = np.arange(len(record))
     spacing = max(NODE_S, float(t[-1] - t[0]) / MAX_NODES)
     if record.step_s < spacing:
         nodes = np.unique(np.append(np.searchsorted(t, np.arange(t[0], t[-1], spacing)), len(t) - 1))
-    known = {**vars(start), "rotation": prior.guide, "nodes": nodes, "states": states}
+    known = {**vars(start), "rotation": setup.source.rotation, "nodes": nodes, "states": states}
     path = _about(record, start, Nominal(**known, time_s=t, force=record.acceleration, rate=record.rate))
     velocity = integral(t, path.acceleration, start.velocity)
     return replace(path, velocity=velocity, position=integral(t, velocity, start.position))
@@ -423,10 +416,10 @@ def _with_readings(record: Record, path: Nominal) -> Nominal:
     return replace(path, force=force, rate=rate)
 
 
-def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
+def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Array:
     """Return the covariance of the errors before any observation, shape (states, states)."""
     sds = {
-        **prior.sd,
+        **sd,
         "acceleration_bias": sensor.acceleration_bias_sd,
         "rate_bias": sensor.rate_bias_sd,
         "acceleration_scale": sensor.scale_sd,
