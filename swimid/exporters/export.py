@@ -71,7 +71,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     ('tfish', [])
     """
     title, write = TARGETS[options.to]
-    source = load(params, options.robot)
+    source = load(params)
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
         atomic.check_writable(out, inputs=[parameters.origin(params)])
@@ -100,8 +100,8 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     return Text("export", summary, result, [out], document=text)
 
 
-def load(params: parameters.Source, robot_name: str | None = None) -> Source:
-    """Return parameters with the robot that they name, or with another robot given by name or file.
+def load(params: parameters.Source) -> Source:
+    """Return parameters with the robot that they name.
 
     Raises
     ------
@@ -110,23 +110,18 @@ def load(params: parameters.Source, robot_name: str | None = None) -> Source:
     """
     path = parameters.place(params)
     file = parameters.read(params, model="multilink")
-    name = robot_name or file.robot
-    if name is None:
-        raise InputError("names no robot", file=path, column="robot", hint="give one with --robot")
-    folder = None if robot_name else path.parent
+    if file.robot is None:
+        hint = "write the name of a built-in robot, or the path of a robot file, to this entry"
+        raise InputError("names no robot", file=path, column="robot", hint=hint)
     readings = {str(key): str(value) for key, value in (file.settings.get("readings") or {}).items()}
-    if robot_name:
-        # the other robot file may not have all readings (interpretations) of the robot file used for the fit
-        other = robot.read(name).readings
-        readings = {k: v for k, v in readings.items() if k in other and v in other[k].options}
     origin = {
         "file": path.name,
         "sha256": next(iter(digests_of([parameters.origin(params)]).values())),
         "version": swimid.__version__,
-        "robot": name,
+        "robot": file.robot,
     }
-    source = Source(file, robot.read(name, folder, readings=readings), origin)
-    _check_robot(source, robot.locate(name, folder), path)
+    source = Source(file, robot.read(file.robot, path.parent, readings=readings), origin)
+    _check_robot(source, robot.locate(file.robot, path.parent), path)
     return source
 
 
