@@ -335,9 +335,7 @@ def _fixes(seen: Fixes, path: Nominal) -> list[Observation]:
     kinds = [("position", away, np.isfinite(away), by_place, place_sd)]
     turns = np.isfinite(seen.angles[inside])
     if turns.any():
-        used = turns.any(axis=0)
         off, by_turn = _turned(seen.rotation[inside], turns, rotation * path.mount)
-        off, by_turn = off[:, used], by_turn[:, used]
         by_angle = jacobian(
             path.states,
             *off.shape,
@@ -345,7 +343,7 @@ def _fixes(seen: Fixes, path: Nominal) -> list[Observation]:
             mount=by_turn @ matrices,
             clock_s=by_turn @ spin[:, :, None],
         )
-        kinds.append(("orientation", off, turns[:, used], by_angle, turn_sd[:, used]))
+        kinds.append(("orientation", off, turns, by_angle, turn_sd))
     observations = []
     for k, index in enumerate(inside.tolist()):
         for kind, off, measured, h, sd in kinds:

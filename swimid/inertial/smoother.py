@@ -489,8 +489,8 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
     dt = np.diff(record.time_s)
     hidden = np.maximum(dt - LONG_STEP * record.step_s, 0.0)
 
-    def white(density: float, readings: Array, moving: Array, filled: np.ndarray) -> Array:
-        lost = filled[1:] | filled[:-1]
+    def white(density: float, readings: Array, moving: Array, sensed: int) -> Array:
+        lost = record.filled[1:, sensed] | record.filled[:-1, sensed]
         variance = density**2 * dt
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
         # nonlinearity errors are correlated over half a stroke; over longer times they act as white noise
@@ -498,8 +498,8 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 
     moving = record.acceleration - np.median(record.acceleration, axis=0)
-    velocity = white(noise.acceleration_m_s2_per_rt_hz, record.acceleration, moving, record.filled[:, 0])
-    angle = white(noise.rate_rad_s_per_rt_hz, record.rate, record.rate, record.filled[:, 1])
+    velocity = white(noise.acceleration_m_s2_per_rt_hz, record.acceleration, moving, 0)
+    angle = white(noise.rate_rad_s_per_rt_hz, record.rate, record.rate, 1)
     dt_nodes = np.diff(path.node_s)
     q = np.zeros((len(dt_nodes), path.states, path.states))
     for i in range(3):
