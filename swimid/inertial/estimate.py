@@ -59,7 +59,8 @@ PLANE_SD = 0.05
 MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
 #: Maximum number of noise iterations, and convergence tolerance of the logarithm of the standard deviations.
 NOISE_STEPS, NOISE_TOL = 3, 0.1
-#: Maximum fraction of outliers among the fixes without a warning.
+#: Maximum fraction of outliers among the fixes. With more outliers, a second path is estimated without
+#: rejecting them, and a warning is given.
 MAX_STRAY = 0.05
 #: Maximum fraction of outliers among the fixes. With more outliers, the motion is impossible.
 MAX_WRONG = 0.5
@@ -200,7 +201,7 @@ def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
     return replace(found, setup=used, findings=findings)
 
 
-def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1) -> Estimate:
+def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> Estimate:
     """Smooth with known noise, from the last result if any; the sensor is by default the last one."""
     setup, last, fixes = trial.setup, trial.smoothed, trial.fixes
     states = smoother.ALONE if fixes is None else smoother.FUSED
@@ -209,7 +210,7 @@ def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1) -> E
         if fixes is None:
             more = _speed_limit(setup.options.top_speed_m_s, path)
         else:
-            more = _fixes(fixes, path)
+            more = _fixes(fixes, path, gate)
         return [*_rests(setup, path), *_attitudes(setup, path), *more]
 
     given = setup, trial.start, trial.sd, sensor or last.sensor
@@ -309,8 +310,14 @@ def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
     return nodes[np.unique(np.clip(np.searchsorted(times, marks), 0, len(nodes) - 1))]
 
 
-def _fixes(seen: Fixes, path: Nominal) -> list[Observation]:
-    """Return an observation for every pose within the time range of a path."""
+def _fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
+    """Return an observation for every pose within the time range of a path.
+
+    Parameters
+    ----------
+    gate : float
+        Maximum innovation, in standard deviations. Larger innovations are outliers.
+    """
     t = path.time_s
     clock_times = seen.time_s + path.clock_s
     inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
@@ -351,7 +358,7 @@ def _fixes(seen: Fixes, path: Nominal) -> list[Observation]:
             if one.any():
                 counted = bool(seen.counted[index])
                 values = off[k, one], h[k, one], sd[k, one]
-                observations.append(Observation(int(node[k]), kind, *values, counted, index))
+                observations.append(Observation(int(node[k]), kind, *values, gate, counted, index))
     return observations
 
 
@@ -569,7 +576,12 @@ def _at_offset(
         )
     # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is known
     fixed = replace(begun, sd={**begun.sd, "clock_s": HELD_CLOCK_SD})
-    return _with_noise(replace(_smooth(fixed, setup.sensor, 2), sd=begun.sd))
+    gated = replace(_smooth(fixed, setup.sensor, 2, GATE), sd=begun.sd)
+    trials = [_with_noise(gated)]
+    if gated.smoothed.errors.rejected > MAX_STRAY * len(fixes.time_s):
+        # with many outliers, either the fixes or the path can be wrong: compare both assumptions
+        trials.append(_with_noise(replace(_smooth(fixed, setup.sensor, 2), sd=begun.sd)))
+    return max(trials, key=lambda trial: trial.likelihood)
 
 
 def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> Estimate:

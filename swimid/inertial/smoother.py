@@ -95,6 +95,9 @@ class Observation:
     sensitivity: Array
     #: Standard deviations of the independent noise of the values, shape (m,).
     sd: Array
+    #: Maximum innovation, in standard deviations. Observations with larger innovations are outliers and are
+    #: not used.
+    gate: float = np.inf
     #: Whether the observation contributes to the log-likelihood. Observations that are outside of the record
     #: for another candidate clock offset do not.
     counted: bool = True
@@ -116,6 +119,8 @@ class Errors:
     likelihood: float
     #: Normalised innovations for each kind of observation.
     scores: dict[str, list[Array]]
+    #: Number of observations that are outliers.
+    rejected: int
 
     @threadpool_limits.wrap(limits=1)
     def draw(self, sensitivity: Array, count: int) -> Array:
@@ -187,7 +192,7 @@ def smooth_errors(
     mean, cov = start_mean.copy(), start.copy()
     means, covs = np.empty((nodes, states)), np.empty((nodes, states, states))
     scores: dict[str, list[Array]] = {}
-    likelihood = 0.0
+    rejected, likelihood = 0, 0.0
     for k in range(nodes):
         if k:
             mean = transition[k - 1] @ mean
@@ -196,6 +201,9 @@ def smooth_errors(
         predicted[k], predicted_cov[k] = mean, cov
         for seen in at.get(k, ()):
             mean, cov, score, likely = _update(mean, cov, seen)
+            if score is None:
+                rejected += 1
+                continue
             scores.setdefault(seen.kind, []).append(score)
             likelihood += likely * seen.counted
         means[k], covs[k] = mean, cov
@@ -206,16 +214,21 @@ def smooth_errors(
         covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
         gains[k] = gain
         covs[k] = 0.5 * (covs[k] + covs[k].T)
-    return Errors(means, covs, gains, likelihood, scores)
+    return Errors(means, covs, gains, likelihood, scores, rejected)
 
 
-def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array, float]:
-    """Return mean, covariance, normalised innovation and log-likelihood after an observation."""
+def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
+    """Return mean, covariance, normalised innovation and log-likelihood after an observation.
+
+    An outlier leaves mean and covariance unchanged, and its innovation is None.
+    """
     h = seen.sensitivity
     innovation = seen.residual - h @ mean
     shared = h @ cov
     spread = shared @ h.T + np.diag(seen.sd**2)
     score = innovation / np.sqrt(np.diag(spread))
+    if np.any(np.abs(score) > seen.gate):
+        return mean, cov, None, 0.0
     inverse = np.linalg.inv(spread)
     gain = shared.T @ inverse
     left = np.eye(len(mean)) - gain @ h
