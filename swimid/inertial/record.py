@@ -389,11 +389,9 @@ def find_rests(record: Record) -> list[Rest]:
         return []
     deviations = [_deviation(values, size) for values in (record.acceleration, record.rate)]
     noises = [max(float(np.quantile(d, NOISE_SHARE)), 1e-9) for d in deviations]
-    if noises[0] > MAX_REST_ACCELERATION or noises[1] > MAX_REST_RATE:
-        return []
     limits = np.maximum(np.multiply(NOISE_RATIO, noises), (MIN_MOTION_ACCELERATION, MIN_MOTION_RATE))
     steady = (deviations[0] <= limits[0]) & (deviations[1] <= limits[1])
-    if not steady.any():
+    if not steady.any() or noises[0] > MAX_REST_ACCELERATION or noises[1] > MAX_REST_RATE:
         return []
     mean_rate = _moving_mean(record.rate, size)
     off = np.linalg.norm(mean_rate - np.median(mean_rate[steady], axis=0), axis=1)
