@@ -107,10 +107,6 @@ class Fixes(Poses):
         each = ("time_s", "position", "angles", "weight", "counted")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
-    def unweighted(self) -> Fixes:
-        """Return the poses with all weights reset to 1."""
-        return replace(self, weight=np.ones_like(self.weight))
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -311,55 +307,66 @@ def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
 
 
 def _fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
-    """Return an observation for every pose within the time range of a path.
+    """Return the observations of every pose within the time range of a path.
 
     Parameters
     ----------
     gate : float
         Maximum innovation, in standard deviations. Larger innovations are outliers.
     """
+    index, nodes, off, by_error = _differences(seen, path)
+    sd, counted = seen.sd[index], seen.counted[index].tolist()
+    observations = []
+    for k, node in enumerate(nodes.tolist()):
+        for kind, first in (("position", 0), ("orientation", 3)):
+            rows = first + np.flatnonzero(np.isfinite(off[k, first : first + 3]))
+            if len(rows):
+                values = off[k, rows], by_error[k, rows], sd[k, rows]
+                observations.append(Observation(node, kind, *values, gate, counted[k]))
+    return observations
+
+
+def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Array, Array]:
+    """Return the measured minus the estimated poses within the time range of a path.
+
+    Returns
+    -------
+    index, nodes : ndarray of int, shape (k,)
+        Index of each pose, and the node next to it.
+    off : ndarray, shape (k, 6)
+        Differences of position, m, and attitude, rad; NaN where not measured.
+    by_error : ndarray, shape (k, 6, states)
+        Derivatives of the pose with respect to the errors.
+    """
     t = path.time_s
     clock_times = seen.time_s + path.clock_s
-    inside = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
-    when = clock_times[inside]
+    index = np.flatnonzero((clock_times >= t[0]) & (clock_times <= t[-1]))
+    when = clock_times[index]
     velocity, place = resampled(when, t, path.velocity), resampled(when, t, path.position)
-    row, node = _nearest(t, when), _nearest(path.node_s, when)
+    row, nodes = _nearest(t, when), _nearest(path.node_s, when)
     turn = Rotation.from_rotvec(path.rate[row] * (when - t[row])[:, None])
     rotation = path.rotation[row] * turn
     lever, spin = rotation.apply(path.lever), rotation.apply(path.rate[row])
-    matrices = rotation.as_matrix()
-    place_sd, turn_sd = np.hsplit(seen.sd[inside], 2)
+    matrices, turns = rotation.as_matrix(), np.isfinite(seen.angles[index])
+    turned, by_turn = _turned(seen.rotation[index], turns, rotation * path.mount)
     by_place = jacobian(
         path.states,
         *place.shape,
         position=np.eye(3),
-        velocity=np.eye(3) * (when - path.node_s[node])[:, None, None],
+        velocity=np.eye(3) * (when - path.node_s[nodes])[:, None, None],
         rotation=-cross_matrix(lever),
         lever=matrices,
         clock_s=(velocity + np.cross(spin, lever))[:, :, None],
     )
-    away = seen.position[inside] - place - lever
-    kinds = [("position", away, np.isfinite(away), by_place, place_sd)]
-    turns = np.isfinite(seen.angles[inside])
-    if turns.any():
-        off, by_turn = _turned(seen.rotation[inside], turns, rotation * path.mount)
-        by_angle = jacobian(
-            path.states,
-            *off.shape,
-            rotation=by_turn,
-            mount=by_turn @ matrices,
-            clock_s=by_turn @ spin[:, :, None],
-        )
-        kinds.append(("orientation", off, turns, by_angle, turn_sd))
-    observations = []
-    for k, index in enumerate(inside.tolist()):
-        for kind, off, measured, h, sd in kinds:
-            one = measured[k]
-            if one.any():
-                counted = bool(seen.counted[index])
-                values = off[k, one], h[k, one], sd[k, one]
-                observations.append(Observation(int(node[k]), kind, *values, gate, counted, index))
-    return observations
+    by_angle = jacobian(
+        path.states,
+        *turned.shape,
+        rotation=by_turn,
+        mount=by_turn @ matrices,
+        clock_s=by_turn @ spin[:, :, None],
+    )
+    off = np.hstack([seen.position[index] - place - lever, np.where(turns, turned, np.nan)])
+    return index, nodes, off, np.concatenate([by_place, by_angle], axis=1)
 
 
 def _nearest(times: Array, when: Array) -> np.ndarray:
@@ -571,9 +578,8 @@ def _at_offset(
     if after is not None:
         path, origin = replace(after.smoothed.path, clock_s=offset_s), after.smoothed.origin
         smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
-        return _with_noise(
-            replace(begun, fixes=after.fixes.unweighted(), smoothed=smoothed), noise_known=True
-        )
+        known = replace(after.fixes, weight=np.ones_like(after.fixes.weight))
+        return _with_noise(replace(begun, fixes=known, smoothed=smoothed), noise_known=True)
     # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is known
     fixed = replace(begun, sd={**begun.sd, "clock_s": HELD_CLOCK_SD})
     gated = replace(_smooth(fixed, setup.sensor, 2, GATE), sd=begun.sd)
@@ -647,13 +653,9 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
     Elements are NaN where nothing was measured and for fixes outside of the record.
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
-    measured = np.hstack([np.isfinite(fixes.position), np.isfinite(fixes.angles)])
-    for seen in _fixes(fixes.unweighted(), smoothed.path):
-        half = slice(0, 3) if seen.kind == "position" else slice(3, 6)
-        columns = np.flatnonzero(measured[seen.fix, half]) + half.start
-        h = seen.sensitivity
-        residual[seen.fix, columns] = seen.residual
-        variance[seen.fix, columns] = np.einsum("ij,jk,ik->i", h, smoothed.errors.covariance[seen.node], h)
+    index, nodes, off, by_error = _differences(fixes, smoothed.path)
+    spread = np.einsum("nij,njk,nik->ni", by_error, smoothed.errors.covariance[nodes], by_error)
+    residual[index], variance[index] = off, np.where(np.isfinite(off), spread, np.nan)
     return residual, variance
 
 

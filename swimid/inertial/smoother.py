@@ -101,8 +101,6 @@ class Observation:
     #: Whether the observation contributes to the log-likelihood. Observations that are outside of the record
     #: for another candidate clock offset do not.
     counted: bool = True
-    #: Index of the pose in another log; -1 for other observations.
-    fix: int = -1
 
 
 @dataclass(frozen=True)
