@@ -197,9 +197,9 @@ def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
     return replace(found, setup=used, findings=findings)
 
 
-def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> Estimate:
+def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> Estimate:
     """Smooth with known noise, from the last result if any; the sensor is by default the last one."""
-    setup, last, fixes = trial.setup, trial.smoothed, trial.fixes
+    setup, last, fixes = found.setup, found.smoothed, found.fixes
     states = smoother.ALONE if fixes is None else smoother.FUSED
 
     def observe(path: Nominal) -> list[Observation]:
@@ -209,18 +209,18 @@ def _smooth(trial: Estimate, sensor: Sensor | None = None, passes: int = 1, gate
             more = _fixes(fixes, path, gate)
         return [*_rests(setup, path), *_attitudes(setup, path), *more]
 
-    given = setup, trial.start, trial.sd, sensor or last.sensor
+    given = setup, found.start, found.sd, sensor or last.sensor
     smoothed = smoother.smooth(*given, observe, states=states, after=last, passes=passes)
     setup.advance()
-    return replace(trial, smoothed=smoothed)
+    return replace(found, smoothed=smoothed)
 
 
-def _most_likely_class(trial: Estimate) -> Estimate:
+def _most_likely_class(found: Estimate) -> Estimate:
     """Return the motion with the class of sensor that makes the log more likely by ``MIN_GAIN``, if any."""
-    sensors = [sensor for sensor in recording.CLASSES.values() if sensor != trial.smoothed.sensor]
-    others = [_smooth(trial, sensor) for sensor in sensors]
+    sensors = [sensor for sensor in recording.CLASSES.values() if sensor != found.smoothed.sensor]
+    others = [_smooth(found, sensor) for sensor in sensors]
     best = max(others, key=lambda other: other.likelihood)
-    return best if best.likelihood > trial.likelihood + MIN_GAIN else trial
+    return best if best.likelihood > found.likelihood + MIN_GAIN else found
 
 
 def smooth_alone(setup: Setup) -> Estimate:
@@ -396,12 +396,12 @@ def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Ar
 # ---------------------------------------------------------------- contradictions
 
 
-def find_contradictions(trial: Estimate) -> list[str]:
+def find_contradictions(found: Estimate) -> list[str]:
     """Return the contradictions of a motion with rests, attitude and most of the fixes, one sentence each."""
-    setup, smoothed, fixes = trial.setup, trial.smoothed, trial.fixes
+    setup, smoothed, fixes = found.setup, found.smoothed, found.fixes
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing has no finite result"]
-    sentences = [text for _, text, _ in _doubted_rests(trial)]
+    sentences = [text for _, text, _ in _doubted_rests(found)]
     up, other = (r.inv().apply([0.0, 0.0, 1.0]) for r in (smoothed.path.rotation, setup.source.rotation))
     away = np.arctan2(np.linalg.norm(np.cross(up, other), axis=1), np.sum(up * other, axis=1))
     tilt = slice(smoother.PARTS["rotation"].start, smoother.PARTS["rotation"].start + 2)
@@ -536,14 +536,14 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
     """Return the most likely result, with its clock offset, and whether it assumes equal clocks."""
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
-        trial = _at_offset(setup, fixes, stated_s, held=True)
-        return replace(trial, offset=_final_offset(trial.smoothed))
+        found = _at_offset(setup, fixes, stated_s, held=True)
+        return replace(found, offset=_final_offset(found.smoothed))
     starts: list[Offset] = []
     for one in candidates:
         if all(abs(one.value_s - s.value_s) / np.hypot(one.stderr_s, s.stderr_s) > BAND for s in starts):
             starts.append(one)
-    trials = [_at_offset(setup, fixes, start.value_s, held=False) for start in starts]
-    free = max(trials, key=lambda trial: trial.likelihood)
+    attempts = [_at_offset(setup, fixes, start.value_s, held=False) for start in starts]
+    free = max(attempts, key=lambda found: found.likelihood)
     # half of the penalty of the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136) for
     # one additional parameter, the offset; equal clocks cannot be compared without common fixes
     price = 0.5 * float(np.log(max(fixes.counted.sum(), 1)))
@@ -583,11 +583,11 @@ def _at_offset(
     # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is known
     fixed = replace(begun, sd={**begun.sd, "clock_s": HELD_CLOCK_SD})
     gated = replace(_smooth(fixed, setup.sensor, 2, GATE), sd=begun.sd)
-    trials = [_with_noise(gated)]
+    attempts = [_with_noise(gated)]
     if gated.smoothed.errors.rejected > MAX_STRAY * len(fixes.time_s):
         # with many outliers, either the fixes or the path can be wrong: compare both assumptions
-        trials.append(_with_noise(replace(_smooth(fixed, setup.sensor, 2), sd=begun.sd)))
-    return max(trials, key=lambda trial: trial.likelihood)
+        attempts.append(_with_noise(replace(_smooth(fixed, setup.sensor, 2), sd=begun.sd)))
+    return max(attempts, key=lambda found: found.likelihood)
 
 
 def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> Estimate:
@@ -633,18 +633,18 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
     return Estimate(replace(setup, source=source), state, sd, fixes)  # type: ignore[arg-type]
 
 
-def _with_noise(trial: Estimate, *, noise_known: bool = False) -> Estimate:
+def _with_noise(found: Estimate, *, noise_known: bool = False) -> Estimate:
     """Iterate noise, weights, error class of the sensor and motion until the noise converges."""
     for step in range(NOISE_STEPS):
-        fixes = last = trial.fixes
+        fixes = last = found.fixes
         if step or not noise_known:
-            fixes = _estimate_noise(trial.smoothed, fixes, trial.setup.options.fix_sd_m)
+            fixes = _estimate_noise(found.smoothed, fixes, found.setup.options.fix_sd_m)
         if step > 1 and np.nanmax(np.abs(np.log(fixes.noise / last.noise))) < NOISE_TOL:
             break
-        trial = _smooth(replace(trial, fixes=fixes))
+        found = _smooth(replace(found, fixes=fixes))
         if step == 1 and not noise_known:
-            trial = _most_likely_class(trial)
-    return trial
+            found = _most_likely_class(found)
+    return found
 
 
 def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
@@ -716,12 +716,12 @@ def _final_offset(smoothed: Smoothed) -> Offset:
 # ---------------------------------------------------------------- tests of the result
 
 
-def _hold_out(trial: Estimate) -> dict[str, float] | None:
+def _hold_out(found: Estimate) -> dict[str, float] | None:
     """Predict every fourth block of fixes from the other blocks; return None for too few fixes.
 
     A block lasts half a second, because neighbouring fixes would determine a single fix.
     """
-    fixes = trial.fixes
+    fixes = found.fixes
     block = np.floor((fixes.time_s - fixes.time_s[0]) / BLOCK_S).astype(int)
     if len(block) > 1 and np.median(np.diff(fixes.time_s)) > BLOCK_S:
         block = np.arange(len(block))
@@ -729,9 +729,9 @@ def _hold_out(trial: Estimate) -> dict[str, float] | None:
     count = int(np.sum(out & (np.isfinite(fixes.position).any(axis=1) | fixes.turned)))
     if count < MIN_HELD_OUT:
         return None
-    held = trial.setup.options.clock_offset_s is not None or trial.agree
-    begun = _start(trial.setup, fixes, trial.smoothed.path.clock_s, held=held)
-    smoothed = _smooth(replace(begun, fixes=fixes.take(~out), smoothed=trial.smoothed)).smoothed
+    held = found.setup.options.clock_offset_s is not None or found.agree
+    begun = _start(found.setup, fixes, found.smoothed.path.clock_s, held=held)
+    smoothed = _smooth(replace(begun, fixes=fixes.take(~out), smoothed=found.smoothed)).smoothed
     left_out = fixes.take(out)
     residual, variance = _residuals(left_out, smoothed)
     measured = _is_measured(left_out, residual)
@@ -739,14 +739,14 @@ def _hold_out(trial: Estimate) -> dict[str, float] | None:
     return {"fixes": count, "deviations": float(np.sqrt(np.mean(squares)))}
 
 
-def _lasting_factor(trial: Estimate) -> float:
+def _lasting_factor(found: Estimate) -> float:
     """Return the factor by which correlated errors of the fixes enlarge the standard error of their mean.
 
     It is the square root of the integrated autocorrelation of the residuals. The sum ends before the first
     autocorrelation that is not positive (initial sequence of Geyer 1992, doi:10.1214/ss/1177011137).
     """
-    fixes = trial.fixes
-    residual, _ = _residuals(fixes, trial.smoothed)
+    fixes = found.fixes
+    residual, _ = _residuals(fixes, found.smoothed)
     used = _is_measured(fixes, residual) & ~np.repeat(fixes.stray, 3, axis=1)
     longest = 1.0
     for values, rows in zip(residual.T, used.T, strict=True):
