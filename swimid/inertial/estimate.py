@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swimid.errors import InputError
+from swimid.errors import InputError, NoTrustworthyResult
 from swimid.inertial import alignment, smoother
 from swimid.inertial import record as recording
 from swimid.inertial.alignment import Offset
@@ -467,7 +467,12 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
 
 def _fused(setup: Setup, poses: Poses) -> Estimate:
     """Align the two logs, and smooth both together."""
-    offsets = alignment.align(setup.record, setup.source, poses, setup.options.clock_offset_s)
+    refusal = None
+    try:
+        offsets = alignment.align(setup.record, setup.source, poses, setup.options.clock_offset_s)
+    except NoTrustworthyResult as error:
+        # Fixes that are held out may still show that the logs move together with equal clocks.
+        refusal, offsets = error, alignment.align(setup.record, setup.source, poses, 0.0)
     if offsets[0].handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
         hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
@@ -476,6 +481,8 @@ def _fused(setup: Setup, poses: Poses) -> Estimate:
     start = _first_fixes(setup, poses, offsets)
     found = _with_rests(setup, lambda setup: _set_clocks(setup, start, offsets))
     errors, offset, held_out = found.smoothed.errors, found.offset, _hold_out(found)
+    if refusal is not None and not _predicts(held_out, poses):
+        raise refusal
     factor = lasting = _lasting_factor(found)
     if held_out is not None:
         factor *= max(held_out["deviations"], 1.0)
@@ -736,7 +743,22 @@ def _hold_out(found: Estimate) -> dict[str, float] | None:
     residual, variance = _residuals(left_out, smoothed)
     measured = _is_measured(left_out, residual)
     squares = (residual**2 / (variance + left_out.sd**2))[measured]
-    return {"fixes": count, "deviations": float(np.sqrt(np.mean(squares)))}
+    places = residual[:, :3][measured[:, :3]]
+    return {
+        "fixes": count,
+        "rms_m": float(np.sqrt(np.sum(places**2) / max(len(places), 1))),
+        "deviations": float(np.sqrt(np.mean(squares))),
+    }
+
+
+def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
+    """Return whether the errors of held-out fixes are small enough to show that both logs move together."""
+    if held_out is None or held_out["deviations"] > MAX_HELD_OUT:
+        return False
+    place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
+    rows = np.isfinite(place).all(axis=1)
+    fast = alignment.without_slow(poses.time_s[rows], place[rows], alignment.SLOW_PATH_S)
+    return held_out["rms_m"] ** 2 < (1 - alignment.MIN_EXPLAINED) * float(np.mean(fast**2))
 
 
 def _lasting_factor(found: Estimate) -> float:
