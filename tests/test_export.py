@@ -506,9 +506,11 @@ def test_bad_use_is_refused(tmp_path: Path, swimid: Callable[..., Ran], samples:
     assert swimid("export", path, "--to", "mjcf", "--added-mass", "plugin").status == 2
     assert swimid("export", path, "--to", "mjcf", "--servo-hz", "-1").status == 2
     assert swimid("export", tmp_path / "no.yaml", "--to", "mjcf").status == 3
-    assert swimid("export", path, "--to", "mjcf", "--robot", "nobody").status == 3
-    wrong = swimid("export", path, "--to", "mjcf", "--robot", "boxfish")
-    assert wrong.status == 3
+    for name in ("nobody", "boxfish"):
+        other = tmp_path / f"{name}.yaml"
+        other.write_text(path.read_text().replace("robot: tfish", f"robot: {name}"))
+        wrong = swimid("export", other, "--to", "mjcf")
+        assert wrong.status == 3
     assert "multilink" in wrong.err
 
 

@@ -12,10 +12,11 @@ import pytest
 from scipy import io, signal
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import alone, motion
+from swimid.inertial import estimate
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Record, integrated_attitude
-from swimid.inertial.setup import find_rests, measure_noise, prepare
+from swimid.inertial.record import Record, find_rests, integrated_attitude, measure_noise, prepare
+from swimid.inertial.smoother import at_reference
+from swimid.inertial.track_imu import compute_by_paper
 from swimid.logs.rotation import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
@@ -90,13 +91,13 @@ def test_the_steps_of_the_paper(mode: Literal["marching", "receding", "rotating"
     rate = np.column_stack([np.zeros(4), np.zeros(4), [0.5, 0.5, 0.7, 0.3]])
     quarter = Rotation.from_rotvec(np.tile([0, 0, np.pi / 2], (4, 1)))
     options = TrackImuOptions(motion_mode=mode, threshold_m_s2=0.02, threshold_rad_s=0.01)
-    found, constant = motion.compute_by_paper(Record(t, acceleration, rate), quarter, options)
-    np.testing.assert_allclose(found.acceleration[:, 1], [1, 3, -1, -3], atol=1e-12)
-    np.testing.assert_allclose(found.acceleration[:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
-    np.testing.assert_allclose(found.velocity[:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
-    np.testing.assert_allclose(found.position[:, 1], [0, 0.01, 0.035, 0.055], atol=1e-12)
+    found, constant = compute_by_paper(Record(t, acceleration, rate), quarter, options)
+    np.testing.assert_allclose(found["acceleration"][:, 1], [1, 3, -1, -3], atol=1e-12)
+    np.testing.assert_allclose(found["acceleration"][:, 2], 0, atol=1e-12)  # 0.01 is below the threshold
+    np.testing.assert_allclose(found["velocity"][:, 1], [0, 0.2, 0.3, 0.1], atol=1e-12)
+    np.testing.assert_allclose(found["position"][:, 1], [0, 0.01, 0.035, 0.055], atol=1e-12)
     kept = 0.5 if mode == "rotating" else 0.0
-    assert found.rate[0, 2] == pytest.approx(kept)
+    assert found["rate"][0, 2] == pytest.approx(kept)
     np.testing.assert_allclose(constant, [0, 0, 9.8, 0, 0, 0.5 - kept], atol=1e-12)
 
 
@@ -134,8 +135,8 @@ def test_errors_are_as_large_as_their_bands_say() -> None:
         run = imu.marching(np.random.default_rng(100 + seed), swim_s=10.0, rest_s=2.5, rate_hz=50.0)
         record = Record(run.time_s, run.acceleration, run.rate)
         setup, _ = prepare(record, TrackImuOptions())
-        found = motion.at_reference(alone.smooth(setup, setup.sensor))
-        squares.append(np.mean(((found.velocity - run.velocity) / found.velocity_sd)[300:-200] ** 2))
+        found = at_reference(estimate.smooth_alone(setup).smoothed)
+        squares.append(np.mean(((found["velocity"] - run.velocity) / found["velocity_sd"])[300:-200] ** 2))
     # 36 independent numbers: chi square over its freedom lies in 0.6 ... 1.5 in 95 of 100 cases; prior
     # biases and the drift budget are bounds, not this sensor's values, so that less than 1 is expected
     assert 0.1 < np.mean(squares) < 1.5

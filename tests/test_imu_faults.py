@@ -13,8 +13,7 @@ import pytest
 from swimid.errors import InputError
 from swimid.inertial import faults
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Record
-from swimid.inertial.setup import find_mount
+from swimid.inertial.record import Record, find_mount
 from tests.conftest import Ran
 from tests.generators import imu
 
@@ -111,8 +110,8 @@ def test_a_channel_stuck_for_a_while_is_bridged(run: imu.Run) -> None:
     rate[700:800, 1] = rate[700, 1]
     repaired, found = faults.repair(replace(record(run), rate=rate))
     assert names(found) == ["dead channel"]
-    assert repaired.filled_rate[710:790].all()
-    assert not repaired.filled_rate[:690].any()
+    assert repaired.filled[710:790, 1].all()
+    assert not repaired.filled[:690, 1].any()
 
 
 def test_a_dead_magnetometer_and_dead_quaternions_are_not_used(run: imu.Run) -> None:
@@ -129,7 +128,7 @@ def test_clipped_samples_are_bridged_and_many_are_refused(run: imu.Run) -> None:
     repaired, found = faults.repair(replace(record(run), rate=np.minimum(run.rate, limit)))
     assert names(found) == ["saturated channel"]
     clipped = run.rate >= limit
-    assert repaired.filled_rate[clipped.any(axis=1)].all()
+    assert repaired.filled[:, 1][clipped.any(axis=1)].all()
     with pytest.raises(InputError, match="clipped"):
         faults.repair(replace(record(run), rate=np.minimum(run.rate, 0.5 * limit)))
 
@@ -145,7 +144,7 @@ def test_repeated_samples_are_bridged(run: imu.Run, rng: np.random.Generator) ->
     )
     assert names(found) == ["repeated samples"]
     assert found[0].count == again.sum()
-    np.testing.assert_array_equal(repaired.filled_rate, again)
+    np.testing.assert_array_equal(repaired.filled[:, 1], again)
 
 
 def test_repeated_and_swapped_stamps_are_put_in_order(run: imu.Run) -> None:

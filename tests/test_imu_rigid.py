@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swimid.inertial import alone, faults
+from swimid.inertial import estimate, faults
 from swimid.inertial.record import Record
 from tests.conftest import Ran
 from tests.generators import rigid
@@ -144,7 +144,7 @@ def test_impossible_samples_are_empty(swimid: Callable[..., Ran], tmp_path: Path
 def test_of_an_impossible_motion_only_the_attitude_is_written(
     fused: bool, swimid: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(alone, "find_contradictions", lambda *_: ["it hovers upside down"])
+    monkeypatch.setattr(estimate, "find_contradictions", lambda *_: ["it hovers upside down"])
     rng = np.random.default_rng(2)
     run = rigid.swim(rng, unit=rigid.Unit(), swim_s=6.0, rest_s=2.5, rate_hz=50.0)
     camera = rigid.camera(run, rng, rate_hz=10.0) if fused else None

@@ -11,25 +11,13 @@ negligible mass, which is fixed to the link.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import (
-    Element,
-    Exported,
-    Link,
-    Source,
-    about,
-    added_mass_limits,
-    central,
-    export_xml,
-    joint_limits,
-)
-from swimid.fitting.model import Array
+from swimid.exporters.source import Element, Exported, Source, about, central, export_xml
 
 TITLE = "Gazebo SDF"
 #: Letters of force and velocity components (SNAME), indices of the planar components among the six
@@ -48,54 +36,28 @@ LEFT_OUT = {
     "wake": "thrust and side force of trailing edges",
     "force": "weight, buoyancy and constant forces",
 }
+#: Terms in the law of a passive joint for which Gazebo has no law.
+LEFT_OUT_OF_JOINTS = {"cubic": "cubic stiffness", "quadratic_damping": "quadratic damping"}
 DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default); others ignore it"
-
-
-@dataclass(frozen=True)
-class Part:
-    """Link of the SDF model.
-
-    Attributes
-    ----------
-    name : str
-    mass : float, kg
-    moment : float, kg m2
-    derivatives : list of (str, float)
-        Stability derivatives with the tags of the plugin.
-    fluid : nested list, shape (6, 6), or None
-        Added mass.
-    pose : sequence of 6 floats
-        Position (m) and angles (rad), in the frame ``relative_to``.
-    welded_to : str
-        Name of the link to which a helper link is fixed; empty for other links.
-    """
-
-    name: str
-    mass: float
-    moment: float
-    derivatives: list[tuple[str, float]]
-    fluid: list[list[float]] | None = None
-    pose: Sequence[float] = ()
-    relative_to: str = ""
-    welded_to: str = ""
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
     """Return the SDF document of a multi-link robot."""
-    inertias, heading = source.inertias(fold=options.added_mass == "fold"), None
-    servos = source.servos(inertias, options.servo_hz)
-    for servo in servos:
-        servo["joint"] = _joint_name(source, servo["joint"])
-    if source.heading_rad is not None:
-        heading = _pose(source, 0.0, 0.0, source.heading_rad)
-    variables = {
-        "pi": math.pi,
-        "heading": heading,
-        "links": _links(source, options, inertias),
-        "joints": [_joint(source, link, inertias) for link in source.links[1:]],
-        "servos": servos,
-    }
-    return export_xml("gazebo.sdf", source, _limits(source, options), **variables)
+    inertias = source.inertias(fold=options.added_mass == "fold")
+    rigid = [central(inertia) for inertia in inertias]
+    return export_xml(
+        "gazebo.sdf",
+        source,
+        options,
+        DART_ONLY,
+        _limits(source),
+        pi=math.pi,
+        pose=partial(_pose, source),
+        joint_name=partial(_joint_name, source),
+        rigid=rigid,
+        parts=_parts(source, options, rigid),
+        servos=source.servos(inertias, options.servo_hz),
+    )
 
 
 def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
@@ -110,91 +72,70 @@ def _joint_name(source: Source, name: str) -> str:
     return f"{name}_joint" if any(link.name == name for link in source.links) else name
 
 
-def _links(source: Source, options: ExportOptions, inertias: list[Array]) -> list[Part]:
-    """Return each link, followed by the helper links of its drag points."""
+def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dict[str, Any]]:
+    """Return the links of the SDF model: each link, followed by the helper links of its drag points.
+
+    A part has ``name``, ``mass`` (kg), ``moment`` (kg m2), ``derivatives`` (tags of the plugin with their
+    values), ``fluid`` (added mass, shape (6, 6), or None) and ``pose`` in the frame ``relative_to``. A helper
+    link is fixed to the link ``welded_to``.
+    """
     parts = []
-    for i, link in enumerate(source.links):
-        mass, (x, y), moment = central(inertias[i])
-        added = about(link.added, x, y)
-        added[np.abs(added) < 1e-12 * np.abs(added).max()] = 0.0
-        fluid = None
+    _, _, axes, signs = PLANES[source.vertical]
+    for i, (link, (mass, (x, y), moment)) in enumerate(zip(source.links, rigid, strict=True)):
+        part: dict[str, Any] = {
+            "name": link.name,
+            "mass": mass,
+            "moment": moment,
+            "pose": _pose(source, x, y),
+        }
         if options.added_mass == "native" and np.any(link.added):
-            fluid = _six_by_six(source, added)
-        drag = [element for element in source.elements if element.kind == "drag" and element.link == i]
-        here = [element for element in drag if math.dist(element.at, (x, y)) < 1e-9 or not _pushes(element)]
-        frame = ""
+            # a positive rotation is from x towards z in swimid, and from z towards x in Gazebo
+            added, fluid = about(link.added, x, y) * np.outer(signs, signs), np.zeros((6, 6))
+            added[np.abs(added) < 1e-12 * np.abs(added).max()] = 0.0
+            fluid[np.ix_(axes, axes)] = added
+            part["fluid"] = fluid.tolist()
         if link.joint:
-            frame = _joint_name(source, link.joint.name)
-        tags = _derivatives(source, here)
-        parts.append(Part(link.name, mass, moment, tags, fluid, _pose(source, x, y), frame))
-        for k, element in enumerate(element for element in drag if element not in here):
-            small = HELPER_MASS * mass
-            pose = _pose(source, element.at[0] - x, element.at[1] - y)
-            tags, inertia = _derivatives(source, [element]), small * HELPER_RADIUS_M**2
-            parts.append(Part(f"{link.name}_drag{k}", small, inertia, tags, None, pose, link.name, link.name))
+            part["relative_to"] = _joint_name(source, link.joint.name)
+        drag = [element for element in source.elements if element.kind == "drag" and element.link == i]
+        # the plugin of the link takes drag at its frame, and moments, which have no point of application
+        pushes = ("quadratic_x", "quadratic_y", "linear_x", "linear_y")
+        away = [e for e in drag if math.dist(e.at, (x, y)) >= 1e-9 and any(e.numbers[key] for key in pushes)]
+        part["derivatives"] = _derivatives(source, [element for element in drag if element not in away])
+        parts.append(part)
+        for k, element in enumerate(away):
+            helper = {
+                "name": f"{link.name}_drag{k}",
+                "mass": HELPER_MASS * mass,
+                "moment": HELPER_MASS * mass * HELPER_RADIUS_M**2,
+                "derivatives": _derivatives(source, [element]),
+                "pose": _pose(source, element.at[0] - x, element.at[1] - y),
+            }
+            parts.append({**helper, "relative_to": link.name, "welded_to": link.name})
     return parts
 
 
-def _six_by_six(source: Source, added: Array) -> list[list[float]]:
-    """Return a planar added mass, over (u, v, r) in the frame of the link, as a 6 x 6 matrix.
-
-    In the vertical plane a positive rotation of swimid is from x towards z, a positive rotation of Gazebo
-    from z towards x.
-    """
-    _, _, axes, signs = PLANES[source.vertical]
-    matrix = np.zeros((6, 6))
-    matrix[np.ix_(axes, axes)] = added * np.outer(signs, signs)
-    return matrix.tolist()
-
-
-def _pushes(element: Element) -> bool:
-    """Return whether a drag element exerts a force, and not only a moment."""
-    return any(element.numbers[key] for key in ("quadratic_x", "quadratic_y", "linear_x", "linear_y"))
-
-
-def _derivatives(source: Source, drag: list[Element]) -> list[tuple[str, float]]:
-    """Return the stability derivatives of drag elements, with the tags of the plugin."""
-    tags = []
+def _derivatives(source: Source, drag: list[Element]) -> dict[str, float]:
+    """Return the stability derivatives of drag elements, by the tags of the plugin."""
+    tags = {}
     forces, speeds, _, _ = PLANES[source.vertical]
     for force, speed, key in zip(forces, speeds, "xyr", strict=True):
         for kind, tag in (("linear", speed), ("quadratic", f"{speed}abs{speed}")):
             total = sum(element.numbers[f"{kind}_{key}"] for element in drag)
             if total:
-                tags.append((f"{force}{tag}", -total))
+                tags[f"{force}{tag}"] = -total
     return tags
 
 
-def _joint(source: Source, link: Link, inertias: list[Array]) -> dict[str, Any]:
-    assert link.joint is not None
-    x, y = central(inertias[link.parent])[1]
-    return {
-        "name": _joint_name(source, link.joint.name),
-        "parent": source.links[link.parent].name,
-        "child": link.name,
-        "pose": _pose(source, link.at[0] - x, link.at[1] - y, link.mount_rad),
-        "moves": link.moves,
-        "law": source.laws.get(link.joint.name),
-    }
-
-
-def _limits(source: Source, options: ExportOptions) -> list[str]:
-    limits = added_mass_limits(source, options.added_mass, DART_ONLY)
-    limits += [
-        f"{what} are left out: {source.links_with(kind)}"
-        for kind, what in LEFT_OUT.items()
-        if source.links_with(kind)
-    ]
+def _limits(source: Source) -> list[str]:
+    owners = {what: source.links_with(kind) for kind, what in LEFT_OUT.items()}
+    limits = [f"{what} are left out: {links}" for what, links in owners.items() if links]
     for name, law in source.laws.items():
         if law["spring"]:
             stiffness = f"{law['wire_stiffness']:.6g} N m/rad"
             limits.append(f"{name}: wire and spring become their small-angle stiffness {stiffness}")
-        for key in ("cubic", "quadratic_damping"):
-            if law[key]:
-                words = {"cubic": "cubic stiffness", "quadratic_damping": "quadratic damping"}[key]
-                limits.append(f"{name}: the {words} is left out")
+        limits += [
+            f"{name}: the {words} is left out" for key, words in LEFT_OUT_OF_JOINTS.items() if law[key]
+        ]
     out = OUT_OF_PLANE[source.vertical]
-    return [
-        *limits,
-        *joint_limits(source, options.servo_hz),
-        f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed",
-    ]
+    text = f"{out} were not identified: no drag and no added mass there, the moments of inertia are assumed"
+    return [*limits, text]

@@ -14,17 +14,7 @@ from typing import Any
 import numpy as np
 
 from swimid.exporters.options import ExportOptions
-from swimid.exporters.source import (
-    COLUMNS,
-    Element,
-    Exported,
-    Link,
-    Source,
-    added_mass_limits,
-    central,
-    export_xml,
-    joint_limits,
-)
+from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
 
 TITLE = "MuJoCo MJCF"
 #: Kinds of force elements in the order of their index in the data of a site, with their names in the limits.
@@ -44,10 +34,23 @@ PREFIX = "water:"
 def export(source: Source, options: ExportOptions) -> Exported:
     """Return the MJCF document of a multi-link robot."""
     inertias = source.inertias(fold=options.added_mass == "fold")
+    wet = ", ".join(link.name for link in source.links if np.any(link.added))
+    native = (
+        "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
+        f"{wet} are left out; --added-mass fold puts them into the bodies"
+    )
+    laws, limits = ", ".join(words for kind, words in KINDS.items() if source.links_with(kind)), []
+    if laws:
+        limits.append(
+            f"{laws}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
+            "swimid.exporters.mjcf.water is installed as passive callback"
+        )
     return export_xml(
         "mjcf.xml",
         source,
-        _limits(source, options),
+        options,
+        native,
+        limits,
         point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
         rigid=[central(inertia) for inertia in inertias],
         user=_user,
@@ -65,53 +68,29 @@ def _user(element: Element) -> list[float]:
 
 
 def _wires(source: Source) -> list[dict[str, Any]]:
-    """Return the spatial tendons of all joints that have a wire with a spring."""
-    return [
-        _wire(link, i, source.laws[link.joint.name])
-        for i, link in enumerate(source.links)
-        if link.joint and source.laws.get(link.joint.name, {}).get("spring")
-    ]
-
-
-def _wire(link: Link, i: int, law: dict[str, float]) -> dict[str, Any]:
-    """Return wire and spring of one joint as a spatial tendon.
+    """Return wire and spring of each joint that has them as a spatial tendon.
 
     The length of the path of the tendon is ``D`` plus a constant, so that the restoring moment is exact at
     every angle. The tension is ``K_t (D + constant)``. If the constant is positive, the path is extended;
     otherwise the tendon has a rest length.
     """
-    assert link.joint is not None
-    arm, crank = law["arm"], law["crank"]
-    constant = law["pretension"] - arm + crank
-    (x, y), c, s = link.at, math.cos(link.mount_rad), math.sin(link.mount_rad)
-    ends = [("wire", link.parent, (x + arm, y)), ("crank", i, (crank * c, -crank * s))]
-    path = ["wire", "crank"]
-    if constant > 0.0:
-        ends.append(("spool", link.parent, (x + arm, y + constant)))
-        path.insert(0, "spool")
-    return {
-        "name": link.joint.name,
-        "stiffness": law["spring"],
-        "length": max(-constant, 0.0),
-        "ends": ends,
-        "path": path,
-    }
-
-
-def _limits(source: Source, options: ExportOptions) -> list[str]:
-    wet = ", ".join(link.name for link in source.links if np.any(link.added))
-    native = (
-        "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
-        f"{wet} are left out; --added-mass fold puts them into the bodies"
-    )
-    limits = added_mass_limits(source, options.added_mass, native)
-    laws = ", ".join(words for kind, words in KINDS.items() if source.links_with(kind))
-    if laws:
-        limits.append(
-            f"{laws}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
-            "swimid.exporters.mjcf.water is installed as passive callback"
-        )
-    return [*limits, *joint_limits(source, options.servo_hz)]
+    wires = []
+    owners = {link.joint.name: (i, link) for i, link in enumerate(source.links) if link.joint}
+    for name, law in source.laws.items():
+        if not law["spring"]:
+            continue
+        i, link = owners[name]
+        arm, crank = law["arm"], law["crank"]
+        constant = law["pretension"] - arm + crank
+        (x, y), c, s = link.at, math.cos(link.mount_rad), math.sin(link.mount_rad)
+        ends = [("wire", link.parent, (x + arm, y)), ("crank", i, (crank * c, -crank * s))]
+        path = ["wire", "crank"]
+        if constant > 0.0:
+            ends.append(("spool", link.parent, (x + arm, y + constant)))
+            path.insert(0, "spool")
+        length = max(-constant, 0.0)
+        wires.append({"name": name, "stiffness": law["spring"], "length": length, "ends": ends, "path": path})
+    return wires
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:

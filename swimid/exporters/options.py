@@ -28,9 +28,6 @@ class ExportOptions(
     """
 
     to: Literal["mjcf", "gazebo", "json"] = option(help="Format to write.")
-    robot: str | None = option(
-        None, metavar="R", help="Built-in name or path of a robot file. Default: the one PARAMS names."
-    )
     added_mass: Literal["native", "fold", "none"] = option(
         "native",
         help="native: as the simulator itself models it, if it does. fold: part of the masses of the bodies. "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from swimid.exporters.options import ExportOptions
 from swimid.fitting.model import Array
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
@@ -23,6 +24,8 @@ from swimid.swimmer.tree import Polynomial
 #: Names of the numerical values of each kind of force element, in the order in which the equations of motion
 #: (``engine``) store them.
 COLUMNS = {"drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE}
+#: Text of an export, and sentences that name the effects that its format cannot represent.
+Exported = tuple[str, list[str]]
 #: Limit of the formats that state standard errors only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
@@ -97,14 +100,11 @@ class Source:
     robot : Robot
     origin : mapping
         ``file`` (name of the parameter file), ``sha256``, ``version``, ``robot`` (path or name).
-    readings : mapping
-        Chosen interpretation for each ambiguous value of the robot file (``readings``).
     """
 
     parameters: ParameterFile
     robot: Robot
     origin: Mapping[str, str]
-    readings: Mapping[str, str]
 
     @property
     def body(self) -> Multilink:
@@ -271,23 +271,7 @@ def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[flo
 # ---------------------------------------------------------------- limits of the formats
 
 
-@dataclass(frozen=True)
-class Exported:
-    """Result of an export to one format.
-
-    Attributes
-    ----------
-    text : str
-        Content of the file.
-    limits : sequence of str
-        Sentences that name the effects that the format cannot represent.
-    """
-
-    text: str
-    limits: Sequence[str] = ()
-
-
-def added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
+def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     """Return the limits of the chosen treatment of the added mass; ``native`` is the limit of the format."""
     wet = [link for link in source.links if np.any(link.added)]
     if not wet:
@@ -310,7 +294,7 @@ def added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
     return limits
 
 
-def joint_limits(source: Source, servo_hz: float) -> list[str]:
+def _joint_limits(source: Source, servo_hz: float) -> list[str]:
     """Return the limits for dry friction, and for driven joints that have no servo in the robot file."""
     limits = [
         f"{name}: swimid rounds the dry friction of {law['friction']:.4g} N m off below "
@@ -331,7 +315,9 @@ def joint_limits(source: Source, servo_hz: float) -> list[str]:
 # ---------------------------------------------------------------- text of XML formats
 
 
-def export_xml(template: str, source: Source, limits: list[str], **more: Any) -> Exported:
+def export_xml(
+    template: str, source: Source, options: ExportOptions, native: str, limits: list[str], **more: Any
+) -> Exported:
     """Return the XML of a template, with the source of the values and the limits in a comment.
 
     Parameters
@@ -339,12 +325,15 @@ def export_xml(template: str, source: Source, limits: list[str], **more: Any) ->
     template : str
         File name in the folder ``templates``. Its variables are ``source`` and ``more``. Numbers and
         sequences of numbers in the template are written as XML text.
+    native : str
+        Limit of the added mass as the simulator itself models it.
     limits : list of str
-        Limits of the format, except the limit that concerns standard errors.
+        Limits of the format, except those of added mass, joints and standard errors.
     **more
         Further variables of the template.
     """
-    limits = [*limits, NO_ERRORS]
+    added = _added_mass_limits(source, options.added_mass, native)
+    limits = [*added, *limits, *_joint_limits(source, options.servo_hz), NO_ERRORS]
     environment = Environment(
         loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
     )
@@ -363,7 +352,7 @@ def export_xml(template: str, source: Source, limits: list[str], **more: Any) ->
     # an XML comment must not contain two consecutive hyphens
     note = "\n".join(lines).replace("--", "- -")
     text = ET.tostring(root, encoding="unicode")
-    return Exported(f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits)
+    return f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits
 
 
 def _shown(value: Any) -> Any:

@@ -1,12 +1,11 @@
 """Motion from accelerations and turn rates: ``swimid track imu``.
 
-``record`` reads a recording and ``faults`` finds and repairs its faults. ``setup`` determines what must be
-known before the motion is estimated: sensor errors, rests, mounting and attitude. ``smoother`` integrates the
-readings to a path and estimates the errors of this path from observations. ``alone`` applies the smoother to
-the inertial unit by itself. ``fusion`` applies it to the unit together with another log of the same trial,
-after ``alignment`` of the two logs. ``motion`` computes the motion of the reference point of the body, or the
-motion by the method of the long-fin paper. ``track_imu`` is the command with its evidence, and ``options``
-contains its options.
+``record`` reads a recording, and determines what must be known before the motion is estimated: sensor
+errors, rests, mounting and attitude. ``faults`` finds and repairs the faults of the recording. ``smoother``
+integrates the readings to a path, estimates the errors of this path from observations, and computes the
+motion of the reference point of the body. ``estimate`` applies the smoother to the inertial unit by itself,
+or together with another log of the same trial after ``alignment`` of the two logs. ``track_imu`` is the
+command with its evidence and with the method of the long-fin paper, and ``options`` contains its options.
 
 Frames
 ------

@@ -13,8 +13,8 @@ from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import NoTrustworthyResult
-from swimid.inertial.record import GRAVITY_M_S2, Array, Poses, Record, integral, resampled, turns_of
-from swimid.inertial.setup import BAND, Source
+from swimid.inertial import record as recording
+from swimid.inertial.record import BAND, Array, Poses, Record, Source, integral, resampled, turns_of
 from swimid.logs.rotation import angles
 
 #: Minimum number of samples for a comparison of two logs.
@@ -54,6 +54,10 @@ class Offset:
     explained: float = np.nan
     #: Regression coefficients of the other log's channels on the reference channels, shape (k, d).
     factors: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    #: Rotation from body to sensor axes; None unless the other log has three angles.
+    mount: Rotation | None = None
+    #: Sign of the correlation between the rotations in both logs: -1 if an axis is mirrored, 0 if unknown.
+    handed: float = 0.0
 
 
 def clock_offset(
@@ -109,15 +113,7 @@ def clock_offset(
     best, width = float(grid[np.nanargmax(values)]), float(grid[1] - grid[0])
     bounds = best - width, best + width
     found = optimize.minimize_scalar(lambda shift: -profile(shift), bounds=bounds, options={"xatol": 1e-6})
-    value = float(found.x)
-    stderr = profile.standard_error(value)
-    if not np.isfinite(stderr):
-        return None
-    fitted = profile.fit(value)
-    assert fitted is not None
-    x, y, factors, _ = fitted
-    explained = 1 - float(np.sum((y - x @ factors) ** 2) / max(np.sum(y**2), 1e-30))
-    return Offset(value, stderr, value - BAND * stderr, value + BAND * stderr, explained, factors)
+    return profile.offset(float(found.x))
 
 
 class _Profile:
@@ -185,14 +181,14 @@ class _Profile:
         # scale the log-likelihood to the number of all samples, so that a smaller overlap has no advantage
         return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(variance, 1e-30))))
 
-    def standard_error(self, shift: float) -> float:
-        """Return the standard error of an offset, s; NaN if it cannot be determined."""
+    def offset(self, value: float) -> Offset | None:
+        """Return an offset with its standard error, s; None if that cannot be determined."""
         tiny = 1e-3 * self.period_s
-        here, after, before = self.fit(shift), self.fit(shift + tiny), self.fit(shift - tiny)
+        here, after, before = (self.fit(shift) for shift in (value, value + tiny, value - tiny))
         if here is None or after is None or before is None:
-            return np.nan
+            return None
         if not len(here[0]) == len(after[0]) == len(before[0]):
-            return np.nan
+            return None
         x, y, factors, times = here
         residual = y - x @ factors
         slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
@@ -202,13 +198,15 @@ class _Profile:
         variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
         information = float(np.sum(slope**2 / variance))
         if information <= 0:
-            return np.nan
+            return None
         score = np.sum(slope * residual / variance, axis=1)
         lags = min(int(INDEPENDENT_S / float(np.median(np.diff(times)))), len(score) // 4)
         total = float(score @ score)
         for lag in range(1, lags + 1):
             total += 2 * (1 - lag / (lags + 1)) * float(score[lag:] @ score[:-lag])
-        return float(np.sqrt(max(total / information, 1.0) / information))
+        stderr = float(np.sqrt(max(total / information, 1.0) / information))
+        explained = 1 - float(np.sum(residual**2) / max(np.sum(y**2), 1e-30))
+        return Offset(value, stderr, value - BAND * stderr, value + BAND * stderr, explained, factors)
 
 
 def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
@@ -228,50 +226,41 @@ def _normal(channels: Array) -> Array:
     return channels[:, spread > 0] / spread[spread > 0]
 
 
-@dataclass(frozen=True)
-class Alignment:
-    """Clock offset and mounting of a sensor with respect to another log of the same trial."""
+def align(record: Record, source: Source, poses: Poses, stated_s: float | None = None) -> list[Offset]:
+    """Return the offsets by rotations and by the path, in order of increasing standard error.
 
-    #: Clock offset: time to add to the times of the other log.
-    offset: Offset
-    #: Rotation from body to sensor axes; None unless the other log has three angles.
-    mount: Rotation | None = None
-    #: Sign of the correlation between the rotations in both logs: -1 if an axis is mirrored, 0 if unknown.
-    handed: float = 0.0
-
-
-def align(record: Record, source: Source, poses: Poses) -> list[Alignment]:
-    """Return the alignments by rotations and by the path, in order of increasing standard error.
+    Parameters
+    ----------
+    stated_s : float, optional
+        Offset stated by the user, which replaces the others.
 
     Raises
     ------
     NoTrustworthyResult
         When the two logs do not move together.
     """
+    if stated_s is not None:
+        return [_with_mount(record, poses, Offset(stated_s, 0.0, stated_s, stated_s))]
     found = [one for one in (_by_turns(record, source, poses), _by_path(record, source, poses)) if one]
-    good = [one for one in found if one.offset.explained >= MIN_EXPLAINED]
+    good = [one for one in found if one.explained >= MIN_EXPLAINED]
     if not good:
-        best = max((one.offset.explained for one in found), default=0.0)
+        best = max((one.explained for one in found), default=0.0)
         raise NoTrustworthyResult(
             f"the two logs do not move together (the inertial one explains {100 * best:.0f} % of the other); "
             "their clocks cannot be set",
             hint="are they of the same trial, with units and axes right? --clock-offset-s gives the offset",
         )
-    return sorted(good, key=lambda one: one.offset.stderr_s)
+    return sorted(good, key=lambda one: one.stderr_s)
 
 
-def align_at(record: Record, poses: Poses, offset_s: float) -> Alignment:
-    """Return the alignment for a given clock offset."""
-    return _with_mount(record, poses, Offset(offset_s, 0.0, offset_s, offset_s))
-
-
-def _with_mount(record: Record, poses: Poses, offset: Offset) -> Alignment:
+def _with_mount(record: Record, poses: Poses, offset: Offset) -> Offset:
     if not poses.measured.all():
-        return Alignment(offset)
-    return Alignment(offset, *_find_mount(record, replace(poses, time_s=poses.time_s + offset.value_s)))
+        return offset
+    mount, handed = _find_mount(record, replace(poses, time_s=poses.time_s + offset.value_s))
+    return replace(offset, mount=mount, handed=handed)
 
 
-def _by_turns(record: Record, source: Source, poses: Poses) -> Alignment | None:
+def _by_turns(record: Record, source: Source, poses: Poses) -> Offset | None:
     rows = np.flatnonzero(poses.turned)
     if len(rows) < MIN_SAMPLES:
         return None
@@ -283,20 +272,17 @@ def _by_turns(record: Record, source: Source, poses: Poses) -> Alignment | None:
         rate = source.rotation.apply(record.rate)[:, 2:]
     turned = integral(record.time_s, rate - rate.mean(axis=0))
     offset = clock_offset(record.time_s, turned, poses.time_s[rows], seen, slow_s=SLOW_TURN_S)
-    if offset is None:
-        return None
-    if by_yaw:
-        return Alignment(offset, handed=float(np.sign(offset.factors[0, 0])))
-    return _with_mount(record, poses, offset)
+    if offset is not None and by_yaw:
+        return replace(offset, handed=float(np.sign(offset.factors[0, 0])))
+    return offset and _with_mount(record, poses, offset)
 
 
-def _by_path(record: Record, source: Source, poses: Poses) -> Alignment | None:
+def _by_path(record: Record, source: Source, poses: Poses) -> Offset | None:
     axes = np.isfinite(poses.position).mean(axis=0) > MIN_MEASURED
     if not axes.any():
         return None
     path, seen = _fast_path(record, source), poses.position[:, axes]
-    offset = clock_offset(record.time_s, path, poses.time_s, seen, slow_s=SLOW_PATH_S)
-    return None if offset is None else Alignment(offset)
+    return clock_offset(record.time_s, path, poses.time_s, seen, slow_s=SLOW_PATH_S)
 
 
 def _summed_turns(rotation: Rotation) -> Array:
@@ -323,7 +309,7 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     span, count = when[last] - when, np.maximum(last - np.arange(len(when)), 1)
     long = span > MIN_GRAVITY_S
     force = resampled(when, t, integral(t, record.acceleration))
-    up_sensor = (force[last] - force)[long] / span[long, None] / GRAVITY_M_S2
+    up_sensor = (force[last] - force)[long] / span[long, None] / recording.GRAVITY_M_S2
     up = np.cumsum(rotation.inv().apply([0.0, 0.0, 1.0]), axis=0)
     up_body = (up[last] - up)[long] / count[long, None]
     cross = sensor.T @ body / max(np.sum(body**2), 1e-30)
@@ -360,7 +346,8 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
-        if len(rows) < MIN_SAMPLES:
+        # a coordinate that the other log lacks is constant
+        if len(rows) < MIN_SAMPLES or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
             return Rotation.identity()
         t = poses.time_s[rows]
         path = resampled(t, record.time_s, _fast_path(record, source)[:, :2])

@@ -8,26 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import permutations, product
+from itertools import accumulate, permutations, product
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
-from swimid.inertial.record import (
-    CHANNELS,
-    GRAVITY_M_S2,
-    Array,
-    Finding,
-    Flags,
-    Record,
-    integrated_attitude,
-    resampled,
-    rotations,
-    turns_of,
-)
-from swimid.inertial.setup import DEG, MAX_REST_ACCELERATION
+from swimid.inertial import record as recording
+from swimid.inertial.record import CHANNELS, DEG, GRAVITY_M_S2, Array, Finding, Flags, Record, turns_of
 from swimid.logs import sampling
 from swimid.logs.log import runs
 from swimid.logs.mapping import in_order
@@ -142,8 +132,7 @@ def find_samples(
             record,
             acceleration=values[:, :3],
             rate=values[:, 3:],
-            filled_acceleration=record.filled_acceleration | bad[:, :3].any(axis=1),
-            filled_rate=record.filled_rate | bad[:, 3:].any(axis=1),
+            filled=record.filled | bad.reshape(-1, 2, 3).any(axis=2),
         )
         return fixed, Finding(name, "handled", said, count)
 
@@ -212,47 +201,44 @@ def is_clipped(_: Record, values: Array) -> Flags:
     return flags
 
 
-def find_dead_magnetometer(record: Record) -> tuple[Record, Finding | None]:
-    """Find a magnetometer without measurements, and remove its readings.
+def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: str) -> Test:
+    """Return a test that removes a column without measurements.
 
-    If the magnetometer has a lower sample rate than the log, its readings are interpolated.
+    If the column has a lower sample rate than the log, it is interpolated.
+
+    Parameters
+    ----------
+    column : str
+        Attribute of the record, an array of shape (n, k) or None.
+    fault, text : str
+        Name of the fault, and sentence about it.
+    is_dead : callable
+        Returns whether the known rows of the column, shape (m, k), are not measured.
     """
-    if record.magnetic is None:
-        return record, None
-    rows = _measured_rows(record, record.magnetic)
-    if len(rows) == 0 or np.any(np.ptp(record.magnetic[rows], axis=0) == 0):
-        text = "the magnetometer is constant or has gaps, not used"
-        return replace(record, magnetic=None), Finding("dead magnetometer", "handled", text)
-    return replace(
-        record, magnetic=resampled(record.time_s, record.time_s[rows], record.magnetic[rows])
-    ), None
+
+    def test(record: Record) -> tuple[Record, Finding | None]:
+        values, t = getattr(record, column), record.time_s
+        if values is None:
+            return record, None
+        rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+        gap_s = np.max(np.diff(np.concatenate([t[:1], t[rows], t[-1:]])))
+        if len(rows) < 2 or gap_s > max(STUCK_S, 2 * record.step_s) or is_dead(values[rows]):
+            return replace(record, **{column: None}), Finding(fault, "handled", text)  # type: ignore[arg-type]
+        known = values[rows]
+        if len(rows) < len(record) and column == "quaternion":
+            # q and -q are the same attitude: choose the signs between which interpolation is short
+            same = np.sign(np.sum(known[1:] * known[:-1], axis=1, keepdims=True))
+            known[1:] *= np.cumprod(same, axis=0)
+        known = recording.resampled(t, t[rows], known)
+        return replace(record, **{column: known}), None  # type: ignore[arg-type]
+
+    return test
 
 
-def find_dead_quaternion(record: Record) -> tuple[Record, Finding | None]:
-    """Find quaternions that are not a measured attitude, and remove them.
-
-    Quaternions with a lower sample rate than the log are interpolated.
-    """
-    q, t = record.quaternion, record.time_s
-    if q is None:
-        return record, None
-    rows = _measured_rows(record, q)
-    wrong = np.abs(np.linalg.norm(q[rows], axis=1) - 1) > QUATERNION_TOL
-    if len(rows) == 0 or np.ptp(q[rows], axis=0).max() == 0 or wrong.any():
-        text = "the quaternions are constant, have gaps or are not of length 1, not used"
-        return replace(record, quaternion=None), Finding("dead quaternions", "handled", text)
-    if len(rows) < len(record):
-        q = Slerp(t[rows], rotations(q[rows]))(np.clip(t, t[rows[0]], t[rows[-1]])).as_quat(scalar_first=True)
-    return replace(record, quaternion=q), None
-
-
-def _measured_rows(record: Record, values: Array) -> np.ndarray:
-    """Return the indices of rows with values; none if a gap is too long for interpolation."""
-    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-    times = np.concatenate([record.time_s[:1], record.time_s[rows], record.time_s[-1:]])
-    if len(rows) < 2 or np.max(np.diff(times)) > max(STUCK_S, 2 * record.step_s):
-        return rows[:0]
-    return rows
+def is_no_attitude(quaternion: Array) -> Any:
+    """Return whether quaternions are constant, or are not of length 1."""
+    wrong = np.abs(np.linalg.norm(quaternion, axis=1) - 1) > QUATERNION_TOL
+    return wrong.any() or np.ptp(quaternion, axis=0).max() == 0
 
 
 def find_dropped(record: Record) -> tuple[Record, Finding | None]:
@@ -272,11 +258,7 @@ def find_dropped(record: Record) -> tuple[Record, Finding | None]:
 
 def find_jitter(record: Record) -> tuple[Record, Finding | None]:
     """Find uneven time steps. All integrals use the time stamps of the samples."""
-    steps = np.diff(record.time_s)
-    single = steps[steps < LONG_STEP * record.step_s]
     jitter = sampling.rate(record.time_s).jitter
-    if jitter:
-        jitter = max(jitter, float(np.std(single)) / record.step_s)
     if jitter < MIN_JITTER:
         return record, None
     step = f"{1e3 * record.step_s:.3g} ms"
@@ -293,29 +275,31 @@ GRAVITY_RTOL = 0.12
 MIN_GRAVITY = 0.5
 #: Units of acceleration, in m/s^2. The nearest unit is chosen; mg and cm/s2 differ by 2 %.
 UNITS = {"m/s2": 1.0, "g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
-#: Length of the windows in which the specific force is analysed, s, and maximum number of windows for turn
-#: rates.
-WINDOW_S, MAX_WINDOWS = 0.5, 200
-#: Length of the blocks over which the specific force is averaged, s, and distance in blocks between compared
-#: averages. Over about a second, rotation changes the average more than acceleration does.
-BLOCK_S, BLOCKS = 0.3, 3
-#: Minimum number of compared averages, and minimum root-mean-square rotation of gravity between them, rad.
-MIN_BLOCKS, MIN_TURN = 16, 0.02
-#: Maximum ratio between the residual of the chosen unit or convention and that of the alternative.
-CLEAR_RATIO = 0.5
-#: Minimum correlation coefficient between the rotation of gravity and the turn rates.
-MIN_CORRELATION = 0.5
-#: Criteria for rearranging the axes of the gyroscope. BETTER and DECIDED are the maximum residuals of the
-#: best arrangement, divided by those of the logged and of the second-best arrangement. EXPLAINED is the
-#: maximum unexplained fraction of the rotation of gravity. The axes stay as logged if their unexplained
-#: fraction is below EXPLAINED: this residual can be acceleration (in a yawing swimmer ``u r`` looks like
-#: roll).
-BETTER, DECIDED, EXPLAINED = 0.5, 0.8, 0.5
+#: Length of the windows in which the magnitude of the specific force is analysed, s.
+WINDOW_S = 0.5
+#: Length of the blocks over which the specific force is averaged, s, and number of blocks in a window. Over
+#: about a second, rotation changes the average more than acceleration does.
+BLOCK_S, BLOCKS = 0.3, 4
+#: Minimum and maximum number of windows, and minimum root-mean-square rotation of gravity in them, rad.
+MIN_WINDOWS, MAX_WINDOWS, MIN_TURN = 4, 100, 0.02
+#: Maximum residual of a unit, relative to that of the other unit and to that of no rotation.
+CLEAR_UNIT = 0.75
+#: Maximum residual of a convention of the quaternions, relative to that of the stated one, and minimum number
+#: of compared rotations.
+CLEAR_CONVENTION, MIN_ROTATIONS = 0.5, 16
+#: Criteria for rearranging the axes of the gyroscope: maximum unexplained fraction of the rotation of gravity
+#: by the best arrangement, minimum fraction as logged, and maximum ratio of the best to the second-best
+#: fraction. A fraction as logged below the minimum can be acceleration (in a yawing swimmer ``u r`` looks
+#: like roll).
+MAX_BEST, MIN_LOGGED, DECIDED = 0.25, 0.5, 0.7
 #: Threshold of the turn rate (99th percentile), rad/s. Faster turn rates in an unconfirmed unit cause a
 #: warning.
 FAST_RAD_S = 12.0
-#: Interval between compared quaternions, s, and minimum root-mean-square rotation between them, rad.
-STRIDE_S, MIN_STEP_RAD = 0.1, 1e-3
+#: The 48 arrangements of three axes: each is a matrix from logged to true axes. The first is the identity.
+ARRANGEMENTS = [
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+]
 
 
 def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
@@ -330,7 +314,7 @@ def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
     count = len(record) // rows
     windows = record.acceleration[: count * rows].reshape(count, rows, 3)
     sizes = np.linalg.norm(windows.mean(axis=1), axis=1)
-    quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= MAX_REST_ACCELERATION / GRAVITY_M_S2 * sizes
+    quiet = np.sqrt(windows.var(axis=1).sum(axis=1)) <= recording.MAX_REST_ACCELERATION / GRAVITY_M_S2 * sizes
     if quiet.any():
         size = float(np.median(sizes[quiet]))
         off = {name: abs(size * factor / GRAVITY_M_S2 - 1) for name, factor in UNITS.items()}
@@ -353,83 +337,91 @@ def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
 
 
 def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
-    """Find turn rates in degrees, by comparison with the rotation of the quaternions or of gravity.
+    """Find turn rates in degrees, by comparison with the rotation of gravity or of the quaternions.
 
     Fast turn rates whose unit cannot be confirmed by other columns are reported.
     """
-    estimates = (_scale_by_quaternion, _scale_by_constant_gravity, _scale_by_gravity)
-    scale = next((found for find in estimates if (found := find(record)) is not None), None)
-    if scale is None:
-        fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
-        if fast <= FAST_RAD_S:
+    for residuals in (_gravity_residuals, _quaternion_residuals):
+        radians, degrees = (min(residuals(record, unit).values(), default=1.0) for unit in (1.0, DEG))
+        if degrees < CLEAR_UNIT * min(radians, 1.0):
+            text = (
+                "turn rates are in deg/s, as the turning of gravity or quaternions shows; converted to rad/s"
+            )
+            return replace(record, rate=record.rate * DEG), Finding("turn-rate unit", "handled", text)
+        if radians < CLEAR_UNIT * min(degrees, 1.0):
             return record, None
-        text = (
-            f"turn rates reach {fast:.0f} rad/s in the stated unit, which nothing else in the log confirms; "
-            "state another one in a mapping (--map)"
-        )
-        return record, Finding("unconfirmed turn rates", "handled", text)
-    if abs(np.log(scale / DEG)) >= abs(np.log(scale)):
+    fast = float(np.quantile(np.linalg.norm(record.rate, axis=1), 0.99))
+    if fast <= FAST_RAD_S:
         return record, None
-    text = "turn rates are in deg/s, as the turning of gravity or quaternions shows; converted to rad/s"
-    return replace(record, rate=record.rate * DEG), Finding("turn-rate unit", "handled", text)
+    text = (
+        f"turn rates reach {fast:.0f} rad/s in the stated unit, which nothing else in the log confirms; "
+        "state another one in a mapping (--map)"
+    )
+    return record, Finding("unconfirmed turn rates", "handled", text)
 
 
-def _scale_by_constant_gravity(record: Record) -> float | None:
-    """Return the turn-rate unit for which the specific force is constant in the world.
+def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
+    """Return how much the specific force changes in the world, for each arrangement of the gyroscope's axes.
 
-    The unit is 1, or a degree in rad.
-    The method works for rotations of any size and speed. The result is None unless one unit is clearly better
-    than both the other unit and no rotation at all. It is None for small rotations, rotations about the
-    vertical, and swapped axes.
+    The specific force is averaged over blocks. The changes between the blocks of a window are those of the
+    true acceleration if unit and axes are right. They are divided by the changes in the sensor. The key is
+    the index in :data:`ARRANGEMENTS`. Without windows, or if gravity hardly rotates, the result is empty.
+
+    Parameters
+    ----------
+    unit : float
+        Unit of the turn rates, rad/s.
     """
-    size = max(round(WINDOW_S / record.step_s), 4)
-    starts = np.arange(0, len(record) - size, size)
-    starts = starts[:: max(len(starts) // MAX_WINDOWS, 1)]
-    residual = {1.0: 0.0, DEG: 0.0, 0.0: 0.0}
-    for first in starts.tolist():
-        part = record.take(slice(first, first + size))
-        for factor in residual:
-            attitude = integrated_attitude(part.time_s, factor * part.rate, Rotation.identity())
-            residual[factor] += _spread(attitude.apply(part.acceleration))
-    best = min(residual, key=lambda factor: residual[factor])
-    others = min(value for factor, value in residual.items() if factor != best)
-    return best if best and residual[best] < CLEAR_RATIO * others else None
+    size = max(round(BLOCK_S / record.step_s), 1)
+    count = len(record) // (BLOCKS * size)
+    if count < MIN_WINDOWS:
+        return {}
+    force, rate = (
+        values[: count * BLOCKS * size].reshape(count, -1, 3)[:: max(count // MAX_WINDOWS, 1)]
+        for values in (record.acceleration, record.rate)
+    )
+
+    def changes(turned: Array) -> float:
+        blocks = turned.reshape(len(force), BLOCKS, size, 3).mean(axis=2)
+        blocks -= blocks.mean(axis=1, keepdims=True)
+        return float(np.mean((blocks - blocks.mean(axis=0)) ** 2))
+
+    still, found = changes(force), {}
+    if still < (MIN_TURN * GRAVITY_M_S2) ** 2 / 3:
+        return {}
+    for sign in (1.0, -1.0):
+        steps = Rotation.from_rotvec(sign * unit * record.step_s * rate.reshape(-1, 3)).as_matrix()
+        steps = steps.reshape(*rate.shape, 3).swapaxes(0, 1)
+        attitude = np.swapaxes(list(accumulate(steps, np.matmul)), 0, 1)
+        for k, axes in enumerate(ARRANGEMENTS):
+            # axes that are rotated, and not mirrored, rotate all attitudes in the same way
+            if np.linalg.det(axes) * sign > 0:
+                found[k] = changes((attitude @ (force @ (sign * axes))[..., None])[..., 0]) / still
+    return found
 
 
-def _scale_by_gravity(record: Record) -> float | None:
-    """Return the factor from turn rates to the rotation of gravity, or None if gravity hardly rotates."""
-    seen, up, turned = _up_turning(record)
-    if len(seen) < MIN_BLOCKS:
-        return None
-    expected = -np.cross(turned - np.median(turned, axis=0), up)
-    seen = seen - np.median(seen, axis=0)
-    power, shared = float(np.sum(expected**2)), float(np.sum(expected * seen))
-    if power == 0 or _rms_size(seen) < MIN_TURN:
-        return None
-    if abs(shared) < MIN_CORRELATION * np.sqrt(power * np.sum(seen**2)):
-        return None
-    return abs(shared / power)
+def _quaternion_residuals(record: Record, unit: float = 1.0) -> dict[tuple[str, str], float]:
+    """Return the difference between the turns of the quaternions and of the gyroscope, for each convention.
 
+    A convention is the order of the elements and the direction of the rotation. The sum of the squared
+    differences is divided by that of the turns of the gyroscope.
 
-def _scale_by_quaternion(record: Record) -> float | None:
-    """Return the factor from turn rates to the rotation of the quaternions, or None if they hardly rotate."""
-    if record.quaternion is None:
-        return None
-    stride = max(round(STRIDE_S / record.step_s), 1)
-    steps = turns_of(rotations(record.quaternion[::stride]))
-    if _rms_size(steps) < MIN_STEP_RAD:
-        return None
-    total = np.concatenate([[np.zeros(3)], np.cumsum(record.rate, axis=0)]) * record.step_s
-    turned = np.diff(total[: len(record) : stride], axis=0)[: len(steps)]
-    return float(np.sqrt(np.sum(steps**2) / max(_spread(turned), 1e-30)))
-
-
-def _spread(values: Array) -> float:
-    return float(np.sum((values - values.mean(axis=0)) ** 2))
-
-
-def _rms_size(vectors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+    Parameters
+    ----------
+    unit : float
+        Unit of the turn rates, rad/s.
+    """
+    size = max(round(BLOCK_S / record.step_s), 1)
+    if record.quaternion is None or len(record) <= MIN_ROTATIONS * size:
+        return {}
+    sensed = turns_of(
+        recording.integrated_attitude(record.time_s, unit * record.rate, Rotation.identity())[::size]
+    )
+    found = {}
+    for convention in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
+        turned = turns_of(recording.rotations(rearranged(record.quaternion[::size], *convention)))
+        found[convention] = float(np.sum((turned - sensed) ** 2) / max(np.sum(sensed**2), 1e-300))
+    return found
 
 
 def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
@@ -438,25 +430,23 @@ def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
     Rotations about the vertical carry no information, nor do rotations that are small compared with
     accelerations.
     """
-    name = "swapped or flipped axes"
-    seen, up, turned = _up_turning(record)
-    if len(seen) < MIN_BLOCKS or _rms_size(seen) < MIN_TURN:
+    name, residuals = "swapped or flipped axes", _gravity_residuals(record)
+    if not residuals:
         text = "the body hardly tilts, so that the axes of gyroscope and accelerometer cannot be compared"
         return record, Finding(name, "noted", text)
-    scores = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        residual = _spread(seen + np.cross(turned[:, order] * signs, up))
-        scores.append((residual / _spread(seen), order, signs))
-    as_is = scores[0][0]
-    (best, order, signs), (runner_up, _, _) = sorted(scores, key=lambda entry: entry[0])[:2]
-    if best > BETTER * as_is or best > EXPLAINED or as_is < EXPLAINED:
+    as_is = residuals[0]
+    chosen, second = sorted(residuals, key=lambda k: residuals[k])[:2]
+    best = residuals[chosen]
+    if best > MAX_BEST or as_is < MIN_LOGGED:
         return record, None
+    axes = ARRANGEMENTS[chosen]
+    places = np.abs(axes).argmax(axis=1)
     changed = ", ".join(
-        f"w{to} from {'-' * (sign < 0)}w{'xyz'[place]}"
-        for to, place, sign in zip("xyz", order, signs, strict=True)
-        if to != "xyz"[place] or sign < 0
+        f"w{to} from {'-' * bool(row[place] < 0)}w{'xyz'[place]}"
+        for to, place, row in zip("xyz", places, axes, strict=True)
+        if to != "xyz"[place] or row[place] < 0
     )
-    if best > DECIDED * runner_up:
+    if best > DECIDED * residuals[second]:
         text = f"axes are swapped or flipped, and the tilting does not show which ({changed} fits best)"
         hint = "put the axes right in a mapping (--map), with factor -1 for a flipped one"
         raise InputError(text, file=record.name, column="wx_rad_s ... wz_rad_s", hint=hint)
@@ -464,50 +454,14 @@ def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
         f"the gyroscope's axes contradict the accelerometer's: {changed} leaves {100 * best:.0f} % of "
         f"gravity's turning unexplained, as logged {100 * as_is:.0f} %; rearranged in this way"
     )
-    fixed = replace(record, rate=record.rate[:, order] * np.asarray(signs))
-    return fixed, Finding(name, "handled", text)
-
-
-def _up_turning(record: Record) -> tuple[Array, Array, Array]:
-    """Return the rotation of gravity in the sensor, by the accelerometer and by the gyroscope.
-
-    Returns
-    -------
-    seen : ndarray, shape (m, 3)
-        Change of the unit vector along the averaged specific force.
-    up, turned : ndarray, shape (m, 3)
-        Unit vector and integral of the turn rate, rad. The change should be ``-turned x up``.
-    """
-    size = max(round(BLOCK_S / record.step_s), 1)
-    m = len(record) // size
-    if m < 8:
-        return (np.zeros((0, 3)),) * 3
-    block = record.acceleration[: m * size].reshape(m, size, 3).mean(axis=1)
-    up = block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-9)
-    turn = np.concatenate([[np.zeros(3)], np.cumsum(record.rate[: m * size], axis=0)]) * record.step_s
-    centres = turn[size // 2 : m * size : size][:m]
-    before, after = slice(-BLOCKS), slice(BLOCKS, None)
-    return up[after] - up[before], 0.5 * (up[after] + up[before]), centres[after] - centres[before]
+    return replace(record, rate=record.rate @ axes.T), Finding(name, "handled", text)
 
 
 def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
-    """Find quaternions of another convention by comparison with the gyroscope, and remove them.
-
-    Each order of the elements is tried with each direction of the rotation.
-    """
-    if record.quaternion is None:
-        return record, None
-    size = max(round(BLOCK_S / record.step_s), 1)
-    sensed = turns_of(integrated_attitude(record.time_s, record.rate, Rotation.identity())[::size])
-    if len(sensed) < MIN_BLOCKS:
-        return record, None
-    stated = ("wxyz", "body-to-world")
-    off = {}
-    for convention in product(("wxyz", "xyzw"), ("body-to-world", "world-to-body")):
-        turned = turns_of(rotations(rearranged(record.quaternion[::size], *convention)))
-        off[convention] = float(np.sum((turned - sensed) ** 2) / max(np.sum(sensed**2), 1e-300))
-    best = min(off, key=lambda convention: off[convention])
-    if off[best] >= CLEAR_RATIO * off[stated]:
+    """Find quaternions of another convention by comparison with the gyroscope, and remove them."""
+    off, stated = _quaternion_residuals(record), ("wxyz", "body-to-world")
+    best = min(off, key=lambda convention: off[convention], default=stated)
+    if best == stated or off[best] >= CLEAR_CONVENTION * off[stated]:
         return record, None
     keys = zip(("order", "direction"), best, stated, strict=True)
     line = ", ".join(f"{key}: {value}" for key, value, usual in keys if value != usual)
@@ -532,8 +486,18 @@ TESTS: tuple[Test, ...] = (
         "are stuck at one value",
         "repair the sensor or its wiring: three accelerations and three turn rates are needed",
     ),
-    find_dead_magnetometer,
-    find_dead_quaternion,
+    find_dead(
+        "magnetic",
+        "dead magnetometer",
+        lambda field: np.any(np.ptp(field, axis=0) == 0),
+        "the magnetometer is constant or has gaps, not used",
+    ),
+    find_dead(
+        "quaternion",
+        "dead quaternions",
+        is_no_attitude,
+        "the quaternions are constant, have gaps or are not of length 1, not used",
+    ),
     find_samples("repeated samples", is_repeated, MAX_REPEATED, "repeat the ones before in every channel"),
     find_samples(
         "saturated channel",

@@ -1,8 +1,12 @@
-"""Recordings of an inertial unit, poses in another log of the same trial, and dead reckoning."""
+"""Recordings of an inertial unit, and everything that is determined before the motion is estimated.
+
+That is the errors of the sensor, the rests, the noise, the mounting and the attitude. The module also reads
+the poses in another log of the same trial.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from pathlib import Path
@@ -11,13 +15,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
-from scipy.spatial.transform import Rotation
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError, extra_needed
 from swimid.files.provenance import path_of
 from swimid.files.tabular import missing_column
+from swimid.inertial.options import TrackImuOptions
 from swimid.logs import log, mapping, tracks
-from swimid.logs.log import Log
+from swimid.logs.log import Log, runs
 from swimid.logs.rotation import angles, from_angles, with_angles
 from swimid.logs.sampling import usual_step
 from swimid.notices import Progress, warn
@@ -54,17 +60,15 @@ class Record:
     quaternion: Array | None = None
     #: Magnetic field in any unit, shape (n, 3).
     magnetic: Array | None = None
-    #: Flags of samples that were interpolated, each of shape (n,).
-    filled_acceleration: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    filled_rate: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    #: Flags of interpolated samples of the accelerometer and of the gyroscope, shape (n, 2).
+    filled: Flags = field(default_factory=lambda: np.zeros((0, 2), dtype=bool))
     metadata: Mapping[str, Any] = field(default_factory=dict)
     #: Name of the file in messages.
     name: str = "the log"
 
     def __post_init__(self) -> None:
-        for flags in ("filled_acceleration", "filled_rate"):
-            if len(getattr(self, flags)) != len(self.time_s):
-                object.__setattr__(self, flags, np.zeros(len(self.time_s), dtype=bool))
+        if len(self.filled) != len(self.time_s):
+            object.__setattr__(self, "filled", np.zeros((len(self.time_s), 2), dtype=bool))
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -283,3 +287,392 @@ def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
     The formulas are Eqs 12 and 13 of Shang et al. (2012), with the actual time steps between samples.
     """
     return np.asarray(cumulative_trapezoid(values, time_s, axis=0, initial=0)) + start
+
+
+# ---------------------------------------------------------------- sensor errors
+
+
+#: Conversion factors: 1 mg in m/s^2, and 1 degree in rad.
+MILLI_G = 1e-3 * GRAVITY_M_S2
+DEG = np.pi / 180
+#: Half-width of a 95 % interval, in standard deviations.
+BAND = 1.96
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Standard deviations of the errors of an inertial unit. The defaults are those of the 3DM-GX1."""
+
+    #: Bias before any calibration, m/s^2 and rad/s.
+    acceleration_bias_sd: float = 10 * MILLI_G
+    rate_bias_sd: float = 1.0 * DEG
+    #: Change of a bias in :data:`DRIFT_TIME_S`, m/s^2 and rad/s: 0.2 mg ("short-term stability", Table I of
+    #: Shang et al. 2012) and 0.02 deg/s.
+    acceleration_drift: float = 0.2 * MILLI_G
+    rate_drift: float = 0.02 * DEG
+    #: Relative error of scale and alignment of accelerometer and gyroscope.
+    scale_sd: float = 0.005
+    #: Relative change of the scale over the range of motion (nonlinearity) of accelerometer and gyroscope.
+    bending_sd: float = 0.002
+
+
+#: Errors of chips as soldered: limits of their data sheets divided by sqrt(3) (uniform distribution). The
+#: chips are InvenSense MPU-6050 (PS-MPU-6000A rev. 3.4, sec. 6.1 and 6.2: +-50 mg, +-20 deg/s, scale +-3 %,
+#: cross-axis +-2 %), ICM-20948 (DS-000189: +-50 mg on a board, +-5 deg/s, +-1.5 %), Bosch BMI160 (+-40 mg,
+#: +-3 deg/s), and ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, these chips have biases as constant as
+#: those of better units.
+CHIP = Sensor(30 * MILLI_G, 5.0 * DEG, scale_sd=0.015)
+#: Classes of sensors that a recording can show, in addition to the default. A chip warms up by ten degrees in
+#: five minutes, and its biases change by 0.5 mg and 0.16 deg/s per degree (MPU-6050: +-35 mg over 70 degrees,
+#: +-20 deg/s over 125 degrees). The values are the changes in 100 s.
+CLASSES = {
+    "a consumer's chip (biases of 30 mg, scales off by 1.5 %)": CHIP,
+    "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)": (
+        replace(CHIP, acceleration_drift=1.7 * MILLI_G, rate_drift=0.5 * DEG)
+    ),
+}
+#: Time over which the drift of a bias is stated, s.
+DRIFT_TIME_S = 100.0
+
+
+# ---------------------------------------------------------------- still periods
+
+
+#: Length of the windows in which motion is detected, and minimum length of a still period, s.
+WINDOW_S, MIN_REST_S = 0.5, 1.0
+#: Fraction of the windows that are assumed to be still. The maximum standard deviation among them is the
+#: noise.
+NOISE_SHARE = 0.05
+#: Maximum standard deviation in a still window, in units of the noise.
+NOISE_RATIO = 2.0
+#: Minimum values of the threshold between still and moving windows, however low the noise is: standard
+#: deviations of the specific force, m/s^2, and of the turn rate, rad/s.
+MIN_MOTION_ACCELERATION, MIN_MOTION_RATE = 0.03, 0.01
+#: Maximum standard deviations of the readings of a sensor at rest, m/s^2 and rad/s.
+MAX_REST_ACCELERATION, MAX_REST_RATE = 0.25, 0.05
+#: Maximum mean turn rate shown by a gyroscope at rest, rad/s: 20 deg/s on each axis (InvenSense MPU-6050).
+MAX_STILL_RATE = 20 * np.sqrt(3) * DEG
+#: Fraction of a recording at each end. A still period within the first fraction is at the "start", and one
+#: within the last fraction at the "end".
+EDGE_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Still period from row ``first`` to ``last`` (exclusive), at the "start", at the "end" or "between"."""
+
+    first: int
+    last: int
+    at: str
+
+    @property
+    def rows(self) -> slice:
+        """Rows of the still period in the record."""
+        return slice(self.first, self.last)
+
+
+def find_rests(record: Record) -> list[Rest]:
+    """Return the still periods of a record.
+
+    A window is still if the standard deviations of specific force and turn rate are at most ``NOISE_RATIO``
+    times those of the least moving 5 % of the record, and if its mean turn rate is close to the median of
+    such windows.
+
+    Notes
+    -----
+    The detector is that of Skog et al. (2010, doi:10.1109/TBME.2010.2060723, SHOE), with a threshold derived
+    from the record. A body that glides without rotation looks still to any inertial sensor.
+    """
+    size = max(round(WINDOW_S / record.step_s), 4)
+    if len(record) < 3 * size:
+        return []
+    deviations = [_deviation(values, size) for values in (record.acceleration, record.rate)]
+    noises = [max(float(np.quantile(d, NOISE_SHARE)), 1e-9) for d in deviations]
+    limits = np.maximum(np.multiply(NOISE_RATIO, noises), (MIN_MOTION_ACCELERATION, MIN_MOTION_RATE))
+    steady = (deviations[0] <= limits[0]) & (deviations[1] <= limits[1])
+    if not steady.any() or noises[0] > MAX_REST_ACCELERATION or noises[1] > MAX_REST_RATE:
+        return []
+    mean_rate = _moving_mean(record.rate, size)
+    off = np.linalg.norm(mean_rate - np.median(mean_rate[steady], axis=0), axis=1)
+    rests = []
+    for first, last in runs(steady & (off <= limits[1])).tolist():
+        # the outer half of a window at the edge of a still period may contain motion
+        begin = first + size // 2 * (first > 0)
+        end = last - size // 2 * (last < len(record))
+        if end - begin >= 4 and record.time_s[end - 1] - record.time_s[begin] >= MIN_REST_S:
+            rests.append(_rest(record, begin, end))
+    return rests
+
+
+def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
+    """Return the mean acceleration in each still period, shape (periods, 3).
+
+    Without still periods it is the mean over the whole record.
+    """
+    parts = [record.acceleration[r.rows] for r in rests] or [record.acceleration]
+    return np.array([part.mean(axis=0) for part in parts])
+
+
+def mean_rate(record: Record, rests: list[Rest]) -> Array:
+    """Return the median of the mean turn rates in still periods, rad/s, shape (3,); 0 without any."""
+    if not rests:
+        return np.zeros(3)
+    return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))
+
+
+def _declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Rest]:
+    """Return the rests that the user states by their times, s.
+
+    Raises
+    ------
+    UsageError
+        When a stated rest does not end after it begins.
+    InputError
+        When the sensor rotates in a stated rest.
+    """
+    rests = []
+    for start, end in windows:
+        if not start < end:
+            raise UsageError(f"--still {start:g} {end:g}: the rest must end after it begins")
+        first, last = (int(row) for row in np.searchsorted(record.time_s, [start, end]))
+        if last - first < 4:
+            continue
+        turning = float(np.mean(np.linalg.norm(record.rate[first:last], axis=1)))
+        if turning > MAX_STILL_RATE:
+            text = f"turns at {turning:.1f} rad/s from {start:g} to {end:g} s, which is stated as a rest"
+            hint = "state a time in which the robot rests, or leave --still out"
+            raise InputError(text, file=record.name, hint=hint)
+        rests.append(_rest(record, first, last))
+    return rests
+
+
+def _rest(record: Record, first: int, last: int) -> Rest:
+    edge = EDGE_SHARE * len(record)
+    if first <= edge:
+        return Rest(first, last, "start")
+    return Rest(first, last, "end" if last >= len(record) - edge else "between")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White noise of the sensor."""
+
+    acceleration_m_s2_per_rt_hz: float
+    rate_rad_s_per_rt_hz: float
+    #: Source of the noise densities: "still periods" or "data sheet".
+    source: str
+
+
+#: Noise assumed without still periods (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012, Table I).
+DATA_SHEET = Noise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
+
+
+def measure_noise(record: Record, rests: list[Rest]) -> Noise:
+    """Return the white noise in still periods, averaged over the axes.
+
+    Without still periods it is the noise of the data sheet.
+    """
+    if not rests:
+        return DATA_SHEET
+    densities = []
+    for values in (record.acceleration, record.rate):
+        steps = np.vstack([np.diff(values[r.rows], axis=0) for r in rests])
+        densities.append(np.sqrt(record.step_s / 2) * float(np.sqrt(np.mean(steps**2))))
+    acceleration, rate = densities
+    return Noise(acceleration, rate, "still periods")
+
+
+def _moving_mean(values: Array, size: int) -> Array:
+    return np.asarray(uniform_filter1d(values, size, axis=0, mode="nearest"))
+
+
+def _deviation(values: Array, size: int) -> Array:
+    """Return the standard deviation in a window about each sample, shape (n,).
+
+    It is the square root of the sum of the variances of all axes.
+    """
+    centred = values - values.mean(axis=0)
+    spread = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
+    return np.sqrt(np.maximum(spread.sum(axis=1), 0.0))
+
+
+# ---------------------------------------------------------------- mounting and attitude
+
+
+#: Name of the attitude source for quaternions in the log itself.
+QUATERNIONS = "quaternion columns"
+#: Standard deviations of the attitude, rad: of quaternions in a log (3DM-GX1, Table I of Shang et al.), and
+#: of an attitude filter.
+QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
+#: Standard deviations of a mounting from gravity and of a stated one, rad.
+GRAVITY_MOUNT_SD, STATED_MOUNT_SD = 3 * DEG, 0.5 * DEG
+#: Maximum angle between the verticals of rests in the same attitude, rad.
+UPRIGHT = 45 * DEG
+#: Positions of the still periods that are rests of the robot, for each value of the option ``--rest``.
+REST_PLACES = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Attitude at every sample before smoothing, and its source."""
+
+    #: Rotation from sensor to world axes, n elements.
+    rotation: Rotation
+    #: Whether the yaw is measured, by a compass or by the filter in the sensor.
+    heading: bool
+    #: Name of the source: "quaternion columns", "gyroscope and accelerometer" or "gyroscope, accelerometer
+    #: and magnetometer".
+    kind: str
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Mounting of the sensor on the body."""
+
+    #: Rotation from body to sensor axes.
+    rotation: Rotation
+    #: Source of the mounting, in words: "given", "quaternions", "level at rest" or others.
+    by: str
+    #: Unit vector opposite to gravity at rest, along sensor axes.
+    up: Array
+    #: Standard deviation of the rotation, rad.
+    sd: float = GRAVITY_MOUNT_SD
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Record with everything that is determined before its motion is estimated."""
+
+    record: Record
+    options: TrackImuOptions
+    #: Still periods, the rests of the robot among them, and the noise of the sensor.
+    still: list[Rest]
+    rests: list[Rest]
+    noise: Noise
+    mount: Mount
+    source: Source
+    #: Errors of the sensor.
+    sensor: Sensor = Sensor()
+    #: Function that is called after each smoothing, to show the progress.
+    advance: Callable[[], Any] = lambda: None
+
+    @property
+    def attitude_sd(self) -> float:
+        """Standard deviation of the attitude before smoothing, rad."""
+        return QUATERNION_SD if self.source.kind == QUATERNIONS else FILTER_SD
+
+    @property
+    def still_rate(self) -> Array:
+        """Median turn rate shown by the sensor in its still periods, rad/s, shape (3,)."""
+        return mean_rate(self.record, self.still)
+
+    @property
+    def body(self) -> Record:
+        """Record in body axes, with the mounting from gravity or as stated by the user."""
+        turn, record = self.mount.rotation.inv(), self.record
+        return replace(record, acceleration=turn.apply(record.acceleration), rate=turn.apply(record.rate))
+
+    @property
+    def attitude(self) -> Rotation:
+        """Attitude from body to world before smoothing, n elements."""
+        return self.source.rotation * self.mount.rotation
+
+    @property
+    def lever(self) -> Array:
+        """Vector from the sensor to the reference point, sensor axes, m, shape (3,)."""
+        return np.asarray(self.mount.rotation.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
+
+    def without(self, rests: list[Rest]) -> Setup:
+        """Return the setup without the given rests.
+
+        An attitude that comes from a filter is estimated again.
+        """
+        still, used = ([r for r in some if r not in rests] for some in (self.still, self.rests))
+        return replace(self, still=still, rests=used, source=_attitude(self.record, still))
+
+
+def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Finding]]:
+    """Return the setup of a record (rests, mounting and attitude), and findings about its mounting."""
+    stated, places = _declared(record, options.still), REST_PLACES[options.rests]
+    free = [r for r in find_rests(record) if not any(r.first < d.last and d.first < r.last for d in stated)]
+    still = sorted([*stated, *free], key=lambda rest: rest.first)
+    rests = [rest for rest in still if rest in stated or rest.at in places]
+    mount, findings = find_mount(record, still, options)
+    noise, source = measure_noise(record, still), _attitude(record, still)
+    return Setup(record, options, still, rests, noise, mount, source), findings
+
+
+def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> tuple[Mount, list[Finding]]:
+    """Find the mounting without another log.
+
+    A log with quaternion columns is in body axes, since the quaternions convert from body to world. If the
+    robot comes to rest in another attitude than at the start, the mounting follows from its first rest.
+
+    Raises
+    ------
+    InputError
+        When gravity points down the z axis: the sensor is upside down, or its signs are wrong.
+    """
+    seen = mean_accelerations(record, rests)
+    seen = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    up = seen[0] if np.min(seen @ seen[0]) < np.cos(UPRIGHT) else seen.mean(axis=0)
+    up = up / np.linalg.norm(up)
+    if options.mount_deg is not None:
+        roll, pitch, yaw = (np.array([angle * DEG]) for angle in options.mount_deg)
+        return Mount(from_angles(roll, pitch, yaw)[0].inv(), "given", up, STATED_MOUNT_SD), []
+    if record.quaternion is not None:
+        return Mount(Rotation.identity(), "quaternions", up), []
+    axis = int(np.argmax(np.abs(up)))
+    name, by = f"{'-+'[int(up[axis] > 0)]}{'xyz'[axis]}", "as the sensor's axes"
+    rotation = _level(np.sign(up[axis]) * np.eye(3)[axis])
+    if options.level_at_rest:
+        rotation, by = _level(up), "level at rest"
+    if name == "+z":
+        return Mount(rotation, by, up), []
+    if name == "-z":
+        raise InputError(
+            "gravity points the wrong way at rest: az is negative where a sensor with z up shows +9.81",
+            file=record.name,
+            column="az_m_s2",
+            hint="for an accelerometer of the other sign give factor -1 for all three axes in a mapping "
+            "(--map); for a sensor mounted upside down give --mount-deg 180 0 0",
+        )
+    text = (
+        f"gravity lies along the sensor's {name} axis, not +z: the sensor is taken as turned by the smallest "
+        "turn that puts this axis up; give --mount-deg if the body's forward axis comes out wrong"
+    )
+    return Mount(rotation, f"{name} axis up", up), [Finding("gravity axis", "handled", text)]
+
+
+def _level(up: Array) -> Rotation:
+    """Return the inverse of the smallest rotation that turns the direction ``up`` into the z axis."""
+    return Rotation.align_vectors(up[None], [[0.0, 0.0, 1.0]])[0]
+
+
+def _attitude(record: Record, rests: list[Rest]) -> Source:
+    """Return the attitude before smoothing.
+
+    The attitude is that of the quaternion columns. Without quaternions it is estimated from turn rates,
+    accelerations and the magnetic field by the offline form of VQF, which runs forwards and backwards (Laidig
+    and Seel 2023, doi:10.1016/j.inffus.2022.10.014). Without a magnetic field the yaw of the first sample is
+    0.
+    """
+    if record.quaternion is not None:
+        return Source(rotations(record.quaternion), True, QUATERNIONS)
+    with extra_needed("an attitude from turn rates and accelerations", "imu"):
+        import vqf
+
+    t, step = record.time_s, record.step_s
+    even = bool(np.ptp(np.diff(t)) < 1e-3 * step)
+    grid = t if even else np.arange(t[0], t[-1] + step, step)
+    rate, field = record.rate - mean_rate(record, rests), record.magnetic
+    readings = [None if x is None else resampled(grid, t, x) for x in (rate, record.acceleration, field)]
+    found = vqf.offlineVQF(*readings, step)
+    rotation = rotations(np.asarray(found["quat6D" if field is None else "quat9D"]))
+    if not even:
+        rotation = Slerp(grid, rotation)(np.clip(t, grid[0], grid[-1]))
+    if field is None:
+        yaw = rotation[0].as_euler("ZYX")[0]
+        return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
+    # the world axes of VQF are east, north and up; yaw is counted from x, which is east
+    return Source(rotation, True, "gyroscope, accelerometer and magnetometer")

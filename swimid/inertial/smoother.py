@@ -25,8 +25,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from swimid.inertial.record import GRAVITY_M_S2, Array, Record, integral, integrated_attitude, resampled
-from swimid.inertial.setup import DRIFT_TIME_S, Noise, Sensor
+from swimid.inertial import record as recording
+from swimid.inertial.record import Array, Noise, Record, Sensor, Setup, integral, resampled
+from swimid.logs.rotation import angles
 
 #: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
 PARTS = {
@@ -100,8 +101,6 @@ class Observation:
     #: Whether the observation contributes to the log-likelihood. Observations that are outside of the record
     #: for another candidate clock offset do not.
     counted: bool = True
-    #: Index of the pose in another log; -1 for other observations.
-    fix: int = -1
 
 
 @dataclass(frozen=True)
@@ -323,18 +322,6 @@ class Nominal(State):
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Knowledge about the motion before any observation."""
-
-    #: Attitude from sensor to world at which the iteration starts, n elements.
-    guide: Rotation
-    #: State at the first sample.
-    state: State
-    #: Standard deviations of the parts of the state, except for the biases and scales of the sensor.
-    sd: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
 class Smoothed:
     """Corrected path with the covariance of its errors."""
 
@@ -355,14 +342,14 @@ class Smoothed:
 
 def gravity(tilt: Array) -> Array:
     """Return gravity along world axes, m/s^2, shape (3,)."""
-    return -GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
+    return -recording.GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
 def smooth(
-    record: Record,
-    prior: Prior,
+    setup: Setup,
+    start: State,
+    sd: Mapping[str, Any],
     sensor: Sensor,
-    noise: Noise,
     observe: Callable[[Nominal], list[Observation]],
     *,
     states: int = ALONE,
@@ -373,12 +360,15 @@ def smooth(
 
     Parameters
     ----------
-    record : Record
-    prior : Prior
+    setup : Setup
+        The iteration starts at the attitude of its source.
+    start : State
+        State at the first sample before any observation.
+    sd : mapping
+        Standard deviations of the parts of this state, except for the biases and scales of the sensor.
     sensor : Sensor
-    noise : Noise
     observe : callable
-        Returns the observations of a path; see :mod:`swimid.inertial.alone`.
+        Returns the observations of a path; see :mod:`swimid.inertial.estimate`.
     states : int
         Number of errors: :data:`ALONE`, or :data:`FUSED` to estimate also lever, mounting, tilt of the world
         and clock.
@@ -387,61 +377,60 @@ def smooth(
     passes : int
         Number of linearisations.
     """
+    record = setup.record
     if after is None:
-        now, path = prior.state, _integrated(record, prior, states)
+        now, path = start, _integrated(setup, start, states)
     else:
         now, path = after.origin, _about(record, after.origin, after.path)
-    driving = _driving_noise(record, sensor, noise, path)
-    covariance = _start_covariance(prior, sensor, states)
+    driving = _driving_noise(record, sensor, setup.noise, path)
+    covariance = _start_covariance(sd, sensor, states)
     for turn in range(passes):
         if turn:
             path = _about(record, now, path)
         transition, defect = _transitions(record, path)
-        mean = prior.state.minus(now)[:states]
+        mean = start.minus(now)[:states]
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
         # the next linearisation assumes constant biases, equal to the means over the record
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
-        now, path = now.corrected(begin), _corrected(record, path, errors)
+        now = now.corrected(begin)
+        path = path.corrected(resampled(path.time_s, path.node_s, errors.mean))
+        path = _with_readings(record, path)
     return Smoothed(path, errors, now, sensor)
 
 
-def _integrated(record: Record, prior: Prior, states: int) -> Nominal:
-    """Return the path by integration of the accelerations along the attitude of the prior."""
-    t, start, nodes = record.time_s, prior.state, np.arange(len(record))
+def _integrated(setup: Setup, start: State, states: int) -> Nominal:
+    """Return the path by integration of the accelerations along the attitude before smoothing."""
+    record, t = setup.record, setup.record.time_s
+    nodes = np.arange(len(record))
     spacing = max(NODE_S, float(t[-1] - t[0]) / MAX_NODES)
     if record.step_s < spacing:
         nodes = np.unique(np.append(np.searchsorted(t, np.arange(t[0], t[-1], spacing)), len(t) - 1))
-    known = {**vars(start), "rotation": prior.guide, "nodes": nodes, "states": states}
+    known = {**vars(start), "rotation": setup.source.rotation, "nodes": nodes, "states": states}
     path = _about(record, start, Nominal(**known, time_s=t, force=record.acceleration, rate=record.rate))
     velocity = integral(t, path.acceleration, start.velocity)
     return replace(path, velocity=velocity, position=integral(t, velocity, start.position))
 
 
 def _about(record: Record, origin: State, path: Nominal) -> Nominal:
-    """Return the path with its readings corrected by the biases and scales of the state ``origin``."""
-    force = record.acceleration - origin.acceleration_bias - record.acceleration @ origin.acceleration_scale.T
-    rate = record.rate - origin.rate_bias - record.rate @ origin.rate_scale.T
+    """Return the path with the biases, scales and other constants of the state ``origin``."""
     constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
-    constant["acceleration_bias"] = np.broadcast_to(origin.acceleration_bias, force.shape)
-    constant["rate_bias"] = np.broadcast_to(origin.rate_bias, rate.shape)
-    return replace(path, **constant, force=force, rate=rate)
+    for name in ("acceleration_bias", "rate_bias"):
+        constant[name] = np.broadcast_to(getattr(origin, name), path.rate.shape)
+    return _with_readings(record, replace(path, **constant))
 
 
-def _corrected(record: Record, path: Nominal, errors: Errors) -> Nominal:
-    """Return the path with the estimated errors added and its readings corrected accordingly."""
-    x = resampled(path.time_s, path.node_s, errors.mean)
-    bias_a, bias_w = x[:, PARTS["acceleration_bias"]], x[:, PARTS["rate_bias"]]
-    scale_a, scale_w = (x[-1, PARTS[name]].reshape(3, 3) for name in ("acceleration_scale", "rate_scale"))
-    force = path.force - bias_a - record.acceleration @ scale_a.T
-    rate = path.rate - bias_w - record.rate @ scale_w.T
-    return replace(path.corrected(x), force=force, rate=rate)
+def _with_readings(record: Record, path: Nominal) -> Nominal:
+    """Return the path with its readings corrected by its biases and scales."""
+    force = record.acceleration - path.acceleration_bias - record.acceleration @ path.acceleration_scale.T
+    rate = record.rate - path.rate_bias - record.rate @ path.rate_scale.T
+    return replace(path, force=force, rate=rate)
 
 
-def _start_covariance(prior: Prior, sensor: Sensor, states: int) -> Array:
+def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Array:
     """Return the covariance of the errors before any observation, shape (states, states)."""
     sds = {
-        **prior.sd,
+        **sd,
         "acceleration_bias": sensor.acceleration_bias_sd,
         "rate_bias": sensor.rate_bias_sd,
         "acceleration_scale": sensor.scale_sd,
@@ -476,7 +465,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
 
     by_force, by_bias = -cross_matrix(mean(path.rotation.apply(path.force))), -mean(turn)
     by_scale_a, by_scale_w = -turn_by(record.acceleration), -turn_by(record.rate)
-    by_tilt = -GRAVITY_M_S2 * np.eye(3)[:, :2]
+    by_tilt = -recording.GRAVITY_M_S2 * np.eye(3)[:, :2]
     place = jacobian(states, len(dt), 3, velocity=np.eye(3))
     speed = jacobian(
         states, len(dt), 3, rotation=by_force, acceleration_bias=by_bias, acceleration_scale=by_scale_a,
@@ -490,7 +479,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
     velocity = integral(t, path.acceleration)
     position = integral(t, velocity)
     first, last = rows[:-1], rows[1:]
-    sensed = integrated_attitude(t, path.rate, path.rotation[0])
+    sensed = recording.integrated_attitude(t, path.rate, path.rotation[0])
     step = sensed[first].inv() * sensed[last]
     defect = np.hstack(
         [
@@ -511,8 +500,8 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
     dt = np.diff(record.time_s)
     hidden = np.maximum(dt - LONG_STEP * record.step_s, 0.0)
 
-    def white(density: float, readings: Array, moving: Array, filled: np.ndarray) -> Array:
-        lost = filled[1:] | filled[:-1]
+    def white(density: float, readings: Array, moving: Array, sensed: int) -> Array:
+        lost = record.filled[1:, sensed] | record.filled[:-1, sensed]
         variance = density**2 * dt
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
         # nonlinearity errors are correlated over half a stroke; over longer times they act as white noise
@@ -520,10 +509,8 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 
     moving = record.acceleration - np.median(record.acceleration, axis=0)
-    velocity = white(
-        noise.acceleration_m_s2_per_rt_hz, record.acceleration, moving, record.filled_acceleration
-    )
-    angle = white(noise.rate_rad_s_per_rt_hz, record.rate, record.rate, record.filled_rate)
+    velocity = white(noise.acceleration_m_s2_per_rt_hz, record.acceleration, moving, 0)
+    angle = white(noise.rate_rad_s_per_rt_hz, record.rate, record.rate, 1)
     dt_nodes = np.diff(path.node_s)
     q = np.zeros((len(dt_nodes), path.states, path.states))
     for i in range(3):
@@ -531,6 +518,135 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         q[:, i, i] = velocity * dt_nodes**2 / 3
         q[:, i, 3 + i] = q[:, 3 + i, i] = velocity * dt_nodes / 2
         q[:, 6 + i, 6 + i] = angle
-        q[:, 9 + i, 9 + i] = sensor.acceleration_drift**2 / DRIFT_TIME_S * dt_nodes
-        q[:, 12 + i, 12 + i] = sensor.rate_drift**2 / DRIFT_TIME_S * dt_nodes
+        q[:, 9 + i, 9 + i] = sensor.acceleration_drift**2 / recording.DRIFT_TIME_S * dt_nodes
+        q[:, 12 + i, 12 + i] = sensor.rate_drift**2 / recording.DRIFT_TIME_S * dt_nodes
     return q
+
+
+# ---------------------------------------------------------------- the motion of the reference point
+
+
+#: Number of random error trajectories. They give a standard deviation to 1 / sqrt(2 N_DRAWS) = 6 %.
+N_DRAWS = 128
+#: Minimum number of samples for the high-pass filter, and its maximum cut-off frequency in sample rates.
+MIN_FILTERED, MAX_CUTOFF = 32, 0.45
+#: Quantities that are left empty where the motion is impossible.
+EMPTIED = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
+#: Motion of the reference point at n samples, as arrays of shape (n, 3) by name: ``position`` (m) and
+#: ``velocity`` (m/s) along world axes, ``body_velocity`` (m/s), ``angle`` (roll, pitch and yaw, rad),
+#: ``rate`` about body axes (rad/s), and ``acceleration`` of the sensor without gravity along world axes
+#: (m/s^2). ``quaternion`` (x, y, z, w) converts from body to world. Standard deviations end in ``_sd``.
+Motion = dict[str, Array]
+
+
+def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
+    """Return the velocity at the reference point, and the derivatives of the motion there.
+
+    The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
+    body rotation with respect to the errors at the nodes. Each has shape (nodes, 3, states).
+    """
+    rows = path.nodes
+    rate, rotation = path.rate[rows], path.rotation[rows]
+    matrix = rotation.as_matrix()
+    shape = (path.states, len(rows), 3)
+    arm, swing = rotation.apply(path.lever), rotation.apply(np.cross(rate, path.lever))
+    by_place = jacobian(*shape, position=np.eye(3), rotation=-cross_matrix(arm), lever=matrix)
+    by_speed = jacobian(
+        *shape,
+        velocity=np.eye(3),
+        rotation=-cross_matrix(swing),
+        rate_bias=matrix @ cross_matrix(path.lever),
+        lever=matrix @ cross_matrix(rate),
+    )
+    by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
+    velocity = path.velocity + path.rotation.apply(np.cross(path.rate, path.lever))
+    return velocity, by_place, by_speed, by_turn
+
+
+def at_reference(smoothed: Smoothed) -> Motion:
+    """Return the motion of the reference point with its standard deviations."""
+    path, covariance = smoothed.path, smoothed.errors.covariance
+    body, rows = path.rotation * path.mount, path.nodes
+    velocity, by_place, by_speed, by_turn = _carried(path)
+    by_body_speed = _in_body(body[rows], velocity[rows], by_speed, by_turn)
+
+    def sd(jacobian: Array) -> Array:
+        variance = np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian)
+        return resampled(path.time_s, path.node_s, np.sqrt(np.maximum(variance, 0.0)))
+
+    return attitude_only(body, path.mount.inv().apply(path.rate), path.acceleration) | {
+        "position": path.position + path.rotation.apply(path.lever),
+        "velocity": velocity,
+        "body_velocity": body.inv().apply(velocity),
+        "position_sd": sd(by_place),
+        "velocity_sd": sd(by_speed),
+        "body_velocity_sd": sd(by_body_speed),
+        "angle_sd": sd(recording.turn_to_angles(body[rows]) @ by_turn),
+    }
+
+
+def attitude_only(rotation: Rotation, rate: Array, acceleration: Array, sd: float = np.nan) -> Motion:
+    """Return a motion without position and velocity.
+
+    Parameters
+    ----------
+    rotation : Rotation
+        Attitude from body to world, n elements.
+    rate, acceleration : ndarray, shape (n, 3)
+        See :data:`Motion`.
+    sd : float
+        Standard deviation of the angles, rad.
+    """
+    motion: Motion = {name: np.full(rate.shape, np.nan) for name in EMPTIED}
+    known = {"angle": np.column_stack(angles(rotation)), "quaternion": rotation.as_quat()}
+    return motion | known | {"rate": rate, "acceleration": acceleration, "angle_sd": np.full(rate.shape, sd)}
+
+
+def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Array) -> Array:
+    """Return velocity errors along body axes, from the errors of velocity and rotation along world axes.
+
+    ``velocity`` has shape (n, 3). The errors have shape (n, 3, m), where m counts random samples or
+    derivatives.
+    """
+    to_body = np.swapaxes(body.as_matrix(), 1, 2)
+    return np.asarray(to_body @ (speed_error + cross_matrix(velocity) @ turn_error))
+
+
+def surge_within_stroke(smoothed: Smoothed, cutoff_hz: float) -> Motion:
+    """Return the surge velocity within a stroke, ``surge``, and its standard deviation, m/s, shape (n, 1).
+
+    The velocity is high-pass filtered along world axes before it is converted to body axes. Otherwise drift
+    would enter the surge velocity as the heading oscillates.
+
+    Notes
+    -----
+    The standard deviation is that of :data:`N_DRAWS` random trajectories of the errors, filtered like the
+    velocity. It contains every error above the cut-off frequency: noise, errors of scale and alignment times
+    gravity and motion, and errors of the attitude times gravity.
+    """
+    path, nodes = smoothed.path, len(smoothed.path.nodes)
+    velocity, _, by_speed, by_turn = _carried(path)
+    body, fast = path.rotation * path.mount, _high_pass(path.time_s, velocity, cutoff_hz)
+    drawn = smoothed.errors.draw(np.concatenate([by_speed, by_turn], axis=1), N_DRAWS)
+    speed = _high_pass(path.node_s, drawn[:, :3].reshape(nodes, -1), cutoff_hz).reshape(nodes, 3, N_DRAWS)
+    error = _in_body(body[path.nodes], fast[path.nodes], speed, drawn[:, 3:])[:, :1]
+    sd = resampled(path.time_s, path.node_s, np.sqrt(np.mean(error**2, axis=2)))
+    return {"surge": body.inv().apply(fast)[:, :1], "surge_sd": sd}
+
+
+def _high_pass(time_s: Array, values: Array, cutoff_hz: float) -> Array:
+    """Return channels, shape (n, k), after a high-pass filter with the cut-off frequency ``cutoff_hz``.
+
+    The filter is a Butterworth filter of fourth order without phase shift. The result is NaN if the record is
+    too short for the filter or has too low a sample rate.
+    """
+    from scipy import signal
+
+    step = float(np.median(np.diff(time_s)))
+    even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
+    if len(even) < MIN_FILTERED or cutoff_hz >= MAX_CUTOFF / step:
+        return np.full_like(values, np.nan)
+    sos = signal.butter(2, cutoff_hz, "high", fs=1 / step, output="sos")
+    length = min(len(even) - 1, int(3 / (cutoff_hz * step)))
+    fast = signal.sosfiltfilt(sos, resampled(even, time_s, values), axis=0, padlen=length)
+    return resampled(time_s, even, fast)

@@ -3,41 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from swimid.errors import UsageError
 from swimid.files import atomic, provenance
-from swimid.inertial import faults, motion
-from swimid.inertial.alone import GATE
-from swimid.inertial.fusion import MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Fused
-from swimid.inertial.motion import Run
+from swimid.inertial import estimate as estimation
+from swimid.inertial import faults, smoother
+from swimid.inertial import record as recording
+from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY, Estimate
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import GRAVITY_M_S2, Array, read_poses, read_record
-from swimid.inertial.setup import BAND, DEG, mean_accelerations, prepare
-from swimid.inertial.smoother import PARTS
-from swimid.logs import log, mapping
+from swimid.inertial.record import BAND, DEG, GRAVITY_M_S2, Array, Finding, Record, Setup
+from swimid.inertial.smoother import Motion
+from swimid.logs import beat, log, mapping, rhythm
 from swimid.logs.log import Log, LogLike
 from swimid.logs.logged import Logged
-from swimid.logs.rotation import angles
+from swimid.logs.rhythm import Rhythm
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
-from swimid.results.evidence import (
-    Check,
-    Evidence,
-    Figure,
-    Panel,
-    Span,
-    Table,
-    Trace,
-    check,
-    judged,
-    leaf_table,
-)
+from swimid.results.evidence import Check, Evidence, Figure, Panel, Table, Trace, check, judged, leaf_table
 
 
 @takes(TrackImuOptions)
@@ -99,9 +88,9 @@ def track_imu(
     True
     """
     map_path, other = options.map_path, options.other
-    recording = log.unread(imu, name="imu")
+    unread = log.unread(imu, name="imu")
     rules = None if map_path is None else mapping.of(map_path)
-    given: list[provenance.Input] = [recording]
+    given: list[provenance.Input] = [unread]
     if rules is not None:
         given.append(map_path if isinstance(map_path, str | Path) else rules)
     if other is not None:
@@ -113,17 +102,246 @@ def track_imu(
         raise UsageError("--method paper fuses with nothing", hint=hint)
     with recorded(repeat=True) as notices:
         named = given[0 if rules is None else 1]
-        record, notes = read_record(recording, rules, provenance.path_of(named), progress)
+        record, notes = recording.read_record(unread, rules, provenance.path_of(named), progress)
         record, findings = faults.repair(record)
-        poses = None if other is None else read_poses(log.of(other, name="other"))
-        setup, more = prepare(record, options)
+        poses = None if other is None else recording.read_poses(log.of(other, name="other"))
+        setup, more = recording.prepare(record, options)
         with progress("smoothing", total=None) as step:
-            made = motion.estimate(replace(setup, advance=step), [*findings, *more], poses)
+            made = estimate(replace(setup, advance=step), [*findings, *more], poses)
         for note in notes:
             warn("SWM004", f"{record.name}: {note}")
         origin = provenance.collect(given, settings=options.settings())
         result = _result(made, notices, origin)
     return result.saved(output)
+
+
+# ---------------------------------------------------------------- motion
+
+
+#: Maximum half-width of the 95 % band of a usable position: in m, and relative to the distance travelled.
+TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
+#: Minimum frequency of motion within a stroke: relative to the stroke frequency, and in Hz if that is
+#: unknown.
+STROKE_SHARE, LOWEST_HZ = 0.5, 0.3
+#: Names of the three angles of an attitude.
+ANGLES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Motion of a recording, with everything that the log and its evidence contain."""
+
+    #: Setup, with the sensor and the rests that were used.
+    setup: Setup
+    findings: list[Finding]
+    stroke: Rhythm | None
+    #: Stroke frequency in the metadata, Hz; None if absent.
+    stated_hz: float | None
+    cutoff_hz: float
+    #: Motion, with the surge within a stroke (``surge``).
+    motion: Motion
+    poses: recording.Poses | None = None
+    #: Most likely motion of the smoother; None for the method of the paper.
+    found: Estimate | None = None
+    #: Time up to which the position can be used, s; None if it can be used throughout.
+    trusted_until_s: float | None = None
+    #: Biases of accelerometer (m/s^2) and gyroscope (rad/s) at the end, shape (6,).
+    bias: Array | None = None
+    #: Root-mean-square innovation of the velocity at rests, in standard deviations.
+    rest_score: float | None = None
+    #: Reasons why positions and velocities are empty.
+    impossible: Sequence[str] = ()
+
+    @property
+    def by_paper(self) -> bool:
+        """Whether the method is that of :func:`compute_by_paper`, which has no standard deviations."""
+        return self.setup.options.method == "paper"
+
+    @property
+    def alone(self) -> bool:
+        """Whether the motion was estimated from the inertial unit by itself."""
+        return self.fused is None and not self.by_paper
+
+    @property
+    def fused(self) -> Estimate | None:
+        """Result of the fusion with another log."""
+        if self.found is None or self.found.fixes is None:
+            return None
+        return self.found
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """Roll and pitch of the body at rest, rad."""
+        mount = self.setup.mount.rotation if self.fused is None else self.fused.smoothed.path.mount
+        up = mount.inv().apply(self.setup.mount.up)
+        return float(np.arctan2(up[1], up[2])), float(np.arctan2(up[0], np.hypot(up[1], up[2])))
+
+    @property
+    def against(self) -> str | None:
+        """Words that say how the stroke contradicts the metadata; None if the two agree."""
+        stroke, stated_hz = self.stroke, self.stated_hz
+        if stroke is None or stated_hz is None:
+            return None
+        if stroke.maybe_double and beat.contradiction(stroke.beat, 2 * stated_hz) is None:
+            return None
+        return beat.contradiction(stroke.beat, stated_hz)
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of the log, in order."""
+        record, motion = self.setup.record, self.motion
+        columns = {"t_s": record.time_s, **_columns(motion, "")}
+        if self.by_paper:
+            return columns
+        columns |= {"u_osc_m_s": motion["surge"][:, 0]} | _columns(motion, "_sd")
+        bridged = record.filled.any(axis=1).astype(int)
+        return columns | {"u_osc_sd_m_s": motion["surge_sd"][:, 0], "bridged": bridged}
+
+
+#: Names of the columns of each quantity of a motion, in their order in a log.
+COLUMNS = {
+    "position": ("{}{}_m", "xyz"),
+    "angle": ("{}{}_rad", ANGLES),
+    "body_velocity": ("{}{}_m_s", "uvw"),
+    "velocity": ("v{}{}_m_s", "xyz"),
+    "rate": ("{}{}_rate_rad_s", ANGLES),
+    "acceleration": ("a{}{}_world_m_s2", "xyz"),
+    "quaternion": ("q{}{}", "xyzw"),
+}
+
+
+def _columns(motion: Motion, ending: str) -> dict[str, Array]:
+    """Return the columns of the quantities of a motion, or with the ending ``_sd`` of their deviations."""
+    known = {name: named for name, named in COLUMNS.items() if name + ending in motion}
+    columns = {}
+    for name, (pattern, parts) in known.items():
+        for part, column in zip(parts, motion[name + ending].T, strict=True):
+            columns[pattern.format(part, ending)] = column
+    if not ending:
+        columns["pitch_rate_rad_s"] = -columns["pitch_rate_rad_s"]
+    return columns
+
+
+def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | None) -> Run:
+    """Estimate the motion of a recording by the method chosen in the options.
+
+    Parameters
+    ----------
+    setup : Setup
+    findings : list of Finding
+        Faults found so far.
+    poses : Poses or None
+        Poses of another log of the trial.
+    """
+    body, record, options = setup.body, setup.record, setup.options
+    t = record.time_s
+    readings = dict(zip(recording.CHANNELS, body.channels.T, strict=True))
+    stated_hz = record.metadata.get("frequency_hz")
+    if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
+        stated_hz = None
+    stroke, cutoff = rhythm.find(t, readings), LOWEST_HZ
+    if stroke is not None:
+        cutoff = STROKE_SHARE * stroke.beat.frequency_hz
+    run = Run(setup, findings, stroke, stated_hz, cutoff, {}, poses)
+    if options.method == "paper":
+        moved, constant = compute_by_paper(body, setup.attitude, options)
+        return replace(run, motion=moved, bias=constant)
+    found = estimation.estimate(setup, poses)
+    setup, smoothed = replace(found.setup, sensor=found.smoothed.sensor), found.smoothed
+    run = replace(run, setup=setup, findings=[*findings, *found.findings], found=found)
+    if found.impossible:
+        turning = setup.mount.rotation.inv().apply(record.rate - setup.still_rate)
+        acceleration = setup.source.rotation.apply(record.acceleration) + smoother.gravity(np.zeros(2))
+        moved = smoother.attitude_only(setup.attitude, turning, acceleration, setup.attitude_sd)
+        moved |= dict.fromkeys(("surge", "surge_sd"), np.full((len(t), 1), np.nan))
+        run = replace(run, motion=moved, impossible=found.impossible)
+    else:
+        moved = smoother.at_reference(smoothed) | smoother.surge_within_stroke(smoothed, cutoff)
+        bias = np.concatenate([smoothed.path.acceleration_bias[-1], smoothed.path.rate_bias[-1]])
+        run = replace(run, motion=moved, rest_score=smoothed.score("rest"), bias=bias)
+    return _checked(run) if run.alone else run
+
+
+def _checked(run: Run) -> Run:
+    """Return a motion without the samples that are too fast, and the time until which it can be used.
+
+    A sample is too fast if it is beyond the top speed by more than the 95 % band, or by more than GATE times
+    the standard deviation that the smoother assumes for the speed.
+    """
+    moved, top_m_s = run.motion, run.setup.options.top_speed_m_s
+    speed = np.linalg.norm(moved["velocity"], axis=1)
+    squares = np.sum((moved["velocity"] * moved["velocity_sd"]) ** 2, axis=1)
+    band = BAND * np.sqrt(squares) / np.maximum(speed, 1e-9)
+    fast, impossible = (speed - band > top_m_s) | (speed > GATE * 0.5 * top_m_s), run.impossible
+    if fast.any():
+        impossible = [
+            f"{100 * fast.mean():.0f} % of the samples come out faster than the robot can be, "
+            f"{top_m_s:g} m/s (up to {speed.max():.1f} m/s)"
+        ]
+        hidden = np.where(fast[:, None], np.nan, 0.0)
+        moved = moved | {name: moved[name] + hidden for name in smoother.EMPTIED}
+    until_s = find_trust(run.setup.record.time_s, moved["position"], moved["position_sd"])
+    return replace(run, motion=moved, impossible=impossible, trusted_until_s=until_s)
+
+
+def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOptions) -> tuple[Motion, Array]:
+    """Compute the motion of a vehicle by the method of the long-fin paper.
+
+    Parameters
+    ----------
+    record : Record
+        Recording of n samples in body axes.
+    rotation : Rotation
+        Attitude from body to earth, shape (n,): the inverse of ``M_e^f`` of the paper.
+    options : TrackImuOptions
+        Thresholds ("discarded", sec. 5.2) and motion mode. In the modes ``marching`` and ``receding`` the
+        constant parts of all six channels are errors and gravity, and are subtracted. In the mode
+        ``rotating`` the mean yaw rate is motion, and is not subtracted.
+
+    Returns
+    -------
+    Motion
+        Motion without standard deviations.
+    ndarray, shape (6,)
+        Constant parts of the channels, m/s^2 and rad/s.
+
+    Notes
+    -----
+    The method is that of Shang, Wang, Tan and Cheng (2012, doi:10.1017/S0263574711001159), section 5. The
+    constant part of the readings is subtracted, small readings are set to zero, and accelerations are
+    converted to the earth's axes (Eq 10). Velocity and position follow by the trapezoidal rule (Eqs 12 and
+    13). The paper states neither its filter, nor the thresholds, nor an uncertainty. Because the mean
+    acceleration is subtracted, the final velocity always equals the initial one.
+    """
+    constant = record.channels.mean(axis=0)
+    if options.motion_mode == "rotating":
+        constant[5] = 0.0
+    readings = record.channels - constant
+    thresholds = np.repeat([options.threshold_m_s2, options.threshold_rad_s], 3)
+    readings[np.abs(readings) < thresholds] = 0.0
+    acceleration = rotation.apply(readings[:, :3])
+    velocity = recording.integral(record.time_s, acceleration)
+    moved = {
+        "position": recording.integral(record.time_s, velocity),
+        "velocity": velocity,
+        "body_velocity": rotation.inv().apply(velocity),
+    }
+    return smoother.attitude_only(rotation, readings[:, 3:], acceleration) | moved, constant
+
+
+def find_trust(time_s: Array, position: Array, position_sd: Array) -> float | None:
+    """Return the time at which the horizontal 95 % band exceeds 0.1 m and 10 % of the distance travelled.
+
+    The time is on the clock of the log, s. It is None if the whole position can be used.
+
+    Parameters
+    ----------
+    position, position_sd : ndarray, shape (n, 3)
+        Position and standard deviation, m. A position of NaN cannot be used.
+    """
+    half = BAND * np.max(position_sd[:, :2], axis=1)
+    travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(position[:, :2], axis=0).T)))
+    beyond = np.flatnonzero(~(half <= np.maximum(TRUSTED_WIDTH_M, TRUSTED_SHARE * travelled)))
+    return float(time_s[beyond[0]]) if len(beyond) else None
 
 
 # ---------------------------------------------------------------- log and evidence
@@ -215,7 +433,7 @@ def _largest(values: Any) -> float | None:
 
 
 def _data(run: Run) -> dict[str, Any]:
-    setup, stroke, fused = run.setup, run.stroke, run.fused
+    setup, stroke, fused, moved = run.setup, run.stroke, run.fused, run.motion
     roll, pitch = run.tilt
     out: dict[str, Any] = {
         "method": setup.options.method,
@@ -230,7 +448,7 @@ def _data(run: Run) -> dict[str, Any]:
             "frequency_hz": stroke.beat.frequency_hz,
             "stderr_hz": stroke.beat.stderr_hz,
             "stated_hz": run.stated_hz,
-            "contradicts": run.contradiction is not None,
+            "contradicts": run.against is not None,
         },
     }
     if run.bias is not None:
@@ -240,8 +458,8 @@ def _data(run: Run) -> dict[str, Any]:
     out |= {
         "impossible": list(run.impossible),
         "rest_innovation_rms": run.rest_score,
-        "surge_oscillation": {"rms_m_s": _rms(run.surge_osc), "above_hz": run.cutoff_hz},
-        "largest_band_95": {"position_m": _largest(BAND * run.motion.position_sd)},
+        "surge_oscillation": {"rms_m_s": _rms(moved["surge"]), "above_hz": run.cutoff_hz},
+        "largest_band_95": {"position_m": _largest(BAND * moved["position_sd"])},
     }
     if run.alone:
         out["path_trusted"] = {"until_s": run.trusted_until_s}
@@ -250,7 +468,7 @@ def _data(run: Run) -> dict[str, Any]:
         out["mounting"] |= {
             "body_to_sensor_rotation_vector_rad": path.mount.as_rotvec().tolist(),
             "lever_m": (-path.mount.inv().apply(path.lever)).tolist(),
-            "lever_sd_m": np.sqrt(np.diag(covariance)[PARTS["lever"]]).tolist(),
+            "lever_sd_m": np.sqrt(np.diag(covariance)[smoother.PARTS["lever"]]).tolist(),
             "world_tilt_rad": path.tilt.tolist(),
         }
         out["fusion"] = {
@@ -261,7 +479,7 @@ def _data(run: Run) -> dict[str, Any]:
             "fixes_used": len(fused.smoothed.errors.scores.get("position", ())),
             "fixes_stray": fused.stray,
             "widened_by_lasting_errors": fused.lasting,
-            "held_out": fused.held_out and vars(fused.held_out),
+            "held_out": fused.held_out,
         }
     return out
 
@@ -294,7 +512,7 @@ def _motion_tests(run: Run) -> Iterator[Test]:
     count = len(setup.still)
     reason = "no still period found; the biases are known to data-sheet accuracy only"
     yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
-    size = float(np.mean(np.linalg.norm(mean_accelerations(setup.record, setup.still), axis=1)))
+    size = float(np.mean(np.linalg.norm(recording.mean_accelerations(setup.record, setup.still), axis=1)))
     # half-width of the 95 % band, relative to g, from bias and scale of the sensor's class
     share = BAND * float(np.hypot(setup.sensor.acceleration_bias_sd / GRAVITY_M_S2, setup.sensor.scale_sd))
     value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
@@ -314,14 +532,14 @@ def _motion_tests(run: Run) -> Iterator[Test]:
         yield "SWM084", "Innovations at rests", value, f"below {MAX_REST_SCORE:g}", passed, reason
     stroke = run.stroke
     if stroke is not None and run.stated_hz is not None:
-        against, limit = run.contradiction, f"metadata: {run.stated_hz:g} Hz"
+        against, limit = run.against, f"metadata: {run.stated_hz:g} Hz"
         reason = f"{stroke.channel} {against}; the metadata say {run.stated_hz:g} Hz"
         yield "SWM032", "Stroke", f"{stroke.beat.frequency_hz:.4g} Hz", limit, against is None, reason
     elif stroke is not None and stroke.doubt:
         yield "SWM033", "Stroke", "in doubt", "one frequency", False, stroke.doubt
 
 
-def _fusion_tests(fused: Fused, options: TrackImuOptions) -> Iterator[Test]:
+def _fusion_tests(fused: Estimate, options: TrackImuOptions) -> Iterator[Test]:
     offset, count, stray = fused.offset, len(fused.fixes.time_s), fused.stray
     limit = f"below {MAX_HELD_OUT:g}"
     value = f"{1e3 * offset.value_s:.2f} ms"
@@ -350,8 +568,9 @@ def _fusion_tests(fused: Fused, options: TrackImuOptions) -> Iterator[Test]:
         reason = "too few fixes to hold some out and predict them"
         yield "", "Fixes predicted", "none", limit, False, reason
         return
-    value, passed = f"{held.deviations:.2f} sd (rms) of {held.fixes}", held.deviations <= MAX_HELD_OUT
-    reason = f"held-out fixes are predicted to {held.deviations:.2f} sd (rms) only"
+    deviations = f"{held['deviations']:.2f} sd (rms)"
+    value, passed = f"{deviations} of {held['fixes']}", held["deviations"] <= MAX_HELD_OUT
+    reason = f"held-out fixes are predicted to {deviations} only"
     yield "", "Fixes left out", value, limit, passed, reason
 
 
@@ -361,9 +580,9 @@ def _fusion_tests(fused: Fused, options: TrackImuOptions) -> Iterator[Test]:
 def _answer(run: Run) -> str:
     if run.by_paper:
         return f"Velocity and position follow Shang et al. (2012), {run.setup.options.motion_mode} mode."
-    if not np.isfinite(run.motion.position).any():
+    if not np.isfinite(run.motion["position"]).any():
         return "Only the attitude is given: positions and velocities are empty."
-    half = BAND * np.max(run.motion.position_sd[:, :2], axis=1)
+    half = BAND * np.max(run.motion["position_sd"][:, :2], axis=1)
     if not run.alone:
         return f"The position is known to ± {np.median(half):.4f} m (median of the 95 % band)."
     if run.trusted_until_s is None:
@@ -378,11 +597,11 @@ def _tables(run: Run) -> list[Table]:
         offset = run.fused.offset
         rows.append(["clock offset (ms)", 1e3 * offset.value_s, 1e3 * BAND * offset.stderr_s])
     if not run.by_paper:
-        half = BAND * np.max(moved.position_sd[:, :2], axis=1)
-        yaw, yaw_sd = angles(moved.rotation)[2][-1], moved.angle_sd[-1, 2]
-        band = _rms(BAND * run.surge_osc_sd)
+        half = BAND * np.max(moved["position_sd"][:, :2], axis=1)
+        yaw, yaw_sd = moved["angle"][-1, 2], moved["angle_sd"][-1, 2]
+        band = _rms(BAND * moved["surge_sd"])
         rows += [
-            ["surge within a stroke, rms (m/s)", _rms(run.surge_osc), band],
+            ["surge within a stroke, rms (m/s)", _rms(moved["surge"]), band],
             ["position in the plane, maximum (m)", None, _largest(half)],
             ["heading at the end (deg)", float(yaw / DEG), float(BAND * yaw_sd / DEG)],
         ]
@@ -417,39 +636,35 @@ def _methods(run: Run) -> list[str]:
 
 
 def _figures(run: Run) -> list[Figure]:
-    moved = run.motion
-    velocity = _panels(run, ["surge", "sway", "heave"], "m/s", moved.body_velocity, moved.body_velocity_sd)
+    velocity = _panels(run, ["surge", "sway", "heave"], "m/s", "body_velocity")
     if not run.by_paper:
-        surge, surge_sd = run.surge_osc[:, None], run.surge_osc_sd[:, None]
-        velocity = [*_panels(run, ["surge within a stroke"], "m/s", surge, surge_sd), *velocity]
-    turn = np.column_stack(angles(moved.rotation)) / DEG
+        velocity = [*_panels(run, ["surge within a stroke"], "m/s", "surge"), *velocity]
     parts = {
         "Body velocity": velocity,
-        "Position": _panels(run, "xyz", "m", moved.position, moved.position_sd, fixes=True),
-        "Attitude": _panels(run, motion.ANGLES, "deg", turn, moved.angle_sd / DEG),
+        "Position": _panels(run, "xyz", "m", "position"),
+        "Attitude": _panels(run, ANGLES, "deg", "angle", 1 / DEG),
     }
     caption = "The estimate with its 95 % band, rests shaded; points are those of the other log."
-    return [
-        Figure(id=title.split()[-1].lower(), title=title, caption=caption, panels=panels)
-        for title, panels in parts.items()
-    ]
+    return [ev.panels(title.split()[-1].lower(), title, caption, panels) for title, panels in parts.items()]
 
 
-def _panels(
-    run: Run, names: Sequence[str], unit: str, values: Array, sds: Array, *, fixes: bool = False
-) -> list[Panel]:
-    """Return a panel over time for each column, with its band; ``fixes`` adds positions in the other log."""
-    t = run.setup.record.time_s
+def _panels(run: Run, names: Sequence[str], unit: str, quantity: str, factor: float = 1.0) -> list[Panel]:
+    """Return a panel over time for each component of a quantity, with its band.
+
+    The positions in the other log are shown with those of the motion. ``factor`` converts the quantity to
+    ``unit``.
+    """
+    t, values, sds = run.setup.record.time_s, run.motion[quantity], run.motion[f"{quantity}_sd"]
     rests = [period for period in _still_periods(run) if period["used_as_rest"]]
-    spans = [Span(start=rest["from_s"], end=rest["to_s"], label="rest") for rest in rests]
+    spans = [{"start": rest["from_s"], "end": rest["to_s"], "label": "rest"} for rest in rests]
     every = slice(None, None, max(len(t) // N_DRAWN, 1))
     panels = []
     for k, name in enumerate(names):
-        x, y = t[every], values[every, k]
-        traces = [ev.band(x, y, BAND * sds[every, k], label="estimate", group=0)]
-        if fixes and run.poses is not None and run.fused is not None:
+        x, y, half = t[every], factor * values[every, k], BAND * factor * sds[every, k]
+        traces = [ev.band(x, y, half, label="estimate", group=0)]
+        if quantity == "position" and run.poses is not None and run.fused is not None:
             seen = slice(None, None, max(len(run.poses.time_s) // N_DRAWN, 1))
             x, y = run.poses.time_s[seen] + run.fused.offset.value_s, run.poses.position[seen, k]
             traces.append(Trace(x=x, y=y, label="other log", style="points", group=1))
-        panels.append(Panel(x_label="time (s)", y_label=f"{name} ({unit})", traces=traces, spans=spans))
+        panels.append(ev.panel("time (s)", f"{name} ({unit})", traces, spans=spans))
     return panels
