@@ -10,8 +10,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from swimid.blackbox.difference import Orders
-from swimid.blackbox.model import ArxModel
+from swimid.blackbox.model import ArxModel, Orders
 from swimid.effects import actuation
 from swimid.effects.base import Affected
 from swimid.fitting import drives

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
-from swimid.blackbox.difference import Orders
-from swimid.blackbox.model import ArxModel
+from swimid.blackbox.model import ArxModel, Orders
 from swimid.effects import sensing
 from swimid.effects.base import Affected
 from swimid.fitting import drives

@@ -10,8 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from swimid.blackbox.difference import Record
-from swimid.blackbox.model import ArxModel, sine_input
+from swimid.blackbox.model import ArxModel, Record, sine_input
 from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
