@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -84,22 +84,21 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
     return mass
 
 
-def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float | None]:
-    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; None for each trial if no frontal area is known."""
-    factors: list[float | None] = []
+def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float]:
+    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; 0 for each trial if no frontal area is known."""
+    factors: list[float] = []
     for entry in entries:
-        area = entry.frontal_area_m2 or robot.body.frontal_area_m2
-        density = entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3
-        factors.append(None if area is None else 0.5 * density * area)
-        if area is None and entry.fluid_density_kg_m3 is not None:
+        area = entry.frontal_area_m2 or robot.body.frontal_area_m2 or 0.0
+        factors.append(0.5 * (entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3) * area)
+        if not area and entry.fluid_density_kg_m3 is not None:
             raise InputError(
                 f"the density of the fluid in '{entry.id}' has no effect without a frontal area",
                 file=path,
                 column="fluid_density_kg_m3",
                 hint="give frontal_area_m2 in the trial or in the robot file",
             )
-    if any(factors) and None in factors:
-        missing = entries[factors.index(None)].id
+    if any(factors) and not all(factors):
+        missing = entries[factors.index(0.0)].id
         raise InputError(
             f"some trials have a frontal area and '{missing}' has none", file=path, column="frontal_area_m2"
         )
@@ -115,27 +114,15 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     for entry, factor in zip(entries.trials, factors, strict=True):
         log = read_log(entry, path.parent, required=("x_m",))
         logs.append(log.source)
-        there = np.isfinite(log["x_m"])
-        time, position = log.time_s[there], log["x_m"][there]
-        if len(time) < MIN_SAMPLES:
-            raise InputError(
-                f"has {len(time)} displacement samples; a fit needs at least {MIN_SAMPLES}",
-                file=log.path,
-                column="x_m",
-            )
-        time, position = _without_standstill(log, time, position)
-        if position[-1] <= position[0]:
-            raise InputError(
-                "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
-            )
+        time, position = _without_standstill(log)
         records.append(read_encoder(time, position, robot.rig.encoder_resolution_m))
         known.append(_drop(path, entry, robot, factor, time, position, records[-1]))
     model = rig.falling_weight(
         mass_kg=float(np.median([k.inertia for k in known])) or 1.0,
         force_N=float(np.median([k.pull for k in known])),
-        area_known=factors[0] is not None,
+        area_known=factors[0] > 0,
         pulley=any(k.pulley for k in known),
-        speed_m_s=_typical([np.ptp(r.position) / np.ptp(r.time_s) for r in records]),
+        speed_m_s=float(np.median([np.ptp(r.position) / np.ptp(r.time_s) for r in records])) or 0.1,
     )
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
@@ -143,74 +130,78 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         # the release lies within one trial duration of the start of the log
         bounds={"clock_offset": (-span, span)},
         # if a drop starts outside the origin, its start position has the noise of the first sample
-        freed=("start_offset",) if any(k.x0 != 0 for k in known) else (),
+        freed=("start_offset",) * any(k.x0 != 0 for k in known),
     )
 
     def trials(rounding: str) -> list[Trial]:
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
-            position = true_position(record, rounding)
+            clicks = record.kind == "clicks"
             # the row that defines the origin is not a measurement
-            first = int(record.kind == "clicks" and record.position[0] == 0)
-            made.append(
-                Trial(
-                    id=entry.id,
-                    role=entry.role,
-                    time_s=record.time_s[first:],
-                    measured={"x_m": position[first:]},
-                    rig=one,
-                    value_sd={"x_m": record.position_sd} if record.position_sd else {},
-                    time_sd_s=record.time_sd_s,
-                    stamps_uncertain=record.kind == "clicks",
-                )
-            )
+            rows = slice(int(clicks and record.position[0] == 0), None)
+            position = {"x_m": true_position(record, rounding)[rows]}
+            trial = Trial(entry.id, entry.role, record.time_s[rows], position, rig=one)
+            if record.position_sd:
+                trial = replace(trial, value_sd={"x_m": record.position_sd})
+            made.append(replace(trial, time_sd_s=record.time_sd_s, stamps_uncertain=clicks))
         return made
 
     variants = {}
     if any(r.kind == "sampled" for r in records):
         variants = {name: trials(name) for name in ROUNDINGS}
-    return Experiment(
-        name="falling-weight",
-        robot=robot,
-        model=model,
-        trials=trials("floor"),
-        inputs=inputs_of(path, entries, logs),
-        variants=variants,
-        facts={"pulling_mass_kg": {e.id: e.pulling_mass_kg for e in entries.trials}},
-    )
+    inputs, pulling = inputs_of(path, entries, logs), {e.id: e.pulling_mass_kg for e in entries.trials}
+    facts = {"pulling_mass_kg": pulling}
+    return Experiment("falling-weight", robot, model, trials("floor"), inputs, variants, facts)
 
 
-def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, Array]:
-    """Remove the end of a drop in which the body stands still because it has reached the wall."""
+def _without_standstill(log: Log) -> tuple[Array, Array]:
+    """Return time and displacement without the end in which the body stands still at the wall.
+
+    Raises
+    ------
+    InputError
+        If there are too few samples, or if the displacement does not grow.
+    """
+    there = np.isfinite(log["x_m"])
+    time, position = log.time_s[there], log["x_m"][there]
+    if len(time) < MIN_SAMPLES:
+        raise InputError(
+            f"has {len(time)} displacement samples; a fit needs at least {MIN_SAMPLES}",
+            file=log.path,
+            column="x_m",
+        )
     span = float(position.max() - position.min())
     noise = float(np.median(np.abs(np.diff(position, 2))))
     arrived = position.max() - max(0.01 * span, 6.0 * noise)
     before = np.flatnonzero(position < arrived)
-    if not len(before) or len(position) - before[-1] < 6:
-        return time, position
-    last = int(before[-1]) + 1
     reference = np.flatnonzero(position < position.min() + 0.7 * (arrived - position.min()))
-    if not len(reference) or time[last] <= time[reference[-1]]:
-        return time, position
-    speed = (position[last] - position[reference[-1]]) / (time[last] - time[reference[-1]])
-    needed = 0.0
-    if speed > 0:
-        needed = (position.max() - arrived) / speed
-    if time[-1] - time[last] < max(5.0 * needed, 0.05 * (time[last] - time[0])):
-        return time, position
-    warn(
-        "SWM018",
-        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; the {time[-1] - time[last]:.3g} "
-        "s after that are left out (set another end with end_s in the trials file)",
-    )
-    return time[:last], position[:last]
+    if len(before) and len(reference) and len(position) - before[-1] >= 6:
+        last, far = int(before[-1]) + 1, int(reference[-1])
+        # time in which a body that moves on covers the rest of the distance
+        needed = 0.0
+        if time[last] > time[far] and position[last] > position[far]:
+            speed = (position[last] - position[far]) / (time[last] - time[far])
+            needed = (position.max() - arrived) / speed
+        still = time[-1] - time[last]
+        if time[last] > time[far] and still >= max(5.0 * needed, 0.05 * (time[last] - time[0])):
+            warn(
+                "SWM018",
+                f"{log.path.name}: the body stands still from {time[last]:.3g} s on; the {still:.3g} s after "
+                "that are left out (set another end with end_s in the trials file)",
+            )
+            time, position = time[:last], position[:last]
+    if position[-1] <= position[0]:
+        raise InputError(
+            "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
+        )
+    return time, position
 
 
 def _drop(
     path: Path,
     entry: FallingWeightTrial,
     robot: Robot,
-    factor: float | None,
+    factor: float,
     time: Array,
     position: Array,
     record: Displacement,
@@ -246,9 +237,7 @@ def _drop(
         release -= 1.4 * float(quickest)
     if from_origin:
         x0 = 0.0
-    return RigInput(
-        inertia=mass, force=force, pulley=pulley, area_factor=factor or 0.0, release_s=release, x0=x0
-    )
+    return RigInput(inertia=mass, force=force, pulley=pulley, area_factor=factor, release_s=release, x0=x0)
 
 
 # ------------------------------------------------------------ towed
@@ -256,11 +245,12 @@ def _drop(
 
 def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
     factors = _area_factors(entries.trials, robot, path)
-    trials, logs, forces = [], [], []
+    trials, logs, forces, speeds = [], [], [], []
     for entry, factor in zip(entries.trials, factors, strict=True):
         log = read_log(entry, path.parent, required=("force_N",), optional=("x_m", "u_m_s"))
         logs.append(log.source)
-        if "x_m" not in log and "u_m_s" not in log:
+        measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
+        if not measured:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
         force = log["force_N"]
         if np.isnan(force).any():
@@ -270,35 +260,24 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
                 line=log.line(int(np.argmax(np.isnan(force)))),
                 column="force_N",
             )
-        measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
-        first = 0.0
-        if "x_m" in measured:
-            first = float(measured["x_m"][np.isfinite(measured["x_m"])][0])
+        x = measured.get("x_m", np.zeros(1))
+        if "u_m_s" in measured:
+            speeds.append(float(np.nanmean(np.abs(measured["u_m_s"]))))
+        else:
+            speeds.append(float((np.nanmax(x) - np.nanmin(x)) / np.ptp(log.time_s)))
         forces.append(float(np.sqrt(np.mean(force**2))))
-        mass, begin = _mass(entry, robot, path), float(log.time_s[0])
-        known = RigInput(mass, area_factor=factor or 0.0, release_s=begin, x0=first)
+        mass, begin, first = _mass(entry, robot, path), float(log.time_s[0]), float(x[np.isfinite(x)][0])
+        known = RigInput(mass, area_factor=factor, release_s=begin, x0=first)
         trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, known))
     model = rig.towed(
         mass_kg=float(np.median([t.rig.inertia for t in trials])),
         force_N=max(float(np.median(forces)), 1e-9),
-        area_known=factors[0] is not None,
-        speed_m_s=_typical([_mean_speed(t) for t in trials]),
+        area_known=factors[0] > 0,
+        speed_m_s=float(np.median(speeds)) or 0.1,
     )
     if not any("x_m" in t.measured for t in trials):
         model.parameters = chosen(model.parameters, fixed={"start_offset": 0.0})
     return Experiment("towed", robot, model, trials, inputs_of(path, entries, logs))
-
-
-def _mean_speed(trial: Trial) -> float:
-    if "u_m_s" in trial.measured:
-        return float(np.nanmean(np.abs(trial.measured["u_m_s"])))
-    x = trial.measured["x_m"]
-    return float((np.nanmax(x) - np.nanmin(x)) / np.ptp(trial.time_s))
-
-
-def _typical(speeds: Sequence[float]) -> float:
-    """Return the median of speeds, m/s; 0.1 m/s if the median is zero."""
-    return float(np.median(speeds)) or 0.1
 
 
 # ------------------------------------------------------------ free decay
