@@ -33,14 +33,14 @@ MIN_SAMPLES = 5
 #: Maximum initial position, as a fraction of the drop distance, at which a drop is taken to start at the
 #: origin.
 ORIGIN_RTOL = 0.02
-_INERTIA = "trials.inertial_mass_kg"
+MASS = "inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
 #: Keys of a trials file that have an effect, by experiment.
 USES = {
     "falling-weight": trials_format.EVERYWHERE
-    | {"trials.pulling_mass_kg", "trials.driving_force_N", _INERTIA, *_DRAG},
-    "towed": trials_format.EVERYWHERE | {_INERTIA, *_DRAG},
-    "free-decay": trials_format.EVERYWHERE | {_INERTIA},
+    | {"trials.pulling_mass_kg", "trials.driving_force_N", f"trials.{MASS}", *_DRAG},
+    "towed": trials_format.EVERYWHERE | {f"trials.{MASS}", *_DRAG},
+    "free-decay": trials_format.EVERYWHERE | {f"trials.{MASS}"},
 }
 
 
@@ -78,7 +78,7 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
         raise InputError(
             f"the trial '{entry.id}' has no inertial mass",
             file=path,
-            column="inertial_mass_kg",
+            column=MASS,
             hint=f"give it in the trial, or as body.inertial_mass_kg of the robot '{robot.name}'",
         )
     return mass
@@ -288,9 +288,6 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
     name = coordinate or _coordinate(logs)
     rotation = rig.COORDINATES[name][2]
     axis = name.removesuffix("_rad")
-    stiffness_key = "stiffness_N_m"
-    if rotation:
-        stiffness_key = f"{axis}_stiffness_N_m_rad"
     trials, periods, amplitudes = [], [], []
     for entry, log in zip(entries.trials, logs, strict=True):
         if name not in log:
@@ -302,11 +299,12 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         known = RigInput(inertia, release_s=float(time[0]), x0=float(values[0]))
         trials.append(Trial(entry.id, entry.role, time, {name: values}, rig=known))
     inertia = trials[0].rig.inertia
-    stiffness = getattr(robot.rig, stiffness_key, None)
+    stiffness = robot.rig.stiffness_N_m
+    if rotation:
+        stiffness = getattr(robot.rig, f"{axis}_stiffness_N_m_rad", None)
     gravity = getattr(robot.rig, f"{axis}_gravity_stiffness_N_m_rad", None)
     if gravity is not None and stiffness is None:
         stiffness = 0.0
-    guess = inertia * (2 * math.pi / float(np.median(periods))) ** 2
     if stiffness is None:
         warn(
             "SWM019",
@@ -317,7 +315,7 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         name,
         inertia=inertia,
         stiffness=stiffness,
-        guess=guess,
+        guess=inertia * (2 * math.pi / float(np.median(periods))) ** 2,
         amplitude=float(np.median(amplitudes)),
         gravity=gravity or 0.0,
     )
@@ -337,18 +335,16 @@ def _coordinate(logs: list[Log]) -> str:
 
 
 def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
+    """Return the known mass or moment of inertia of a free decay; 1 if a moment of inertia is unknown."""
+    if not rotation and _mass(entry, robot, path) == 0:
+        raise InputError("a free decay needs an inertial mass above zero", file=path, column=MASS)
     if not rotation:
-        mass = _mass(entry, robot, path)
-        if mass == 0:
-            raise InputError(
-                "a free decay needs an inertial mass above zero", file=path, column="inertial_mass_kg"
-            )
-        return mass
+        return _mass(entry, robot, path)
     if entry.inertial_mass_kg is not None:
         raise InputError(
             f"the mass of '{entry.id}' has no effect on a free decay in {axis}",
             file=path,
-            column="inertial_mass_kg",
+            column=MASS,
             hint=f"the inertia is {axis}_inertia_kg_m2 of the robot file",
         )
     inertia = getattr(robot.body, f"{axis}_inertia_kg_m2")
@@ -358,8 +354,7 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
             f"the robot '{robot.name}' has no {axis}_inertia_kg_m2: all parameters are per unit of "
             "total inertia",
         )
-        return 1.0
-    return float(inertia)
+    return float(inertia or 1.0)
 
 
 def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Array]:
@@ -432,19 +427,16 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     largest = float(heights.max())
     slack = max(EXTREME_RTOL * largest, 3.0 * math.sqrt(2.0) * noise)
     first = int(np.argmax(heights >= largest - slack))
-    begin = 0
-    if first:
-        begin = int(crossings[first - 1])
+    begin, end = ([0, *crossings.tolist()][first + k] for k in (0, 1))
     period = _period(time, crossings[first:])
     amplitude = 0.5 * float(heights[first])
-    end = int(crossings[first])
-    part, extreme = values[begin:end], float(extremes[first])
+    part, since = values[begin:end], time[begin:end] - time[begin]
     margin = max(EXTREME_RTOL * amplitude, 3.0 * noise)
-    near = np.flatnonzero(np.abs(part - extreme) <= margin)
-    held = time[begin + near[-1]] - time[begin + near[0]] > HELD_PERIODS * period
-    still = np.flatnonzero(np.abs(part - part[0]) > margin)
-    waits = first == 0 and len(still) > 0 and time[begin + still[0]] - time[begin] > HELD_PERIODS * period
-    late = time[begin + near[0]] - time[begin] > 0.5 * period
+    near = np.flatnonzero(np.abs(part - extremes[first]) <= margin)
+    held = since[near[-1]] - since[near[0]] > HELD_PERIODS * period
+    moving = since[np.abs(part - part[0]) > margin]
+    waits = first == 0 and len(moving) > 0 and moving[0] > HELD_PERIODS * period
+    late = since[near[0]] > 0.5 * period
     if held:
         level = float(np.median(part[near]))
         spread = 1.4826 * float(np.median(np.abs(part[near] - level)))
@@ -482,13 +474,15 @@ class Displacement:
         that the displacement is exact and the time has an error. ``sampled``: the rows are the count of the
         encoder at regular times.
     time_s, position : ndarray, shape (n,)
-        Samples of the record. If ``events`` is true, these are the times at which a sampled count changed.
+        Samples of the record. If ``rounded`` is 0 or 1, these are the times at which a sampled count changed.
     resolution : float or None
         Step of the encoder, in the unit of the displacement; None without an encoder.
     time_sd_s : float or ndarray, shape (n,)
         Standard deviation of the times, due to the sampling interval.
     position_sd : float
         Standard deviation of the positions, due to the step of the encoder.
+    rounded : int or None
+        Number of the case in :data:`ROUNDINGS`; None if the positions are not those of a sampled count.
     """
 
     kind: Literal["continuous", "clicks", "sampled"]
@@ -497,7 +491,7 @@ class Displacement:
     resolution: float | None = None
     time_sd_s: float | Array = 0.0
     position_sd: float = 0.0
-    events: bool = False
+    rounded: int | None = None
 
 
 #: Roundings of an encoder count. Each has the true position minus the count, in steps, in three cases: when
@@ -531,9 +525,10 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
         # the time of the change is uniformly distributed between the two samples
-        return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, events=True)
+        falls = int(middle[-1] < middle[0])
+        return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, falls)
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
-        return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0))
+        return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0), 2)
     return plain
 
 
@@ -545,15 +540,13 @@ def third_difference_sd(values: Array) -> float:
     """
     rough = np.abs(np.diff(values, 3))
     # normal noise has the median absolute value 0.6745 sd, and its third difference has 20 times the variance
-    return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0))) if len(rough) else 0.0
+    if not len(rough):
+        return 0.0
+    return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0)))
 
 
 def true_position(record: Displacement, rounding: str) -> Array:
     """Return the true positions of a record, shape (n,), for one of the :data:`ROUNDINGS` of its counts."""
-    if record.kind != "sampled" or record.resolution is None:
+    if record.rounded is None or record.resolution is None:
         return record.position
-    rising, falling, shown = ROUNDINGS[rounding]
-    shift = shown
-    if record.events:
-        shift = falling if record.position[-1] < record.position[0] else rising
-    return record.position + shift * record.resolution
+    return record.position + ROUNDINGS[rounding][record.rounded] * record.resolution
