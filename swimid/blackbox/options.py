@@ -68,6 +68,11 @@ class RwlsOptions(
         "Repeatable.",
     )
 
+    @property
+    def delay(self) -> int:
+        """Delay of b1, samples."""
+        return 1 if self.nk is None else self.nk
+
     @model_validator(mode="after")
     def _check_together(self) -> Self:
         if (self.na is None) != (self.nb is None):

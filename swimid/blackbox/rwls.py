@@ -82,6 +82,8 @@ MIN_FIT_PERCENT = 50.0
 #: Maximum condition number of the scaled regression. A regression with a larger condition number is reported
 #: as ill-conditioned.
 MAX_CONDITION = 1e6
+#: Names of the quantities of a computed sine.
+SINE = ("amplitude", "frequency_hz", "phase_rad")
 REFERENCES = [
     PAPER,
     "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977.",
@@ -179,15 +181,12 @@ def rwls(
 # ---------------------------------------------------------------- checks and warnings
 
 
-def _deciding_scores(m: Identified) -> dict[str, Scores]:
-    """Return the errors by which the model is judged: on held-out data, or on the fitted data if none."""
-    return dict(m.scores) or {"the fitted part": m.fit_scores}
-
-
 def _checks(m: Identified) -> list[Check]:
-    fitted, pole = m.estimate, m.critical_pole
+    fitted, pole, count = m.estimate, m.critical_pole, m.estimate.orders.count
     checks = [
-        ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
+        ev.check(
+            "Held-out data", str(len(m.held_out)), bool(m.held_out), "some", reason="no data were held out"
+        ),
         ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
     ]
     otherwise: Literal["warn", "fail"] = "warn"
@@ -199,13 +198,13 @@ def _checks(m: Identified) -> list[Check]:
         checks.append(
             ev.check("Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason)
         )
-    runs = _deciding_scores(m)
-    if m.fit_scores.diverged:
-        runs["the fitted part"] = m.fit_scores
-    for name, s in runs.items():
-        fit, value = s.free_run.fit_percent, f"{s.free_run.fit_percent:.1f} % fit"
+    runs = m.judged
+    if m.fit.diverged:
+        runs["the fitted part"] = m.fit
+    for name, part in runs.items():
+        fit, value = part.free_run.fit_percent, f"{part.free_run.fit_percent:.1f} % fit"
         otherwise, passed = "warn", False
-        if s.diverged:
+        if part.diverged:
             otherwise, reason = "fail", f"the free run diverges on {name}"
         elif fit < 0:
             otherwise = "fail"
@@ -225,17 +224,10 @@ def _checks(m: Identified) -> list[Check]:
         checks.append(
             ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
         )
-    lost = _undetermined(m)
-    value = f"{fitted.orders.count - len(lost)} of {fitted.orders.count}"
-    reason = f"the data do not determine {', '.join(lost)}"
+    lost = m.undetermined
+    value, reason = f"{count - len(lost)} of {count}", f"the data do not determine {', '.join(lost)}"
     excited = f"the input excites {fitted.known.input_rank} of the {fitted.orders.nb} coefficients of B"
     return [*checks, ev.check("Coefficients determined", value, not lost, "all", excited, reason=reason)]
-
-
-def _undetermined(m: Identified) -> list[str]:
-    """Return the names of the coefficients that the data do not determine."""
-    pairs = zip(m.estimate.orders.names, m.estimate.stderr, strict=True)
-    return [name for name, stderr in pairs if not math.isfinite(stderr)]
 
 
 def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
@@ -252,24 +244,26 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
             f"regression restarted {restarts} times at gaps; no value was filled in",
         )
     if point.removed:
-        text = (
+        yield (
+            "SWM021",
             f"means of the fitted part subtracted: {data.columns.source} {point.source:.6g}, "
             f"{data.columns.output} {point.output:.6g} (constant term t = {point.t:.1f}); the model is of "
-            "deviations from them"
+            "deviations from them",
         )
-        yield "SWM021", text
     for check in checks:
         if check.name in CODES and check.verdict != "pass":
             yield CODES[check.name], check.reason
     source = np.concatenate([record.source for record in data.fit])
-    if np.ptp(source[np.isfinite(source)]) == 0:
-        yield "SWM022", "the input is constant: B is an offset of the output and says nothing of the input"
-    elif known.input_rank < nb:
-        text = f"the input excites {known.input_rank} of the {nb} coefficients of B"
+    regressions = {
+        "the input is constant: B is an offset of the output and says nothing of the input": np.nanmin(source)
+        == np.nanmax(source),
+        f"the input excites {known.input_rank} of the {nb} coefficients of B": known.input_rank < nb,
+        f"the regression is ill-conditioned (condition number {known.condition:.1e}): lower the orders": (
+            known.condition > MAX_CONDITION
+        ),
+    }
+    for text in [text for text, applies in regressions.items() if applies][:1]:
         yield "SWM022", text
-    elif known.condition > MAX_CONDITION:
-        text = f"the regression is ill-conditioned (condition number {known.condition:.1e})"
-        yield "SWM022", f"{text}: lower the orders"
     if fitted.recursion.limited:
         yield (
             "SWM022",
@@ -277,66 +271,49 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
             f"{fitted.recursion.limited} of {len(fitted.data)} samples",
         )
     for name in m.worse:
-        here, fit = (f"{s.free_run.rmse:.3g} {unit}".rstrip() for s in (m.scores[name], m.fit_scores))
+        here, fit = (f"{part.free_run.rmse:.3g} {unit}".rstrip() for part in (m.held_out[name], m.fit))
         yield "SWM015", f"the free-run error is {here} on {name}, {fit} on the fitted part"
 
 
 # ---------------------------------------------------------------- parameter file
 
 
-def _settings(m: Identified) -> dict[str, Any]:
-    """Return the options as the parameter file contains them, with the orders, columns and levels in use."""
-    columns = m.data.columns
+def _parameter_file(m: Identified) -> parameters.ParameterFile:
+    """Return the parameter file. Its settings have the orders, columns and levels in use."""
+    fitted, data, columns = m.estimate, m.data, m.data.columns
+    orders, names, lost = fitted.orders, fitted.orders.names, m.undetermined
+    unit, channel, pole = columns.unit, columns.output, m.critical_pole
     settings: dict[str, Any] = {
-        "orders": asdict(m.estimate.orders),
+        "orders": asdict(orders),
         "order": "least BIC" if m.candidates else "given",
         "input": columns.source,
-        "output": columns.output,
-        "output_unit": columns.unit,
+        "output": channel,
+        "output_unit": unit,
         **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre"}),
         "input_level": m.point.source,
         "output_level": m.point.output,
     }
     if columns.sine:
-        names = ("amplitude", "frequency_hz", "phase_rad")
-        settings["input_model"] = {"kind": "sine", **dict(zip(names, columns.sine, strict=True))}
-    return settings
-
-
-def _parameter_file(m: Identified) -> parameters.ParameterFile:
-    fitted, data = m.estimate, m.data
-    orders, names, lost = fitted.orders, fitted.orders.names, _undetermined(m)
-    unit, channel = data.columns.unit, data.columns.output
+        settings["input_model"] = {"kind": "sine", **dict(zip(SINE, columns.sine, strict=True))}
+    units = {"a": "1", "b": columns.gain_unit, "c": "1"}
     estimates = {
         name: parameters.Estimate(
-            value=float(value),
-            stderr=_finite(stderr),
-            unit=data.columns.gain_unit if name.startswith("b") else "1",
-            status="unidentifiable" if name in lost else "estimated",
+            value=float(value), stderr=_finite(stderr), unit=units[name[0]], status="estimated"
         )
         for name, value, stderr in zip(names, fitted.theta, fitted.stderr, strict=True)
     }
+    for name in lost:
+        estimates[name].status = "unidentifiable"
+    words = (
+        f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
+        f"{', '.join(lost)} are determined."
+    )
     validation: dict[str, Any] = {}
-    if m.scores:
-        held_out = [record for part in m.held_out.values() for record in part]
+    if m.held_out:
+        held_out = [record for part in m.held_out.values() for record in part.records]
         together = score(*simulate_all(held_out, orders, fitted.theta))
-        by_set = {name: s.as_dict(unit) for name, s in m.scores.items()}
+        by_set = {name: part.as_dict(unit) for name, part in m.held_out.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
-    words = []
-    if lost:
-        words.append(
-            f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
-            f"{', '.join(lost)} are determined."
-        )
-    details = {
-        "rows": len(fitted.data),
-        "rows_left_out": fitted.data.possible - len(fitted.data),
-        "condition": fitted.known.condition,
-        "input_excites": fitted.known.input_rank,
-        "stability": m.critical_pole.state if m.critical_pole else "stable",
-        "integrating": any(p.integrating for p in m.poles),
-    }
-    settings = _settings(m)
     # held-out data are named by a fraction, a file, or a log in memory
     shares = [
         str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in m.options.held_out
@@ -345,7 +322,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         model=NAME,
         robot=data.robot,
         parameters=estimates,
-        identifiability=words,
+        identifiability=[words] * bool(lost),
         correlation=parameters.Correlation(
             names=[name for name in names if name not in lost], matrix=fitted.correlation.tolist()
         ),
@@ -364,7 +341,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         settings=settings,
         fit=parameters.Fit(
             trials=data.logs,
-            channels={channel: {**m.fit_scores.free_run.as_dict(unit), **m.fit_scores.as_dict(unit)}},
+            channels={channel: {**m.fit.free_run.as_dict(unit), **m.fit.as_dict(unit)}},
             validation=validation,
             converged=True,
             noise={
@@ -376,7 +353,12 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
                 "input_independent_p": m.independent.p_value,
                 "standard_errors": "sandwich" if fitted.robust else "sigma^2 (H'H)^-1",
             },
-            **details,
+            rows=len(fitted.data),  # type: ignore[call-arg]
+            rows_left_out=fitted.data.possible - len(fitted.data),  # type: ignore[call-arg]
+            condition=fitted.known.condition,  # type: ignore[call-arg]
+            input_excites=fitted.known.input_rank,  # type: ignore[call-arg]
+            stability=pole.state if pole else "stable",  # type: ignore[call-arg]
+            integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
         ),
         provenance=provenance.collect(data.files, settings={**settings, "validate": shares}),
     )
@@ -393,8 +375,8 @@ def _evidence(
     m: Identified, provenance: dict[str, Any], checks: list[Check], notices: list[NoticeRecord]
 ) -> Evidence:
     columns = m.data.columns
-    least = min(s.free_run.fit_percent for s in _deciding_scores(m).values())
-    where = "held-out" if m.scores else "fitted"
+    least = min(part.free_run.fit_percent for part in m.judged.values())
+    where = "held-out" if m.held_out else "fitted"
     answer = f"The free run does not reproduce the {where} output."
     if least >= 0:
         answer = f"The free run reproduces {least:.1f} % of the {where} output."
@@ -415,10 +397,10 @@ def _evidence(
 
 def _errors(m: Identified) -> Table:
     rows: list[list[blocks.Cell]] = []
-    for name, s in {"fitted": m.fit_scores, **m.scores}.items():
-        kinds = {"one step": s.one_step, "free run": s.free_run}
-        if s.strict is not None:
-            kinds["free run, predicted level"] = s.strict
+    for name, part in {"fitted": m.fit, **m.held_out}.items():
+        kinds = {"one step": part.one_step, "free run": part.free_run}
+        if part.strict is not None:
+            kinds["free run, predicted level"] = part.strict
         for kind, q in kinds.items():
             share = numbers.percent(q.nrmse)
             rows.append([name, kind, _finite(q.fit_percent), _finite(q.rmse), share, q.samples])
@@ -468,24 +450,24 @@ def _methods(m: Identified) -> list[str]:
 
 def _free_run(m: Identified) -> Figure:
     """Return the figure of measured output and free run, for the worst and the best data set."""
-    sets, scores = dict(m.held_out) or {"the fitted part": m.fit}, _deciding_scores(m)
-    ranked = sorted(sets, key=lambda name: scores[name].free_run.fit_percent)
+    parts = m.judged
+    ranked = sorted(parts, key=lambda name: parts[name].free_run.fit_percent)
     panels = []
     for name in dict.fromkeys([ranked[0], ranked[-1]]):
-        level = m.point.output + scores[name].level
+        level = m.point.output + parts[name].level
         traces: list[Trace] = []
-        for record in sets[name]:
+        for record in parts[name].records:
             run = simulate(record, m.estimate.orders, m.estimate.theta)
             labels = ("", "") if traces else ("measured", "free run")
             for group, y in enumerate((record.output, run)):
                 x, shown = ev.thinned(record.time_s, y + level)
                 traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
         y_label = numbers.column_title(m.data.columns.output)
-        title = name.removesuffix(".csv") * (len(sets) > 1)
+        title = name.removesuffix(".csv") * (len(parts) > 1)
         panels.append(blocks.panel("time (s)", y_label, traces, title=title))
     caption = "The free run is simulated from the input alone, after its first samples, about the mean level."
-    if len(sets) > 2:
-        caption += f" Shown are the worst and the best of {len(sets)} records."
+    if len(parts) > 2:
+        caption += f" Shown are the worst and the best of {len(parts)} records."
     return blocks.panels("free-run", "Measured and simulated output", caption, panels)
 
 
@@ -534,17 +516,14 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     source = float(np.nanmean(np.concatenate([r.source for r in records])))
     output = float(np.nanmean(np.concatenate([r.output for r in records])))
     constant, t = constant_term(data)
+    size = abs(t) * bool(abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2)))
+    far = bool(abs(output) > FAR * np.std(data.outputs))
     point = WorkingPoint(source, output, t, True)
-    removed = mode != "none"
-    if mode == "auto":
-        size = abs(t) * bool(abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2)))
-        far = bool(abs(point.output) > FAR * np.std(data.outputs))
-        removed = size > CLEAR_T
-        if not removed and (far or size > LIKELY_T):
-            removed = _helps(records, orders, point, far=far, likely=size > WEAK_T)
-    if not removed:
-        return WorkingPoint(0.0, 0.0, t, False)
-    return point
+    if mode == "auto" and size <= CLEAR_T and (far or size > LIKELY_T):
+        mode = "mean" * _helps(records, orders, point, far=far, likely=size > WEAK_T)
+    if mode == "mean" or (mode == "auto" and size > CLEAR_T):
+        return point
+    return WorkingPoint(0.0, 0.0, t, False)
 
 
 def _helps(
@@ -621,17 +600,18 @@ def about_own_level(
 
 
 @dataclass(frozen=True)
-class Scores:
-    """Prediction errors on one set of records: one step ahead, and free run."""
+class Part:
+    """Records of one set of data, relative to the working point, and the prediction errors on them."""
 
+    records: list[Record]
     one_step: Score
     free_run: Score
     #: Whether the model is not stable and its free run diverges from the data.
     diverged: bool
-    #: Output level of these records, relative to the level of the fitted data.
+    #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
-    #: Free-run error at the output level of the fitted data. The other errors are computed at the output
-    #: level of the records themselves.
+    #: Free-run error at the output level of the fitted data. The records and the other errors are relative to
+    #: their own output level.
     strict: Score | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:
@@ -642,8 +622,8 @@ class Scores:
         return {"one_step": self.one_step.as_dict(unit), "free_run": free}
 
 
-def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) -> Scores:
-    """Return the prediction errors one step ahead and of the free run.
+def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) -> Part:
+    """Return records with the prediction errors one step ahead and of the free run.
 
     Raises
     ------
@@ -666,26 +646,22 @@ def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) 
         last = np.flatnonzero(np.isfinite(run))[-1:]
         stopped |= bool(len(last) and np.isfinite(record.source[last[0] + 1 :]).any())
     at_risk = any(pole.state != "stable" for pole in poles)
-    return Scores(one, free, bool(at_risk and (stopped or free.fit_percent < 0)))
+    return Part(records, one, free, bool(at_risk and (stopped or free.fit_percent < 0)))
 
 
 @dataclass(frozen=True)
 class Identified:
-    """Identified model with its data and prediction errors. Records are relative to the working point."""
+    """Identified model with its data and prediction errors."""
 
     options: RwlsOptions
     data: Data
     point: WorkingPoint
-    fit: list[Record]
-    #: Held-out records by the name of the data. If a working point was subtracted, they are relative to their
-    #: own output level.
-    held_out: Mapping[str, list[Record]]
+    fit: Part
+    #: Held-out records by the name of the data.
+    held_out: Mapping[str, Part]
     estimate: ArxEstimate
     #: Poles of the model, the largest magnitude first.
     poles: list[Pole]
-    fit_scores: Scores
-    #: Prediction errors on the held-out data, by the name of the data.
-    scores: Mapping[str, Scores]
     #: Orders of the order search with their BIC, lowest first; empty without a search.
     candidates: Sequence[tuple[Orders, float]]
 
@@ -694,12 +670,17 @@ class Identified:
         """Kind of the model: ``ARX``, or ``ARMAX`` if it has a noise polynomial."""
         return "ARMAX" if self.estimate.orders.nc else "ARX"
 
+    @property
+    def judged(self) -> dict[str, Part]:
+        """Data by which the model is judged: the held-out data, or the fitted data if none are held out."""
+        return dict(self.held_out) or {"the fitted part": self.fit}
+
     @cached_property
     def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
         """One-step residuals and input of the fitted records on one time grid, and number of lags to test."""
         data, lags = self.estimate.data, rt.default_lags(len(self.estimate.data))
         gap = 2 * lags + self.estimate.orders.lag
-        source = rt.joined([r.source for r in self.fit], gap=gap)
+        source = rt.joined([r.source for r in self.fit.records], gap=gap)
         return data.on_grid(self.estimate.residuals, gap=gap), source, lags
 
     @cached_property
@@ -711,8 +692,14 @@ class Identified:
     @property
     def worse(self) -> list[str]:
         """Names of the held-out data whose free-run error exceeds :data:`MAX_RATIO` times that of the fit."""
-        limit = MAX_RATIO * self.fit_scores.free_run.rmse
-        return [name for name, s in self.scores.items() if s.free_run.rmse > limit]
+        limit = MAX_RATIO * self.fit.free_run.rmse
+        return [name for name, part in self.held_out.items() if part.free_run.rmse > limit]
+
+    @property
+    def undetermined(self) -> list[str]:
+        """Names of the coefficients that the data do not determine."""
+        pairs = zip(self.estimate.orders.names, self.estimate.stderr, strict=True)
+        return [name for name, stderr in pairs if not math.isfinite(stderr)]
 
     @property
     def critical_pole(self) -> Pole | None:
@@ -734,29 +721,21 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
         candidates = _search(data, options, progress)
         orders = replace(candidates[0][0], nc=options.nc)
     else:
-        orders = Orders(options.na, options.nb, 1 if options.nk is None else options.nk, options.nc)
+        orders = Orders(options.na, options.nb, options.delay, options.nc)
     point = find_working_point(data.fit, orders, options.centre)
-    fit = shifted(data.fit, point)
-    fitted = estimate(
-        fit,
-        orders,
-        weight=options.weight,
-        forgetting=options.forgetting,
-        prior_scale=options.prior_scale,
-    )
+    how = options.model_dump(include={"weight", "forgetting", "prior_scale"})
+    fitted = estimate(shifted(data.fit, point), orders, **how)
     a, _, _ = orders.split(fitted.theta)
     poles = find_poles(a, fitted.covariance[: orders.na, : orders.na], data.sample_time_s)
-    held, scores = {}, {}
-    for name, part in data.held_out.items():
-        held[name] = shifted(part, point)
-        scores[name] = score_records(held[name], fitted, poles)
+    held_out = {}
+    for name, records in data.held_out.items():
+        part = score_records(shifted(records, point), fitted, poles)
         if point.removed:
-            strict = scores[name].free_run
-            held[name], level = about_own_level(held[name], orders, fitted.theta)
-            own = score_records(held[name], fitted, poles)
-            scores[name] = replace(own, level=level, strict=strict)
-    fit_scores = score_records(fit, fitted, poles)
-    return Identified(options, data, point, fit, held, fitted, poles, fit_scores, scores, candidates)
+            own, level = about_own_level(part.records, orders, fitted.theta)
+            part = replace(score_records(own, fitted, poles), level=level, strict=part.free_run)
+        held_out[name] = part
+    fit = score_records(shifted(data.fit, point), fitted, poles)
+    return Identified(options, data, point, fit, held_out, fitted, poles, candidates)
 
 
 def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[Orders, float]]:
@@ -764,7 +743,7 @@ def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[
     largest = options.max_order
     delays = range(options.max_nk + 1)
     if options.nk is not None:
-        delays = range(options.nk, options.nk + 1)
+        delays = range(options.delay, options.delay + 1)
     point = find_working_point(data.fit, Orders(largest, largest), options.centre)
     candidates = search_orders(shifted(data.fit, point), largest, delays, progress=progress)
     best = candidates[0][0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -38,15 +39,6 @@ MIN_CHANGE = 5.0
 MAX_MISSING = 1e-3
 
 
-@dataclass(frozen=True)
-class _Even:
-    """Evenly spaced measurements of a column: row numbers, times (s), and time between measurements."""
-
-    rows: Array
-    times_s: Array
-    period_s: float
-
-
 def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[str]]:
     """Return a log at the rate of its measurements, and a sentence for each column with repeated samples.
 
@@ -71,9 +63,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     as it is.
     """
     repeats, even, columns = [], None, dict(log.columns)
-    for column in (output, source):
-        if column is None:
-            continue
+    for column in [c for c in (output, source) if c is not None]:
         values = log[column]
         held, empty = find_held(log.time_s, [values]), np.isnan(values)
         # independent values between the repeated samples are the levels of a random command
@@ -82,28 +72,33 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
         own = _even_times(log.time_s, values, held)
         if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
             continue
-        what = "repeat the measurement before" if held.repeated.any() else "are empty"
+        what = "are empty"
+        if held.repeated.any():
+            what = "repeat the measurement before"
         text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
         if own is None:
             columns[column] = np.where(held.repeated, np.nan, values)
             text += f" at no even rate: they are left out, and the others may be {held.lateness_s:.6g} s late"
         else:
-            text += f": it is measured every {own.period_s:.6g} s"
+            text += f": it is measured every {usual_step(own[1]):.6g} s"
         if column == output and own is not None:
             even = own
             text += ", and the model is fitted at that rate"
         warn("SWM058", f"{log.path.name}: {text}; log each measurement once, with its own time")
         repeats.append(text)
     if even is not None:
-        columns = {name: values[even.rows] for name, values in log.columns.items()}
-        columns[TIME] = even.times_s
+        rows, times = even
+        columns = {name: values[rows] for name, values in log.columns.items()} | {TIME: times}
         if source is not None:
-            columns[source] = _means(log.time_s, log[source], even.times_s)
+            columns[source] = _means(log.time_s, log[source], times)
     return replace(log, columns=columns), repeats
 
 
-def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:
-    """Return a column's measurements if their rate is constant and below the rate of the log; else None."""
+def _even_times(time_s: Array, values: Array, held: Held) -> tuple[Array, Array] | None:
+    """Return the rows and the times (s) of a column's measurements if their rate is constant.
+
+    The result is None if the rate is not constant, or if it is the rate of the log.
+    """
     rows = np.flatnonzero(~(held.repeated | np.isnan(values)))
     lasts = np.diff(rows)
     if not (lasts > 1).any():
@@ -116,10 +111,10 @@ def _even_times(time_s: Array, values: Array, held: Held) -> _Even | None:
         for row, length in zip(rows.tolist(), [*lasts.tolist(), 1], strict=True):
             if length > 1 or not kept or row - kept[-1] >= factor:
                 kept.append(row)
-        return _Even(np.array(kept), time_s[kept], usual_step(time_s[kept]))
+        return np.array(kept), time_s[kept]
     if held.even:
         times = held.measured_s[rows]
-        return _Even(rows, times + float(np.min(time_s[rows] - times)), held.period_s)
+        return rows, times + float(np.min(time_s[rows] - times))
     return None
 
 
@@ -203,8 +198,7 @@ class Columns:
             return self.unit
         if source == self.unit:
             return "1"
-        parts = [f"({unit})" if {"/", " "} & set(unit) else unit for unit in (self.unit, source)]
-        return "/".join(parts)
+        return "/".join(re.sub(r"(.*[/ ].*)", r"(\1)", unit) for unit in (self.unit, source))
 
     @property
     def measured_source(self) -> str | None:
@@ -318,12 +312,12 @@ def _single(source: Source, role: Any, name: str) -> TrialEntry:
 def _agreed(listings: dict[Path, trials_format.Arma], key: Literal["input", "output", "robot"]) -> str | None:
     """Return the value of a key in the trials files that state it; raise an error if the values differ."""
     stated = {path: getattr(listed, key) for path, listed in listings.items() if getattr(listed, key)}
+    first = next(iter(stated), Path())
     for path, value in stated.items():
-        first = next(iter(stated))
         if value != stated[first]:
             text = f"'{value}' contradicts '{stated[first]}' of {first.name}"
             raise InputError(text, file=path, column=key)
-    return next(iter(stated.values()), None)
+    return stated.get(first)
 
 
 def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source]]:
@@ -374,17 +368,15 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
     rates = [sampling.rate(log.time_s) for log in logs]
     first_s = rates[0].step_s
     for name, log, rate in zip(names, logs, rates, strict=True):
-        text = ""
+        step = f"every {rate.step_s:.6g} s, the first log every {first_s:.6g} s"
         if not rate.uniform:
-            text = (
-                f"is not sampled at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole "
-                f"multiples of {rate.step_s:.6g} s"
+            step = (
+                f"at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole multiples of "
+                f"{rate.step_s:.6g} s"
             )
-        elif abs(rate.step_s / first_s - 1) > SAME_RATE:
-            text = f"is sampled every {rate.step_s:.6g} s, the first log every {first_s:.6g} s"
-        if text:
+        if not rate.uniform or abs(rate.step_s / first_s - 1) > SAME_RATE:
+            text = f"is {'not ' * (not rate.uniform)}sampled {step}; a discrete-time model needs one rate"
             hint = "resample the logs to one sample time"
-            text += "; a discrete-time model needs one rate"
             raise InputError(text, file=log.path, column="t_s", hint=hint)
         if rate.jitter > sampling.NOTABLE_JITTER:
             text = f"time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s"
