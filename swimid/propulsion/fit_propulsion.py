@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.propulsion import trials as propulsion_trials
-from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
+from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, strouhal, velocity_ratio
 from swimid.propulsion.options import FitPropulsionOptions
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
@@ -49,6 +50,8 @@ COLUMNS = {
     "Strouhal, axle": ("strouhal_axle", 1.0),
     "efficiency (%)": ("efficiency", 100.0),
 }
+#: Parameter file, checks, and other parts of the evidence of a fit, by name.
+Made = tuple[ParameterFile, list[ev.Check], dict[str, Any]]
 #: Exponent of the amplitude in the law of thrust.
 AMPLITUDE_EXPONENT = 2.0
 
@@ -116,19 +119,26 @@ def fit_propulsion(
         experiment = propulsion_trials.load(trials, drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
+        fit = _fit_recoil_law
         if experiment.name == "cruise":
             if options.start_state != "auto":
                 warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
-            file, evidence = _fit_recoil_law(experiment, choices, origin, options.keep_departures, progress)
         else:
+            fit = _fit_surge
             if options.drag is not None:
                 raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
             if options.keep_departures:
                 warn("SWM004", "--keep-departures belongs to a cruise experiment and has no effect here")
-            file, evidence = _fit_surge(
-                experiment, choices, origin, progress, from_rest=options.start_state == "rest"
-            )
-    evidence.notices = blocks.notices(notices)
+        file, checks, shown = fit(experiment, choices, origin, options, progress)
+    evidence = ev.Evidence(
+        command="fit-propulsion",
+        verdict=ev.judged(fit_common.answer(file), checks),
+        checks=checks,
+        notices=blocks.notices(notices),
+        references=list(experiment.robot.sources),
+        provenance=origin,
+        **shown,
+    )
     return Fitted.of(file, evidence).saved(output)
 
 
@@ -139,11 +149,12 @@ def _fit_surge(
     experiment: Experiment,
     choices: tuple[Parameter, ...],
     origin: dict[str, Any],
+    options: FitPropulsionOptions,
     progress: Progress,
-    *,
-    from_rest: bool = False,
-) -> tuple[ParameterFile, ev.Evidence]:
+) -> Made:
     """Fit thrust and drag to the surge averaged over tail beats.
+
+    The initial speed of each trial is estimated, unless the options say that all trials start at rest.
 
     Parameters
     ----------
@@ -151,9 +162,6 @@ def _fit_surge(
         Parameters of the model with the choices of the user.
     origin : dict
         Provenance of the inputs.
-    from_rest : bool
-        Whether trials are at rest at their first beat. Otherwise the initial speed of each trial is
-        estimated.
 
     Raises
     ------
@@ -161,28 +169,30 @@ def _fit_surge(
         If neither thrust nor drag can be identified.
     """
     model = experiment.model
-    if from_rest:
-        choices = tuple(replace(p, free=False) if p.name == "initial_speed" else p for p in choices)
+    assert isinstance(model, SurgeModel)
+    starts = "with the initial speed of each trial estimated"
+    if options.start_state == "rest":
+        starts = "with every trial from rest"
+        held = {p.name: replace(p, free=False) for p in choices if p.name == "initial_speed"}
+        choices = tuple(held.get(p.name, p) for p in choices)
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
     result = output_error.with_held_out(result)
     if all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
-    laws = {}
-    if len(amplitudes) > 1:
-        laws["amplitude_exponent"] = AMPLITUDE_EXPONENT
+    laws = {"amplitude_exponent": AMPLITUDE_EXPONENT}
+    if len(amplitudes) < 2:
+        laws = {}
     derived, exponent_checks = _free_exponents(model, experiment.trials, choices, laws, "thrust")
-    reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
+    reference = model.reference_amplitude_rad
     thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
     at_one = thrust / reference**exponent
     spread = math.hypot(
         (result.stderr("thrust_acceleration") or 0.0) / thrust,
         (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
     )
-    derived["thrust_coefficient"] = Estimate(
-        value=at_one, stderr=at_one * spread, unit="m/s^2", status="estimated"
-    )
+    derived["thrust_coefficient"] = _estimated(at_one, at_one * spread, "m/s^2")
     if spread >= UNIDENTIFIABLE:
         derived["thrust_coefficient"].status = "unidentifiable"
     beats = experiment.facts["beats"]
@@ -190,44 +200,30 @@ def _fit_surge(
     if measured:
         values = [float(b["found_hz"]) for b in measured]
         scatter = float(np.std(values) / math.sqrt(len(values)))
-        derived["beat_frequency"] = Estimate(
-            value=float(np.median(values)),
-            stderr=max(scatter, min(float(b["stderr_hz"]) for b in measured)),
-            unit="Hz",
-            status="estimated",
-        )
+        error = max(scatter, min(float(b["stderr_hz"]) for b in measured))
+        derived["beat_frequency"] = _estimated(float(np.median(values)), error, "Hz")
+    settings = {
+        "reference_amplitude_rad": reference,
+        "reference_frequency_hz": model.reference_frequency_hz,
+        **experiment.facts,
+    }
+    robot = experiment.robot.name
     file = fit_common.parameter_file(
-        result,
-        robot=experiment.robot.name,
-        provenance=origin,
-        derived=derived,
-        settings={
-            "reference_amplitude_rad": reference,
-            "reference_frequency_hz": model.reference_frequency_hz,  # type: ignore[attr-defined]
-            "beats": beats,
-            "waveform": experiment.facts["waveform"],
-            "asymmetry": experiment.facts["asymmetry"],
-        },
+        result, robot=robot, provenance=origin, derived=derived, settings=settings
     )
     checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
-    starts = "with the initial speed of each trial estimated"
-    if from_rest:
-        starts = "with every trial from rest"
-    evidence = ev.Evidence(
-        command="fit-propulsion",
-        title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
-        verdict=ev.judged(fit_common.answer(file), checks),
-        checks=checks,
-        figures=fit_common.figures(result),
-        methods=[
-            "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
-            f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
-            f"likelihood, {starts}.",
-        ],
-        references=list(experiment.robot.sources),
-        provenance=origin,
-    )
-    return file, evidence
+    methods = [
+        "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
+        f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
+        f"likelihood, {starts}.",
+    ]
+    title, figures = f"Propulsion of {robot}: beat-averaged surge", fit_common.figures(result)
+    return file, checks, {"title": title, "figures": figures, "methods": methods}
+
+
+def _estimated(value: float, stderr: float, unit: str) -> Estimate:
+    """Return a derived quantity."""
+    return Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
 
 # ---------------------------------------------------------------- recoil law
@@ -237,9 +233,9 @@ def _fit_recoil_law(
     experiment: Experiment,
     choices: tuple[Parameter, ...],
     origin: dict[str, Any],
-    keep_departures: bool,
+    options: FitPropulsionOptions,
     progress: Progress,
-) -> tuple[ParameterFile, ev.Evidence]:
+) -> Made:
     """Fit the law to all frequencies that follow it; standard errors include those of the drag file.
 
     Parameters
@@ -265,54 +261,44 @@ def _fit_recoil_law(
     everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(everything)
     departures: list[dict[str, Any]] = []
-    if not keep_departures:
+    if not options.keep_departures:
         departures = _find_departures(model, experiment.trials, choices)
-    kept, result = experiment.trials, everything
+    kept, result, left_out = experiment.trials, everything, [d["frequency_hz"] for d in departures]
     if departures:
-        kept = _without(experiment.trials, [d["frequency_hz"] for d in departures])
+        kept = _without(experiment.trials, left_out)
         result = output_error.fit(model, kept, parameters=choices, progress=progress)
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents, exponent_checks = _free_exponents(model, kept, choices, LAWS, "power")
-    result = _with_drag_error(result, kept, choices, experiment)
+    moved = _models_by_drag_error(experiment)
+    result = _with_drag_error(result, kept, choices, experiment.facts["drag"], moved)
     points = _operating_points(experiment, result)
     file = fit_common.parameter_file(
         result,
         robot=experiment.robot.name,
         provenance=origin,
-        derived=_derive(experiment, result, points) | exponents,
+        derived=_derive(experiment, result, points, moved) | exponents,
         settings={"drag_file": str(experiment.facts["drag_path"])},
     )
     file._drag = experiment.facts["drag"]
     assert file.fit is not None
     assert file.fit.model_extra is not None
     file.fit.model_extra.update(departures=departures, operating_points=points)
-    checks = [
-        *fit_common.checks(result, file),
-        _departure_check(departures, everything),
-        *exponent_checks,
+    departed = _departure_check(departures, everything)
+    methods = [
+        "Recoil efficiency and amplitude offset were estimated from the average speeds of "
+        f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
+        "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
+        "falling-weight rig and their uncertainty carried along.",
+        "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
     ]
-    evidence = ev.Evidence(
-        command="fit-propulsion",
-        title=f"Propulsion of {experiment.robot.name}: energy recoil law",
-        verdict=ev.judged(fit_common.answer(file), checks),
-        checks=checks,
-        tables=[_run_table(points)],
-        figures=[
-            _speed_figure(experiment, result, points, [d["frequency_hz"] for d in departures]),
-            _residual_figure(result),
-        ],
-        methods=[
-            "Recoil efficiency and amplitude offset were estimated from the average speeds of "
-            f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
-            "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
-            "falling-weight rig and their uncertainty carried along.",
-            "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
-        ],
-        references=list(experiment.robot.sources),
-        provenance=origin,
-    )
-    return file, evidence
+    shown = {
+        "title": f"Propulsion of {experiment.robot.name}: energy recoil law",
+        "tables": [_run_table(points)],
+        "figures": [_speed_figure(experiment, result, points, left_out), _residual_figure(result)],
+        "methods": methods,
+    }
+    return file, [*fit_common.checks(result, file), departed, *exponent_checks], shown
 
 
 # ------------------------------------------------------------ checks of the law
@@ -334,18 +320,13 @@ def _find_departures(
     levels = np.unique(np.concatenate([t.inputs["frequency_hz"] for t in trials])).tolist()
     departures: list[dict[str, Any]] = []
     while len(levels) - len(departures) > MIN_LEVELS and len(departures) < len(levels) // 3:
-        out = [d["frequency_hz"] for d in departures]
-        tests = []
-        for level in levels:
-            if level in out:
-                continue
-            try:
+        out, tests = [d["frequency_hz"] for d in departures], []
+        for level in [one for one in levels if one not in out]:
+            with suppress(NoTrustworthyResult):
                 fitted = output_error.fit(model, _without(trials, [*out, level]), parameters=choices)
-            except NoTrustworthyResult:
-                continue
-            test = _departure(fitted, trials, level)
-            if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
-                tests.append(test)
+                test = _departure(fitted, trials, level)
+                if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
+                    tests.append(test)
         if not tests:
             break
         departures.append(max(tests, key=lambda t: abs(t["z"])))
@@ -368,7 +349,7 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
         return None
     share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
     # standard error of the mean speed, and of the fitted law (about twice that of the mean of all runs)
-    error = math.hypot(math.sqrt(variance / len(shares)), 2 * math.sqrt(variance / max(fitted.samples, 1)))
+    error = math.sqrt(variance * (1 / len(shares) + 4 / max(fitted.samples, 1)))
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 
 
@@ -383,9 +364,8 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
             "are left out of the fit. Fins that flex at high frequency do this (source, section 4.2)",
         )
     off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
-    units = {p.name: p.unit for p in everything.parameters}
     fitted = "; ".join(
-        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), units[n])}"
+        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), everything.parameter(n).unit)}"
         for n in everything.labels
     )
     limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
@@ -455,39 +435,45 @@ def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
 
 
 def _with_drag_error(
-    result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
+    result: FitResult,
+    trials: list[Trial],
+    choices: tuple[Parameter, ...],
+    drag: ParameterFile,
+    models: Mapping[str, RecoilModel],
 ) -> FitResult:
     """Add the errors of the drag file's parameters to the covariance of the estimates."""
-    drag: ParameterFile = experiment.facts["drag"]
-    shifts = np.zeros((2, len(result.labels)))
-    for name, other in _models_by_drag_error(experiment).items():
+    shifts, joint = np.zeros((2, len(result.labels))), np.eye(2)
+    for name, other in models.items():
         moved = output_error.fit(other, trials, parameters=choices)
         shifts[DRAG_PARAMETERS.index(name)] = moved.estimate - result.estimate
-    joint = np.eye(2)
     if drag.correlation and all(n in drag.correlation.names for n in DRAG_PARAMETERS):
         i, j = (drag.correlation.names.index(n) for n in DRAG_PARAMETERS)
         joint[0, 1] = joint[1, 0] = drag.correlation.matrix[i][j]
     return replace(result, covariance=result.covariance + shifts.T @ joint @ shifts)
 
 
-def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
+def _derive(
+    experiment: Experiment,
+    result: FitResult,
+    points: list[dict[str, Any]],
+    models: Mapping[str, RecoilModel],
+) -> dict[str, Estimate]:
     """Return the velocity ratio, and the minimum and the maximum propulsive force."""
-    drag, model = experiment.facts["drag"], experiment.model
-    assert isinstance(model, RecoilModel)
+    coefficient = experiment.facts["drag"].parameters["drag_coefficient"]
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
-    ratio = float(velocity_ratio(model.b1, 0.0, distance))
-    moved = [float(velocity_ratio(m.b1, 0.0, distance)) for m in _models_by_drag_error(experiment).values()]
+    ratio, *moved = (
+        float(velocity_ratio(m.b1, 0.0, distance))  # type: ignore[attr-defined]
+        for m in (experiment.model, *models.values())
+    )
     error = math.sqrt(sum((other - ratio) ** 2 for other in moved))
-    quantities = {"velocity_ratio": Estimate(value=ratio, stderr=error, unit="1", status="estimated")}
-    coefficient = drag.parameters["drag_coefficient"]
-    relative_drag = (coefficient.stderr or 0.0) / coefficient.value
     scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
-    for end, pick in (("smallest", min), ("largest", max)):
-        force = pick(p["propulsive_force_N"] for p in points)
-        quantities[f"{end}_propulsive_force"] = Estimate(
-            value=force, stderr=force * math.hypot(relative_drag, scatter), unit="N", status="estimated"
-        )
-    return quantities
+    relative = math.hypot((coefficient.stderr or 0.0) / coefficient.value, scatter)
+    forces = [p["propulsive_force_N"] for p in points]
+    return {
+        "velocity_ratio": _estimated(ratio, error, "1"),
+        "smallest_propulsive_force": _estimated(min(forces), min(forces) * relative, "N"),
+        "largest_propulsive_force": _estimated(max(forces), max(forces) * relative, "N"),
+    }
 
 
 # ------------------------------------------------------------ operating points
