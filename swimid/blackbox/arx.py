@@ -46,6 +46,9 @@ from swimid.logs.sampling import rounding
 
 #: Maximum magnitude of a zero of C. The inverse of C is stable if all magnitudes are below 1.
 MAX_ZERO = 0.999
+#: Number of missing samples between two joined records, in addition to the lags of the model. It exceeds the
+#: lags of all tests of the residuals.
+GAP = 100
 #: Maximum number of Gauss-Newton steps, and maximum number of halvings of one step.
 MAX_STEPS, MAX_HALVINGS = 100, 30
 #: Maximum root-mean-square residual that is taken for a rounding error, divided by the standard deviation of
@@ -287,27 +290,25 @@ class Regression:
     #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
     rows: np.ndarray
     outputs: np.ndarray
-    #: Index of the record, and index of the sample in this record, that each row predicts, shape (n,).
-    record: np.ndarray
+    #: Index of the sample that each row predicts, in the joined records, shape (n,).
     sample: np.ndarray
-    #: True where a row does not directly follow the previous row in time, shape (n,).
-    fresh: np.ndarray
-    #: Number of samples of each record.
-    lengths: list[int]
+    #: Input of the joined records, with NaN between two records.
+    source: np.ndarray
     #: Number of rows there would be without missing samples.
     possible: int
 
     def __len__(self) -> int:
         return len(self.outputs)
 
-    def on_grid(self, values: np.ndarray, *, gap: int) -> np.ndarray:
-        """Return values of the rows, shape (n,) or (n, p), on the time grid of the concatenated records.
+    @property
+    def fresh(self) -> np.ndarray:
+        """True where a row does not directly follow the previous row in time, shape (n,)."""
+        return np.diff(self.sample, prepend=-2) != 1
 
-        The result is NaN where a row is missing, and for ``gap`` samples between two records.
-        """
-        starts = np.cumsum([0, *(length + gap for length in self.lengths)])
-        result = np.full((int(starts[-1]) - gap, *np.shape(values)[1:]), np.nan)
-        result[starts[self.record] + self.sample] = values
+    def on_grid(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the rows, shape (n,) or (n, p), on the grid of the joined records, with NaN."""
+        result = np.full((len(self.source), *np.shape(values)[1:]), np.nan)
+        result[self.sample] = values
         return result
 
 
@@ -316,23 +317,13 @@ def regression(records: Sequence[Record], orders: Orders) -> Regression:
 
     Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
     """
-    none = np.empty(0, dtype=int)
-    vectors, outputs, number, sample = [np.empty((0, orders.na + orders.nb))], [np.empty(0)], [none], [none]
-    for i, record in enumerate(records):
-        past = [-lagged(record.output, lag) for lag in range(1, orders.na + 1)]
-        h = np.column_stack(past + [lagged(record.source, orders.nk + j) for j in range(orders.nb)])
-        k = np.flatnonzero(np.isfinite(record.output) & np.isfinite(h).all(axis=1))
-        vectors.append(h[k])
-        outputs.append(record.output[k])
-        number.append(np.full(len(k), i))
-        sample.append(k)
-    record_of, samples = np.concatenate(number), np.concatenate(sample)
-    fresh = np.ones(len(samples), dtype=bool)
-    fresh[1:] = (np.diff(record_of) != 0) | (np.diff(samples) != 1)
-    lengths = [len(record) for record in records]
-    possible = sum(max(length - orders.lag, 0) for length in lengths)
-    h, z = np.vstack(vectors), np.concatenate(outputs)
-    return Regression(h, z, record_of, samples, fresh, lengths, possible)
+    y = rt.joined([r.output for r in records], gap=orders.lag + GAP)
+    u = rt.joined([r.source for r in records], gap=orders.lag + GAP)
+    past = [-lagged(y, lag) for lag in range(1, orders.na + 1)]
+    h = np.column_stack(past + [lagged(u, orders.nk + j) for j in range(orders.nb)])
+    k = np.flatnonzero(np.isfinite(y) & np.isfinite(h).all(axis=1))
+    possible = sum(max(len(r) - orders.lag, 0) for r in records)
+    return Regression(h[k], y[k], k, u, possible)
 
 
 @dataclass(frozen=True)
@@ -554,8 +545,7 @@ def estimate(
         skipped = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)
         tested = np.where(np.arange(len(data)) < skipped, np.nan, run.innovations)
     exact = bool(np.sqrt(np.mean(residuals**2)) <= EXACT * np.std(data.outputs))
-    tested = data.on_grid(tested, gap=rt.default_lags(len(data)))
-    white = rt.ljung_box(tested, fitted=orders.na + orders.nc)
+    white = rt.ljung_box(data.on_grid(tested), fitted=orders.na + orders.nc)
     robust = not (white.passed or exact)
     matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data, robust=robust)
     stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
@@ -610,7 +600,7 @@ def covariance(
     variance = float(np.sum(weights * residuals**2)) / remaining
     middle = middle * variance
     if robust:
-        scores = data.on_grid(whitened * residuals[:, None], gap=rt.default_lags(n))
+        scores = data.on_grid(whitened * residuals[:, None])
         middle = rt.long_run_covariance(scores) * (n / max(n - p, 1))
     matrix = inverse @ middle @ inverse.T
     return (matrix + matrix.T) / 2, float(np.sqrt(variance))

@@ -1,4 +1,4 @@
-"""Difference equation of ARX and ARMAX models: orders, records, free run, poles, and the model of swimid.
+"""Difference equation of ARX and ARMAX models, the model of swimid, and its trials.
 
     A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
     A = 1 + a1 z^-1 + ... + a_na z^-na
@@ -8,22 +8,37 @@
 Eqs 4 to 7 of the long-fin paper (Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159),
 with a delay and a noise polynomial added. y is the output, u the input and e white noise. The folder
 ``published`` contains the models of Tables II and III of this paper.
+
+The trials of the model, and the records that ``swimid rwls`` fits or holds out, lie on a time grid at the
+rate of their measurements.
 """
 
 from __future__ import annotations
 
 import copy
 import itertools
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from swimid.errors import InputError
+from swimid.blackbox.options import RwlsOptions
+from swimid.errors import InputError, UsageError
+from swimid.files.provenance import Input
+from swimid.fitting import noise as rt
+from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.logs import sampling
+from swimid.logs import trials as trials_format
+from swimid.logs.log import TIME, Log
+from swimid.logs.sampling import SAME_RATE, Held, find_held, quantum, step_of, usual_step
+from swimid.logs.trials import Trial as TrialEntry
+from swimid.logs.trials import TrialSet
+from swimid.notices import warn
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
 
@@ -47,6 +62,14 @@ MAX_POLE_STDERR = 0.05
 #: Maximum distance of a free run from the measured output, divided by the range of that output. At a larger
 #: distance the free run is stopped.
 MAX_DISTANCE = 100.0
+#: Minimum fraction of the measurements that are repeated for the same number of samples, for a constant
+#: measurement rate.
+REGULAR_SHARE = 0.9
+#: Minimum median change between measurements, in rounding steps. With smaller changes, rounding alone causes
+#: many repeated samples.
+MIN_CHANGE = 5.0
+#: Maximum fraction of an averaging interval of the input, in time, in which samples are missing.
+MAX_MISSING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -96,7 +119,7 @@ class Orders:
         return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
 
     def __str__(self) -> str:
-        noise = f", nc={self.nc}" if self.nc else ""
+        noise = f", nc={self.nc}" * bool(self.nc)
         return f"na={self.na}, nb={self.nb}, nk={self.nk}{noise}"
 
 
@@ -162,40 +185,41 @@ def find_poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: floa
     return sorted(result, key=lambda pole: (-pole.magnitude, -pole.value.imag))
 
 
-def free_run(
-    a: np.ndarray, b: np.ndarray, delay: int, source: np.ndarray, measured: np.ndarray, limit: float
-) -> np.ndarray:
-    """Simulate A(z^-1) y = B(z^-1) u from the input and the first measured outputs.
+def lagged(x: np.ndarray, lag: int) -> np.ndarray:
+    """Return a series delayed by ``lag`` samples, shape (n,). The first ``lag`` samples are NaN."""
+    return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (na,) and (nb,)
-        Coefficients a1 to a_na and b1 to b_nb.
-    delay : int
-        Delay of b1, samples.
-    source : ndarray, shape (n,)
-        Input u, NaN where missing.
-    measured : ndarray, shape (n,)
-        Measured output y, NaN where missing. Only na consecutive samples are used, to start the simulation at
-        the beginning and again after each gap in the input.
-    limit : float
-        Maximum magnitude of the simulated output. If it is exceeded, the result is NaN until the next start.
+
+def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+    """Simulate A(z^-1) y = B(z^-1) u from the input and the first measured outputs of a record.
 
     Returns
     -------
     ndarray, shape (n,)
-        Simulated output; NaN at the samples that start the simulation and where nothing is simulated.
+        Simulated output. It is NaN at the samples that start the simulation and where nothing is simulated.
+        It is also NaN after its distance from the measured output exceeds :data:`MAX_DISTANCE` ranges of that
+        output.
+
+    Notes
+    -----
+    Only ``na`` consecutive samples of the measured output are used, to start the simulation at the beginning
+    and again after each gap in the input.
     """
     from scipy.signal import lfilter, lfiltic
 
-    na = len(a)
-    driven = np.zeros(len(source))
+    a, b, _ = orders.split(theta)
+    measured, na = record.output, orders.na
+    values = measured[np.isfinite(measured)]
+    limit = 1e150  # prevents overflow if the output has no range (a start from rest)
+    if len(values) and np.ptp(values) > 0:
+        limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
+    driven = np.zeros(len(record))
     for j, value in enumerate(b):
-        driven = driven + value * lagged(source, delay + j)
+        driven = driven + value * lagged(record.source, orders.nk + j)
     started = np.isfinite(driven)
     for i in range(1, na + 1):
         started &= np.isfinite(lagged(measured, i))
-    result = np.full(len(source), np.nan)
+    result = np.full(len(record), np.nan)
     for piece in np.ma.clump_unmasked(np.ma.masked_invalid(driven)):
         first = piece.start + int(np.argmax(started[piece]))
         if not started[first]:
@@ -206,25 +230,6 @@ def free_run(
         within = np.logical_and.accumulate(np.abs(run) <= limit)
         result[first : piece.stop] = np.where(within, run, np.nan)
     return result
-
-
-def lagged(x: np.ndarray, lag: int) -> np.ndarray:
-    """Return a series delayed by ``lag`` samples, shape (n,). The first ``lag`` samples are NaN."""
-    return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
-
-
-def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Return the free run of a record from its first ``na`` outputs, shape (n,).
-
-    The free run is NaN after its distance from the measured output exceeds :data:`MAX_DISTANCE` ranges of
-    that output.
-    """
-    a, b, _ = orders.split(theta)
-    values = record.output[np.isfinite(record.output)]
-    limit = 1e150  # prevents overflow if the output has no range (a start from rest)
-    if len(values) and np.ptp(values) > 0:
-        limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
-    return free_run(a, b, orders.nk, record.source, record.output, limit)
 
 
 def simulate_all(
@@ -358,7 +363,9 @@ class ArxModel(Model):
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
         """Return the frequency of a computed input, Hz; empty for an input column."""
-        return [self.sine[1]] if self.sine else []
+        if self.sine is None:
+            return []
+        return [self.sine[1]]
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the free run of one trial: the simulation from the input and the first outputs.
@@ -456,16 +463,13 @@ def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: 
 
 def _coefficients(parameters: ParameterFile, path: Path | None = None) -> tuple[Orders, float, Array]:
     """Return the orders, the sample time (s) and the coefficients a1, ..., b1, ... of a parameter file."""
-    delay, sample_time_s = parameters.delay, parameters.sample_time_s
+    delay, sample_time_s, found = parameters.delay, parameters.sample_time_s, parameters.parameters
     if delay is None or sample_time_s is None:
         text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
         raise InputError(text, file=path, column="delay")
-    if "b1" not in parameters.parameters:
+    if "b1" not in found:
         raise InputError("this parameter is missing", file=path, column="parameters.b1")
-    na, nb = (
-        next(k for k in itertools.count() if f"{letter}{k + 1}" not in parameters.parameters)
-        for letter in "ab"
-    )
+    na, nb = (next(k for k in itertools.count() if f"{letter}{k + 1}" not in found) for letter in "ab")
     orders = Orders(na, nb, delay)
     return orders, sample_time_s, np.array([parameters.value(name) for name in orders.names])
 
@@ -498,3 +502,367 @@ def published(name: str) -> ParameterFile:
 def published_names() -> tuple[str, ...]:
     """Return the names of the published models."""
     return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))
+
+
+# ------------------------------------------------------------ trials and records
+
+
+def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[str]]:
+    """Return a log at the rate of its measurements, and a sentence for each column with repeated samples.
+
+    If a log contains each measurement several times, a discrete-time model fitted to it describes the logger,
+    and its poles are wrong. Columns with a value in every n-th row only are also resampled. An input with few
+    levels, or with independent levels, is a command that is constant by design. It is not resampled for its
+    own sake.
+
+    Parameters
+    ----------
+    log : Log
+    source : str or None
+        Name of the input column; None for a computed input.
+    output : str
+        Output column.
+
+    Notes
+    -----
+    The output sets the rate. Of each measurement of the output, the first sample is used. The input of a row
+    is the mean of the input until the next row, as for a zero-order hold. If the measurements of the output
+    have no constant rate, the repeated samples are set to NaN instead. An input with repeated samples is used
+    as it is.
+    """
+    repeats, even, columns = [], None, dict(log.columns)
+    for column in [c for c in (output, source) if c is not None]:
+        values = log[column]
+        held, empty = find_held(log.time_s, [values]), np.isnan(values)
+        # independent values between the repeated samples are the levels of a random command
+        if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
+            continue
+        own = _even_times(log.time_s, values, held)
+        if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
+            continue
+        what = "are empty"
+        if held.repeated.any():
+            what = "repeat the measurement before"
+        text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
+        if own is None:
+            columns[column] = np.where(held.repeated, np.nan, values)
+            text += f" at no even rate: they are left out, and the others may be {held.lateness_s:.6g} s late"
+        else:
+            text += f": it is measured every {usual_step(own[1]):.6g} s"
+        if column == output and own is not None:
+            even = own
+            text += ", and the model is fitted at that rate"
+        warn("SWM058", f"{log.path.name}: {text}; log each measurement once, with its own time")
+        repeats.append(text)
+    if even is not None:
+        rows, times = even
+        columns = {name: values[rows] for name, values in log.columns.items()} | {TIME: times}
+        if source is not None:
+            columns[source] = _means(log.time_s, log[source], times)
+    return replace(log, columns=columns), repeats
+
+
+def _even_times(time_s: Array, values: Array, held: Held) -> tuple[Array, Array] | None:
+    """Return the rows and the times (s) of a column's measurements if their rate is constant.
+
+    The result is None if the rate is not constant, or if it is the rate of the log.
+    """
+    rows = np.flatnonzero(~(held.repeated | np.isnan(values)))
+    lasts = np.diff(rows)
+    if not (lasts > 1).any():
+        return None
+    factor = int(np.median(lasts[lasts > 1]))
+    # samples at which a resting robot repeats its value are new measurements, so they are not counted
+    shown = lasts[(lasts > 1) | (values[rows[1:]] != values[rows[1:] - 1])]
+    if np.mean(shown == factor) >= REGULAR_SHARE:
+        kept: list[int] = []
+        for row, length in zip(rows.tolist(), [*lasts.tolist(), 1], strict=True):
+            if length > 1 or not kept or row - kept[-1] >= factor:
+                kept.append(row)
+        return np.array(kept), time_s[kept]
+    if held.even:
+        times = held.measured_s[rows]
+        return rows, times + float(np.min(time_s[rows] - times))
+    return None
+
+
+def _means(time_s: Array, values: Array, times: Array) -> Array:
+    """Return the mean of a held signal from each time to the next; NaN if too many samples are missing."""
+    steps, missing = np.diff(time_s), np.isnan(values)
+    held = np.column_stack([np.where(missing, 0.0, values), missing])
+    total = np.vstack([[0.0, 0.0], np.cumsum(held[:-1] * steps[:, None], axis=0)])
+    ends = np.append(times, 2 * times[-1] - times[-2])
+    row = np.clip(np.searchsorted(time_s, ends + 1e-6 * steps.min(), side="right") - 1, 0, None)
+    integral = total[row] + held[row] * (ends - time_s[row])[:, None]
+    mean, empty = (np.diff(integral, axis=0) / np.diff(ends)[:, None]).T
+    return np.where(empty > MAX_MISSING, np.nan, mean)
+
+
+def _is_lossy(values: Array, repeated: Array) -> bool:
+    """Return whether a signal repeats samples although its other changes are larger than its rounding."""
+    changes = np.abs(np.diff(values[~repeated]))
+    return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
+
+
+#: Keys of a trials file that are used, by experiment.
+USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
+
+
+def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Path) -> Experiment:
+    """Read trials of the experiment ``arma`` for the model of a parameter file.
+
+    Input and output are the columns to which the model was fitted.
+
+    Raises
+    ------
+    InputError
+        The trials file names other columns, or a file cannot be used.
+    """
+    path = trials_format.place(source)
+    entries = trials_format.read(source, trials_format.Arma, uses=USES)
+    robot = trials_format.robot_of(entries, path)
+    model = ArxModel.from_file(file, parameters_path)
+    read = [model.source] * (model.sine is None)
+    for key, columns in (("input", read), ("output", [model.output])):
+        named = getattr(entries, key)
+        if columns and named is not None and named != columns[0]:
+            words = f"these trials name the {key} '{named}', the parameters are of '{columns[0]}'"
+            raise InputError(words, file=path, column=key)
+    inputs: list[Input] = []
+    if not entries._in_memory:
+        inputs.append(path)
+    trials = []
+    for entry in entries.trials:
+        log = read_log(entry, path.parent, required=(*read, model.output))
+        log, _ = at_own_rate(log, next(iter(read), None), model.output)
+        inputs.append(log.source)
+        measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
+        trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
+    return Experiment("arma", robot, model, trials, inputs)
+
+
+# ------------------------------------------------------------ records for rwls
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Names of the input and output columns, and the sine that replaces the input column, if any."""
+
+    source: str
+    output: str
+    #: Amplitude, frequency (Hz) and phase (rad) of a computed input.
+    sine: tuple[float, float, float] | None
+
+    @property
+    def unit(self) -> str:
+        """Unit of the output, from the ending of its name; ``"1"`` if the name has no unit."""
+        return numbers.split_unit(self.output)[1] or "1"
+
+    @property
+    def gain_unit(self) -> str:
+        """Unit of the coefficients of B: unit of the output divided by that of the input."""
+        source = numbers.split_unit(self.source)[1] or "1"
+        if source == "1":
+            return self.unit
+        if source == self.unit:
+            return "1"
+        return "/".join(re.sub(r"(.*[/ ].*)", r"(\1)", unit) for unit in (self.unit, source))
+
+    @property
+    def measured_source(self) -> str | None:
+        """Name of the input column; None for a computed input."""
+        return None if self.sine else self.source
+
+
+@dataclass(frozen=True)
+class Data:
+    """Records of the fitted logs and of the held-out data."""
+
+    columns: Columns
+    sample_time_s: float
+    fit: list[Record]
+    #: Held-out records by the name of the data.
+    held_out: dict[str, list[Record]]
+    #: Names of the fitted logs.
+    logs: list[str]
+    #: Paths or objects of all inputs, for the provenance.
+    files: list[Input]
+    robot: str | None
+    #: Sentences about repeated samples, one for each column that has them.
+    repeats: list[str]
+
+
+#: Type of an input: a log or trials of the experiment ``arma``, as a file or as an object in memory.
+Source = Any
+
+
+def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
+    """Read logs and trials files of the experiment ``arma``, and hold out parts of them.
+
+    Parameters
+    ----------
+    logs : sequence of paths, Log, DataFrame or TrialSet
+    options : RwlsOptions
+        Options that state the columns and the data to hold out.
+
+    Raises
+    ------
+    UsageError
+        When the options contradict each other.
+    InputError
+        A file is unreadable, columns are missing, the rate is not constant, or held-out rows are also fitted.
+    """
+    share, held_out = _split_held_out(options.held_out)
+    entries: list[TrialEntry] = []
+    files: list[Input] = []
+    listings: dict[Path, trials_format.Arma] = {}
+    for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
+        file = isinstance(source, str | Path)
+        if isinstance(source, TrialSet) or (file and Path(source).suffix.lower() in (".yaml", ".yml")):
+            path = trials_format.place(source)
+            listed = listings[path] = trials_format.read(source, trials_format.Arma, uses=USES)
+            if not listed._in_memory:
+                files.append(path)
+            found = [_at(entry, path.parent) for entry in listed.trials]
+        else:
+            found = [_single(source, role, f"table {number + 1}")]
+        for one, other in itertools.product(entries, found):
+            if trials_format.same_recording(one, Path(one.log), other, Path(other.log)):
+                trials_format.check_apart(one, other, Path(one.log))
+        entries += found
+    columns = _columns(options, listings)
+    if all(entry.role == "validate" for entry in entries):
+        raise UsageError("every trial is a validation trial; at least one must be fitted")
+    ids = [entry.id for entry in entries]
+    names = [entry.id if ids.count(entry.id) == 1 else entry.log for entry in entries]
+    required = tuple(name for name in (columns.measured_source, columns.output) if name)
+    contents, repeats = [], []
+    for entry in entries:
+        log = read_log(entry, Path(), required=required)
+        _check_distinct(log, columns)
+        log, found_repeats = at_own_rate(log, columns.measured_source, columns.output)
+        contents.append(log)
+        repeats += found_repeats
+    step_s = _common_step(names, contents)
+    fitted = [name for name, entry in zip(names, entries, strict=True) if entry.role == "fit"]
+    fit: list[Record] = []
+    held: dict[str, list[Record]] = {}
+    for name, entry, log in zip(names, entries, contents, strict=True):
+        if entry.role == "validate":
+            held[name] = _records(log, name, columns, step_s, slice(None))
+            continue
+        cut = len(log) - round(share * len(log))
+        fit += _records(log, name, columns, step_s, slice(0, cut))
+        if share:
+            label = "held-out part" if len(fitted) == 1 else f"held-out part of {name}"
+            held[label] = _records(log, name, columns, step_s, slice(cut, None))
+    files += [Path(entry.log) if entry._held is None else entry._held.source for entry in entries]
+    return Data(columns, step_s, fit, held, fitted, files, _agreed(listings, "robot"), repeats)
+
+
+def _at(entry: TrialEntry, folder: Path) -> TrialEntry:
+    """Return an entry of a trials file, with the path of its log relative to the working folder."""
+    placed = entry.model_copy(update={"log": str(folder / entry.log)})
+    placed._held = entry._held
+    return placed
+
+
+def _single(source: Source, role: Any, name: str) -> TrialEntry:
+    """Return the entry of a log without a trials file; ``name`` is the name of a table without a name."""
+    if isinstance(source, str | Path):
+        return TrialEntry(id=Path(source).name, log=str(source), role=role)
+    held = source if isinstance(source, Log) else Log.from_frame(source, name=name)
+    entry = TrialEntry(id=held.path.name, log=str(held.path), role=role)
+    entry._held = held
+    return entry
+
+
+def _agreed(listings: dict[Path, trials_format.Arma], key: Literal["input", "output", "robot"]) -> str | None:
+    """Return the value of a key in the trials files that state it; raise an error if the values differ."""
+    stated = {path: getattr(listed, key) for path, listed in listings.items() if getattr(listed, key)}
+    first = next(iter(stated), Path())
+    for path, value in stated.items():
+        if value != stated[first]:
+            text = f"'{value}' contradicts '{stated[first]}' of {first.name}"
+            raise InputError(text, file=path, column=key)
+    return stated.get(first)
+
+
+def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source]]:
+    """Return the fraction to hold out (0 if none is given), and the logs to hold out."""
+    shares: list[float] = []
+    logs: list[Source] = []
+    for item in given:
+        try:
+            shares.append(float(item))
+        except (TypeError, ValueError):
+            logs.append(item)
+    if len(shares) > 1:
+        raise UsageError("--validate: only one share can be given, besides any number of logs")
+    if shares and not 0 < shares[0] < 1:
+        hint = "0.25 is the last quarter"
+        raise UsageError(f"--validate {shares[0]:g}: a share must lie between 0 and 1", hint=hint)
+    return sum(shares), logs
+
+
+def _columns(options: RwlsOptions, listings: dict[Path, trials_format.Arma]) -> Columns:
+    source = options.input_column or _agreed(listings, "input")
+    output = options.output_column or _agreed(listings, "output")
+    if output is None:
+        raise UsageError("give the output column with --output COLUMN")
+    if (options.input_sine is None) == (source is None):
+        raise UsageError(
+            "give the input column with --input COLUMN, or compute it with --input-sine A F PHASE"
+        )
+    if source == output:
+        raise UsageError(f"input and output are the same column '{source}'")
+    return Columns(source or "F_u", output, options.input_sine)
+
+
+def _check_distinct(log: Log, columns: Columns) -> None:
+    """Raise an error if the output is a copy of the input and not constant."""
+    if columns.sine:
+        return
+    u, y = log[columns.source], log[columns.output]
+    both = np.isfinite(u) & np.isfinite(y)
+    if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
+        text = f"holds the same values as the input column '{columns.source}' in every row"
+        hint = "one of the two is a copy: name the measured output with --output"
+        raise InputError(text, file=log.path, column=columns.output, hint=hint)
+
+
+def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
+    """Return the common sample time of all logs, s; raise an error if the rates differ or vary."""
+    rates = [sampling.rate(log.time_s) for log in logs]
+    first_s = rates[0].step_s
+    for name, log, rate in zip(names, logs, rates, strict=True):
+        step = f"every {rate.step_s:.6g} s, the first log every {first_s:.6g} s"
+        if not rate.uniform:
+            step = (
+                f"at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole multiples of "
+                f"{rate.step_s:.6g} s"
+            )
+        if not rate.uniform or abs(rate.step_s / first_s - 1) > SAME_RATE:
+            text = f"is {'not ' * (not rate.uniform)}sampled {step}; a discrete-time model needs one rate"
+            hint = "resample the logs to one sample time"
+            raise InputError(text, file=log.path, column="t_s", hint=hint)
+        if rate.jitter > sampling.NOTABLE_JITTER:
+            text = f"time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s"
+            warn("SWM003", f"{name}: {text}; the model takes them as equal")
+    return first_s
+
+
+def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
+    """Return the gap-free parts of the given rows of a log, on the time grid."""
+    time = log.time_s[rows]
+    if len(time) < 2:
+        return []
+    records = []
+    for piece in sampling.pieces(time, step_s):
+        y = piece.take(log[columns.output][rows])
+        if columns.sine:
+            u = sine_input(piece.time_s, *columns.sine)
+        else:
+            u = piece.take(log[columns.source][rows])
+        records.append(Record(name, piece.time_s, u, y))
+    return records

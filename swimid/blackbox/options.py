@@ -71,7 +71,7 @@ class RwlsOptions(
     @property
     def delay(self) -> int:
         """Delay of b1, samples."""
-        return 1 if self.nk is None else self.nk
+        return self.nk if self.nk is not None else 1
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:

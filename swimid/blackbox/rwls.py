@@ -34,16 +34,17 @@ from swimid.blackbox.model import (
     INTEGRATING,
     NAME,
     PAPER,
+    Data,
     Orders,
     Pole,
     Record,
     best_level,
     find_poles,
+    read,
     simulate,
     simulate_all,
 )
 from swimid.blackbox.options import RwlsOptions
-from swimid.blackbox.trials import Data, read
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import noise as rt
@@ -282,7 +283,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
     """Return the parameter file. Its settings have the orders, columns and levels in use."""
     fitted, data, columns = m.estimate, m.data, m.data.columns
     orders, names, lost = fitted.orders, fitted.orders.names, m.undetermined
-    unit, channel, pole = columns.unit, columns.output, m.critical_pole
+    unit, channel = columns.unit, columns.output
     settings: dict[str, Any] = {
         "orders": asdict(orders),
         "order": "least BIC" if m.candidates else "given",
@@ -354,10 +355,6 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
                 "standard_errors": "sandwich" if fitted.robust else "sigma^2 (H'H)^-1",
             },
             rows=len(fitted.data),  # type: ignore[call-arg]
-            rows_left_out=fitted.data.possible - len(fitted.data),  # type: ignore[call-arg]
-            condition=fitted.known.condition,  # type: ignore[call-arg]
-            input_excites=fitted.known.input_rank,  # type: ignore[call-arg]
-            stability=pole.state if pole else "stable",  # type: ignore[call-arg]
             integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
         ),
         provenance=provenance.collect(data.files, settings={**settings, "validate": shares}),
@@ -458,10 +455,9 @@ def _free_run(m: Identified) -> Figure:
         traces: list[Trace] = []
         for record in parts[name].records:
             run = simulate(record, m.estimate.orders, m.estimate.theta)
-            labels = ("", "") if traces else ("measured", "free run")
-            for group, y in enumerate((record.output, run)):
+            for group, (label, y) in enumerate({"measured": record.output, "free run": run}.items()):
                 x, shown = ev.thinned(record.time_s, y + level)
-                traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
+                traces.append(Trace(x=x, y=shown, label=label * (len(traces) < 2), group=group))
         y_label = numbers.column_title(m.data.columns.output)
         title = name.removesuffix(".csv") * (len(parts) > 1)
         panels.append(blocks.panel("time (s)", y_label, traces, title=title))
@@ -541,8 +537,11 @@ def _helps(
     for part in (records, shifted(records, point)):
         data = regression(part, plain)
         theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
-        errors = np.subtract(*simulate_all(part, plain, theta))
-        rms.append(float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else np.inf)
+        squared = np.subtract(*simulate_all(part, plain, theta)) ** 2
+        compared = squared[np.isfinite(squared)]
+        if not len(compared):
+            compared = np.full(1, np.inf)
+        rms.append(float(np.sqrt(np.mean(compared))))
         roots = np.roots([1.0, *theta[: orders.na]])
         largest.append(float(np.max(np.abs(roots), initial=0.0)))
     if far and largest[0] > INTEGRATING >= largest[1]:
@@ -561,7 +560,7 @@ def constant_term(data: Regression) -> tuple[float, float]:
         return float("nan"), 0.0
     theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
     residuals = data.outputs - rows @ theta
-    white = rt.ljung_box(data.on_grid(residuals, gap=rt.default_lags(n))).passed
+    white = rt.ljung_box(data.on_grid(residuals)).passed
     spread, _ = covariance(rows, residuals, np.ones(n), 0.0, data, robust=not white)
     constant, stderr = float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
     if stderr > 0:
@@ -580,9 +579,7 @@ def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """Return the prediction one sample ahead, shape (n,); NaN where a sample that it needs is missing."""
     data = regression([record], orders)
     errors, _ = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
-    predicted = np.full(len(record), np.nan)
-    predicted[data.sample] = data.outputs - errors
-    return predicted
+    return data.on_grid(data.outputs - errors)
 
 
 def about_own_level(
@@ -678,10 +675,8 @@ class Identified:
     @cached_property
     def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
         """One-step residuals and input of the fitted records on one time grid, and number of lags to test."""
-        data, lags = self.estimate.data, rt.default_lags(len(self.estimate.data))
-        gap = 2 * lags + self.estimate.orders.lag
-        source = rt.joined([r.source for r in self.fit.records], gap=gap)
-        return data.on_grid(self.estimate.residuals, gap=gap), source, lags
+        data = self.estimate.data
+        return data.on_grid(self.estimate.residuals), data.source, rt.default_lags(len(data))
 
     @cached_property
     def independent(self) -> rt.TestResult:
