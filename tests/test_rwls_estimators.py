@@ -359,17 +359,17 @@ def test_pole_uncertainty_matches_repeats():
     sizes, errors = [], []
     for seed in range(200):
         found = estimate([simulated(3000 + seed, n=500, a=np.array([-1.3, 0.4]))], Orders(2, 2))
-        pole = difference.find_poles(found.theta[:2], found.covariance[:2, :2], 0.1)[0]
+        pole = difference.find_poles(found.theta[:2], found.covariance[:2, :2])[0]
         sizes.append(pole.magnitude)
-        errors.append(pole.stderr)
+        errors.append(pole.stderr_magnitude)
     assert np.mean(errors) == pytest.approx(np.std(sizes), rel=0.15)
 
 
 def test_integrating_and_unstable_poles():
-    on = difference.find_poles(np.array([-1.0]), np.array([[1e-4]]), 0.1)[0]
-    near = difference.find_poles(np.array([-0.99]), np.array([[1e-4]]), 0.1)[0]
-    inside = difference.find_poles(np.array([-0.9]), np.array([[1e-4]]), 0.1)[0]
-    outside = difference.find_poles(np.array([-1.1]), np.array([[1e-4]]), 0.1)[0]
+    on = difference.find_poles(np.array([-1.0]), np.array([[1e-4]]))[0]
+    near = difference.find_poles(np.array([-0.99]), np.array([[1e-4]]))[0]
+    inside = difference.find_poles(np.array([-0.9]), np.array([[1e-4]]))[0]
+    outside = difference.find_poles(np.array([-1.1]), np.array([[1e-4]]))[0]
     assert (on.integrating, on.state) == (True, "unstable")
     assert (near.integrating, near.state) == (True, "integrating")
     assert (inside.integrating, inside.state) == (False, "stable")
@@ -438,5 +438,5 @@ def test_hair_dryer_free_run_on_the_second_half():
 def test_ball_beam_is_an_integrator():
     first, _ = _halves("ballbeam", 0.1)
     found = estimate([first], Orders(4, 4))
-    poles = difference.find_poles(found.theta[:4], found.covariance[:4, :4], 0.1)
+    poles = difference.find_poles(found.theta[:4], found.covariance[:4, :4])
     assert poles[0].integrating or poles[0].state == "unstable"

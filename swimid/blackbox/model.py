@@ -123,23 +123,15 @@ class Orders:
         return f"na={self.na}, nb={self.nb}, nk={self.nk}{noise}"
 
 
-@dataclass(frozen=True)
-class Pole:
-    """Pole in the z plane, with natural frequency and damping of the continuous-time pole log(z) / Ts."""
-
-    value: complex
-    magnitude: float
-    #: Standard error of the magnitude; NaN for a repeated pole.
-    stderr: float
-    #: Natural frequency, Hz; NaN for z = 0, as is the damping ratio.
-    frequency_hz: float
-    damping_ratio: float
+class Pole(parameters_format.Pole):
+    """Pole in the z plane. The standard error of its magnitude is None for a repeated pole."""
 
     @property
     def integrating(self) -> bool:
         """Whether the magnitude differs from 1 by at most two standard errors, or is very close to 1."""
-        near = self.stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * self.stderr
-        return bool(near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING)
+        stderr = self.stderr_magnitude
+        near = stderr is not None and stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * stderr
+        return near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING
 
     @property
     def state(self) -> Literal["stable", "integrating", "unstable"]:
@@ -149,17 +141,15 @@ class Pole:
         return "integrating" if self.integrating else "stable"
 
 
-def find_poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: float) -> list[Pole]:
+def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
     """Return the roots of A with the standard errors of their magnitudes, the largest magnitude first.
 
     Parameters
     ----------
     a : ndarray, shape (na,)
         Coefficients a1 to a_na.
-    covariance : ndarray, shape (na, na), or None
+    covariance : ndarray, shape (na, na)
         Covariance of the coefficients.
-    sample_time_s : float
-        Sample time, s.
 
     Notes
     -----
@@ -169,20 +159,14 @@ def find_poles(a: np.ndarray, covariance: np.ndarray | None, sample_time_s: floa
     polynomial = np.concatenate(([1.0], a))
     result = []
     for z in np.roots(polynomial):
-        stderr = damping = np.nan
-        continuous = complex(np.nan, np.nan)
+        pole = Pole(real=float(z.real), imag=float(z.imag), magnitude=float(abs(z)), stderr_magnitude=None)
         slope = np.polyval(np.polyder(polynomial), z)
-        if covariance is not None and abs(z) > 0 and abs(slope) > 1e-12:
+        if abs(z) > 0 and abs(slope) > 1e-12:
             gradient = -(z ** np.arange(len(a) - 1, -1, -1)) / slope
             along = np.real(np.conj(z) / abs(z) * gradient)
-            stderr = float(np.sqrt(max(along @ covariance @ along, 0.0)))
-        if abs(z) > 0:
-            continuous = np.log(complex(z)) / sample_time_s
-        size = abs(continuous)
-        if size > 0:
-            damping = float(-continuous.real / size)
-        result.append(Pole(complex(z), float(abs(z)), stderr, float(size / (2 * np.pi)), damping))
-    return sorted(result, key=lambda pole: (-pole.magnitude, -pole.value.imag))
+            pole.stderr_magnitude = float(np.sqrt(max(along @ covariance @ along, 0.0)))
+        result.append(pole)
+    return sorted(result, key=lambda pole: (-pole.magnitude, -pole.imag))
 
 
 def lagged(x: np.ndarray, lag: int) -> np.ndarray:

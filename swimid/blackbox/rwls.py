@@ -192,7 +192,7 @@ def _checks(m: Identified) -> list[Check]:
     ]
     otherwise: Literal["warn", "fail"] = "warn"
     if pole is not None:
-        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}"
+        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr_magnitude)}"
         reason, passed = f"the model integrates ({size}), so that a free run drifts", pole.state == "stable"
         if pole.state == "unstable":
             otherwise, reason = "fail", f"the model is unstable ({size}) and cannot be simulated"
@@ -329,15 +329,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         ),
         delay=orders.nk,
         sample_time_s=data.sample_time_s,
-        poles=[
-            parameters.Pole(
-                real=p.value.real,
-                imag=p.value.imag,
-                magnitude=p.magnitude,
-                stderr_magnitude=_finite(p.stderr),
-            )
-            for p in m.poles
-        ],
+        poles=[*m.poles],
         stable=all(p.state != "unstable" for p in m.poles),
         settings=settings,
         fit=parameters.Fit(
@@ -416,10 +408,14 @@ def _errors(m: Identified) -> Table:
 
 
 def _modes(m: Identified) -> Table:
+    """Return the table of the poles, with frequency and damping of the continuous-time pole log(z) / Ts."""
     rows: list[list[blocks.Cell]] = []
     for p in m.poles:
-        size = numbers.measured(p.magnitude, p.stderr)
-        rows.append([size, _finite(p.frequency_hz), _finite(p.damping_ratio), p.state])
+        size = numbers.measured(p.magnitude, p.stderr_magnitude)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = np.log(np.complex128(complex(p.real, p.imag))) / m.data.sample_time_s
+            damping = -rate.real / abs(rate)
+        rows.append([size, _finite(abs(rate) / (2 * np.pi)), _finite(damping), p.state])
     columns = ["|z|", "natural frequency (Hz)", "damping ratio", "stability"]
     return Table(id="modes", title="Modes of the model", columns=columns, rows=rows, folded=True)
 
@@ -721,7 +717,7 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
     how = options.model_dump(include={"weight", "forgetting", "prior_scale"})
     fitted = estimate(shifted(data.fit, point), orders, **how)
     a, _, _ = orders.split(fitted.theta)
-    poles = find_poles(a, fitted.covariance[: orders.na, : orders.na], data.sample_time_s)
+    poles = find_poles(a, fitted.covariance[: orders.na, : orders.na])
     held_out = {}
     for name, records in data.held_out.items():
         part = score_records(shifted(records, point), fitted, poles)

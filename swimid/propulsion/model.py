@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -66,15 +66,23 @@ def terminal_speed(
     quadratic, linear, dry : ndarray or float
         Drag coefficients: kg/m, kg/s and N.
     """
-    v = np.cbrt(power / quadratic) + np.abs(linear) / quadratic + np.sqrt(np.abs(dry) / quadratic)
-    for _ in range(MAX_ITERATIONS):
-        excess = v * (dry + v * (linear + v * quadratic)) - power
+
+    def newton(v: Array) -> Array:
         slope = dry + v * (2 * linear + 3 * v * quadratic)
-        step = excess / np.where(slope > 0, slope, np.inf)
-        v = v - step
-        if np.all(np.abs(step) <= 1e-14 * np.abs(v) + 1e-300):
+        return (v * (dry + v * (linear + v * quadratic)) - power) / np.where(slope > 0, slope, np.inf)
+
+    start = np.cbrt(power / quadratic) + np.abs(linear) / quadratic + np.sqrt(np.abs(dry) / quadratic)
+    return np.where(power > 0, _root(newton, start), 0.0)
+
+
+def _root(step: Callable[[Array], Array], start: Array) -> Array:
+    """Return the root that Newton's method finds; ``step`` is the function divided by its derivative."""
+    for _ in range(MAX_ITERATIONS):
+        change = step(start)
+        start = start - change
+        if not np.any(np.abs(change) > 1e-14 * np.abs(start) + 1e-300):
             break
-    return np.where(power > 0, v, 0.0)
+    return start
 
 
 def mean_speed(
@@ -108,15 +116,14 @@ def mean_speed(
     moving = v1 > 0
     rho = 1.0 + linear / (quadratic * np.where(moving, v1, 1.0))
     scale = mass / (quadratic * (1.0 + rho))
+
+    def newton(y: Array) -> Array:
+        gone = -np.expm1(-y)
+        excess = y - rho * np.log1p(gone / rho) - distance_m / scale
+        return excess * (rho + gone) / (gone * (1.0 + rho))
+
     with np.errstate(invalid="ignore"):
-        y = distance_m / scale + rho * np.log1p(1.0 / rho)
-        for _ in range(MAX_ITERATIONS):
-            gone = -np.expm1(-y)
-            excess = y - rho * np.log1p(gone / rho) - distance_m / scale
-            step = excess * (rho + gone) / (gone * (1.0 + rho))
-            y = y - step
-            if not np.any(np.abs(step) > 1e-14 * y):
-                break
+        y = _root(newton, distance_m / scale + rho * np.log1p(1.0 / rho))
         time = scale * (y + np.log1p(-np.expm1(-y) / rho)) / np.where(moving, v1, 1.0)
         return np.where(moving, distance_m / time, 0.0)
 
@@ -269,20 +276,19 @@ class RecoilModel(Model):
     def apart(self, trial: Trial) -> list[Trial]:
         """Split the trial of a fin into one trial for each run, with the ids ``fin/1``, ``fin/2``, ..."""
 
-        def run(k: int) -> Trial:
-            def cut(columns: Mapping[str, Any]) -> dict[str, Any]:
-                return {name: v[k : k + 1] if np.ndim(v) else v for name, v in columns.items()}
+        def cut(columns: Mapping[str, Any], k: int) -> dict[str, Any]:
+            return {name: np.broadcast_to(v, len(trial.time_s))[k : k + 1] for name, v in columns.items()}
 
-            return replace(
+        parts = ("measured", "inputs", "value_sd")
+        return [
+            replace(
                 trial,
                 id=f"{trial.id}/{k + 1}",
                 time_s=trial.time_s[k : k + 1],
-                measured=cut(trial.measured),
-                inputs=cut(trial.inputs),
-                value_sd=cut(trial.value_sd),
+                **{part: cut(getattr(trial, part), k) for part in parts},
             )
-
-        return [run(k) for k in range(len(trial.time_s))]
+            for k in range(len(trial.time_s))
+        ]
 
 
 class SurgeModel(Model):
