@@ -10,7 +10,6 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from swimid.blackbox.model import ArxModel, Orders
 from swimid.effects import actuation
 from swimid.effects.base import Affected
 from swimid.fitting import drives
@@ -19,6 +18,7 @@ from swimid.fitting.model import Hooks, Stroke, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
+from tests import effect_cases
 
 EFFECTS = [
     actuation.ServoLag(),
@@ -63,9 +63,7 @@ def surge():
 
 
 def black_box(source=None):
-    model = ArxModel(
-        Orders(2, 2), 0.05, source="cmd1_rad", output="u_m_s", start=np.array([-1.5, 0.7, 0.5, 0.25])
-    )
+    model = effect_cases.arx_model({"a1": -1.5, "a2": 0.7, "b1": 0.5, "b2": 0.25}, 0.05)
     time = np.arange(200) * 0.05
     column = 0.4 * np.sin(2 * np.pi * 0.8 * time) if source is None else source
     trial = Trial("a", "fit", time, {"u_m_s": np.zeros(200)}, inputs={"cmd1_rad": column})

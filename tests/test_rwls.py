@@ -347,7 +347,7 @@ def test_reading_back_gives_the_same_bits_and_the_same_run(tmp_path):
     for name, e in document["result"]["parameters"].items():
         assert file.parameters[name].value == e["value"]
         assert file.parameters[name].stderr == e["stderr"]
-    model = arma.ArxModel.from_file(file)
+    model = arma.ArxModel(file)
     trial = Trial("t", "fit", columns["t_s"], {"u_m_s": columns["u_m_s"]}, {"cmd1_rad": columns["cmd1_rad"]})
     values = np.array([p.start for p in model.parameters])
     simulated = model.simulate(values, trial)["u_m_s"]
@@ -384,7 +384,7 @@ def test_published_long_fin_models():
 
 
 def test_a_published_model_runs_from_rest():
-    model = arma.ArxModel.from_file(arma.published("long-fin-marching-4-3"))
+    model = arma.ArxModel(arma.published("long-fin-marching-4-3"))
     time = np.arange(800) * 0.02375
     trial = Trial("t", "validate", time, {}, {"cmd1_rad": 0.5 * np.sin(2 * np.pi * 1.2 * time)})
     u = model.simulate(np.array([p.start for p in model.parameters]), trial)["u_m_s"]

@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 #: Name of the model in parameter files.
 NAME = "arma"
+#: Names of the quantities of a computed sine.
+SINE = ("amplitude", "frequency_hz", "phase_rad")
 #: Source of the equations, for the parameters.
 PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
@@ -248,87 +250,53 @@ class ArxModel(Model):
 
     Parameters
     ----------
-    orders : Orders
-        Orders na, nb and nk. The order nc is ignored, because a simulation does not use the noise polynomial.
-    sample_time_s : float
-        Sample time, s.
-    source, output : str
-        Names of the input and the output column.
-    source_level, output_level : float
-        Working point. ``source_level`` is subtracted from the input, ``output_level`` is added to the
-        simulated output.
-    sine : tuple of float, optional
-        Amplitude, frequency (Hz) and phase (rad) of a computed input, if no column holds the input.
-    start : ndarray, shape (na + nb,), optional
-        Initial values of the coefficients a1, ..., b1, ...
-    unit, gain_unit : str
-        Unit of the output, and unit of the b coefficients.
+    parameters : ParameterFile
+        Parameter file of ``rwls``. A simulation does not use the noise polynomial.
+    path : Path, optional
+        Path of the file in error messages.
+
+    Raises
+    ------
+    InputError
+        The file is of another model, or the delay, the sample time or coefficients are missing.
     """
 
     name = NAME
     offers = frozenset({"command", "output", "clock"})
     has_gaps = True
 
-    def __init__(
-        self,
-        orders: Orders,
-        sample_time_s: float,
-        *,
-        source: str,
-        output: str,
-        source_level: float = 0.0,
-        output_level: float = 0.0,
-        sine: tuple[float, float, float] | None = None,
-        start: Array | None = None,
-        unit: str = "1",
-        gain_unit: str = "1",
-    ) -> None:
-        self.orders = Orders(orders.na, orders.nb, orders.nk)
-        self.sample_time_s = sample_time_s
-        self.source, self.output = source, output
-        self.source_level, self.output_level = source_level, output_level
-        self.sine = sine
-        values = np.zeros(self.orders.count)
-        if start is not None:
-            values = np.asarray(start, dtype=float)
-        na, nb, nk = self.orders.na, self.orders.nb, self.orders.nk
-        places = [("1", f"past output, z^-{i}") for i in range(1, na + 1)]
-        places += [(gain_unit, f"input, z^-{nk + j}") for j in range(nb)]
-        self.parameters = tuple(
-            Parameter(
-                name, unit_of, -np.inf, np.inf, float(value), scale=max(abs(float(value)), 1e-3),
-                meaning=f"coefficient of {place}", source=f"{PAPER}, Eq 5",
-            )
-            for name, (unit_of, place), value in zip(self.orders.names, places, values, strict=True)
-        )  # fmt: skip
-        self.channels = (Channel(output, unit, "output of the model"),)
-
-    @classmethod
-    def from_file(cls, parameters: ParameterFile, path: Path | None = None) -> ArxModel:
-        """Return the model of a parameter file; ``path`` is the path of the file in error messages.
-
-        Raises
-        ------
-        InputError
-            The file is of another model, or the delay, the sample time or coefficients are missing.
-        """
+    def __init__(self, parameters: ParameterFile, path: Path | None = None) -> None:
+        delay, step_s, found = parameters.delay, parameters.sample_time_s, parameters.parameters
         if parameters.model != NAME:
             raise InputError(f"model '{parameters.model}' is not '{NAME}'", file=path, column="model")
-        orders, sample_time_s, start = _coefficients(parameters, path)
+        if delay is None or step_s is None:
+            text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
+            raise InputError(text, file=path, column="delay")
+        if "b1" not in found:
+            raise InputError("this parameter is missing", file=path, column="parameters.b1")
+        na, nb = (next(k for k in itertools.count() if f"{x}{k + 1}" not in found) for x in "ab")
+        self.orders, self.sample_time_s = Orders(na, nb, delay), step_s
         settings = parameters.settings
-        sine = settings.get("input_model")
-        return cls(
-            orders,
-            sample_time_s,
-            source=str(settings.get("input", "u")),
-            output=str(settings.get("output", "y")),
-            source_level=float(settings.get("input_level", 0.0)),
-            output_level=float(settings.get("output_level", 0.0)),
-            sine=sine and (sine["amplitude"], sine["frequency_hz"], sine["phase_rad"]),
-            start=start,
-            unit=str(settings.get("output_unit", "1")),
-            gain_unit=parameters.parameters["b1"].unit,
-        )
+        self.source, self.output = str(settings.get("input", "u")), str(settings.get("output", "y"))
+        #: Working point. ``source_level`` is subtracted from the input, ``output_level`` is added to the
+        #: simulated output.
+        self.source_level = float(settings.get("input_level", 0.0))
+        self.output_level = float(settings.get("output_level", 0.0))
+        #: Amplitude, frequency (Hz) and phase (rad) of a computed input, if no column holds the input.
+        self.sine: tuple[float, float, float] | None = None
+        if settings.get("input_model"):
+            self.sine = tuple(settings["input_model"][key] for key in SINE)
+        places = [f"past output, z^-{i + 1}" for i in range(na)]
+        places += [f"input, z^-{delay + j}" for j in range(nb)]
+        source = f"{PAPER}, Eq 5"
+        made = []
+        for name, place in zip(self.orders.names, places, strict=True):
+            value, unit, meaning = parameters.value(name), found[name].unit, f"coefficient of {place}"
+            scale = max(abs(value), 1e-3)
+            made.append(Parameter(name, unit, -np.inf, np.inf, value, scale, meaning=meaning, source=source))
+        self.parameters = tuple(made)
+        unit = str(settings.get("output_unit", "1"))
+        self.channels = (Channel(self.output, unit, "output of the model"),)
 
     def commanded(self, trial: Trial) -> bool:
         """Return whether the input column is a command, and not a measured joint angle."""
@@ -445,19 +413,6 @@ def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: 
     return amplitude * np.sin(2 * np.pi * frequency_hz * np.asarray(time_s, dtype=float) + phase_rad)
 
 
-def _coefficients(parameters: ParameterFile, path: Path | None = None) -> tuple[Orders, float, Array]:
-    """Return the orders, the sample time (s) and the coefficients a1, ..., b1, ... of a parameter file."""
-    delay, sample_time_s, found = parameters.delay, parameters.sample_time_s, parameters.parameters
-    if delay is None or sample_time_s is None:
-        text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
-        raise InputError(text, file=path, column="delay")
-    if "b1" not in found:
-        raise InputError("this parameter is missing", file=path, column="parameters.b1")
-    na, nb = (next(k for k in itertools.count() if f"{letter}{k + 1}" not in found) for letter in "ab")
-    orders = Orders(na, nb, delay)
-    return orders, sample_time_s, np.array([parameters.value(name) for name in orders.names])
-
-
 def to_control(parameters: ParameterFile) -> control.TransferFunction:
     """Return the model of a parameter file as a discrete-time transfer function of python-control.
 
@@ -466,11 +421,12 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
     """
     import control
 
-    orders, sample_time_s, theta = _coefficients(parameters)
-    a, b, _ = orders.split(theta)
+    model = ArxModel(parameters)
+    orders = model.orders
+    a, b, _ = orders.split(np.array([p.start for p in model.parameters]))
     denominator = np.concatenate(([1.0], a, np.zeros(orders.lag - orders.na)))
     numerator = np.concatenate((b, np.zeros(orders.lag - (orders.nk + orders.nb - 1))))
-    return control.TransferFunction(numerator, denominator, sample_time_s)
+    return control.TransferFunction(numerator, denominator, model.sample_time_s)
 
 
 def published(name: str) -> ParameterFile:
@@ -605,7 +561,7 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
     path = trials_format.place(source)
     entries = trials_format.read(source, trials_format.Arma, uses=USES)
     robot = trials_format.robot_of(entries, path)
-    model = ArxModel.from_file(file, parameters_path)
+    model = ArxModel(file, parameters_path)
     read = [model.source] * (model.sine is None)
     for key, columns in (("input", read), ("output", [model.output])):
         named = getattr(entries, key)

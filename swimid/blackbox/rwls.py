@@ -34,6 +34,7 @@ from swimid.blackbox.model import (
     INTEGRATING,
     NAME,
     PAPER,
+    SINE,
     Data,
     Orders,
     Pole,
@@ -83,8 +84,6 @@ MIN_FIT_PERCENT = 50.0
 #: Maximum condition number of the scaled regression. A regression with a larger condition number is reported
 #: as ill-conditioned.
 MAX_CONDITION = 1e6
-#: Names of the quantities of a computed sine.
-SINE = ("amplitude", "frequency_hz", "phase_rad")
 REFERENCES = [
     PAPER,
     "G. J. Bierman: Factorization Methods for Discrete Sequential Estimation. Academic Press, 1977.",

@@ -120,10 +120,7 @@ def fit_propulsion(
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         fit = _fit_recoil_law
-        if experiment.name == "cruise":
-            if options.start_state != "auto":
-                warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
-        else:
+        if experiment.name != "cruise":
             fit = _fit_surge
             if options.drag is not None:
                 raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
@@ -154,7 +151,7 @@ def _fit_surge(
 ) -> Made:
     """Fit thrust and drag to the surge averaged over tail beats.
 
-    The initial speed of each trial is estimated, unless the options say that all trials start at rest.
+    The initial speed of each trial is estimated, unless the user holds it.
 
     Parameters
     ----------
@@ -170,11 +167,6 @@ def _fit_surge(
     """
     model = experiment.model
     assert isinstance(model, SurgeModel)
-    starts = "with the initial speed of each trial estimated"
-    if options.start_state == "rest":
-        starts = "with every trial from rest"
-        held = {p.name: replace(p, free=False) for p in choices if p.name == "initial_speed"}
-        choices = tuple(held.get(p.name, p) for p in choices)
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
     result = output_error.with_held_out(result)
@@ -212,10 +204,13 @@ def _fit_surge(
         result, robot=robot, provenance=origin, derived=derived, settings=settings
     )
     checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
+    state = "estimated"
+    if not any(label.startswith("initial_speed[") for label in result.labels):
+        state = "held"
     methods = [
         "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
         f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
-        f"likelihood, {starts}.",
+        f"likelihood, with the initial speed of each trial {state}.",
     ]
     title, figures = f"Propulsion of {robot}: beat-averaged surge", fit_common.figures(result)
     return file, checks, {"title": title, "figures": figures, "methods": methods}
