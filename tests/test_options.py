@@ -241,7 +241,7 @@ def test_what_is_typed_wrong_is_told(swimid: Callable[..., Ran], words: list[str
 class TestWording:
     """Messages name arguments in Python, and options on the command line."""
 
-    RIG, CRUISE, SWIM = (f"sample_logs/{name}/trials.yaml" for name in ("rig", "cruise", "tfish"))
+    RIG, SWIM = (f"sample_logs/{name}/trials.yaml" for name in ("rig", "tfish"))
     LOG = "sample_logs/longfin/longfin_marching.csv"
 
     @pytest.mark.parametrize(

@@ -637,7 +637,7 @@ Source = Any
 
 
 def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
-    """Read logs and trials files of the experiment ``arma``, and hold out parts of them.
+    """Read logs or a trials file of the experiment ``arma``, and hold out parts of them.
 
     Parameters
     ----------
@@ -655,22 +655,23 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     share, held_out = _split_held_out(options.held_out)
     entries: list[TrialEntry] = []
     files: list[Input] = []
-    listings: dict[Path, trials_format.Arma] = {}
+    listed: trials_format.Arma | None = None
     for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
         file = isinstance(source, str | Path)
         if isinstance(source, TrialSet) or (file and Path(source).suffix.lower() in (".yaml", ".yml")):
+            if listed is not None:
+                raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
             path = trials_format.place(source)
-            listed = listings[path] = trials_format.read(source, trials_format.Arma, uses=USES)
-            if not listed._in_memory:
-                files.append(path)
-            found = [_at(entry, path.parent) for entry in listed.trials]
+            listed = trials_format.read(source, trials_format.Arma, uses=USES)
+            files += [path] * (not listed._in_memory)
+            found = [e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials]
         else:
             found = [_single(source, role, f"table {number + 1}")]
         for one, other in itertools.product(entries, found):
             if trials_format.same_recording(one, Path(one.log), other, Path(other.log)):
                 trials_format.check_apart(one, other, Path(one.log))
         entries += found
-    columns = _columns(options, listings)
+    columns = _columns(options, listed)
     if all(entry.role == "validate" for entry in entries):
         raise UsageError("every trial is a validation trial; at least one must be fitted")
     ids = [entry.id for entry in entries]
@@ -688,23 +689,16 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     fit: list[Record] = []
     held: dict[str, list[Record]] = {}
     for name, entry, log in zip(names, entries, contents, strict=True):
+        cut = len(log) - round(share * len(log))
         if entry.role == "validate":
             held[name] = _records(log, name, columns, step_s, slice(None))
             continue
-        cut = len(log) - round(share * len(log))
         fit += _records(log, name, columns, step_s, slice(0, cut))
         if share:
-            label = "held-out part" if len(fitted) == 1 else f"held-out part of {name}"
+            label = "held-out part" + f" of {name}" * (len(fitted) > 1)
             held[label] = _records(log, name, columns, step_s, slice(cut, None))
     files += [Path(entry.log) if entry._held is None else entry._held.source for entry in entries]
-    return Data(columns, step_s, fit, held, fitted, files, _agreed(listings, "robot"), repeats)
-
-
-def _at(entry: TrialEntry, folder: Path) -> TrialEntry:
-    """Return an entry of a trials file, with the path of its log relative to the working folder."""
-    placed = entry.model_copy(update={"log": str(folder / entry.log)})
-    placed._held = entry._held
-    return placed
+    return Data(columns, step_s, fit, held, fitted, files, listed and listed.robot, repeats)
 
 
 def _single(source: Source, role: Any, name: str) -> TrialEntry:
@@ -715,17 +709,6 @@ def _single(source: Source, role: Any, name: str) -> TrialEntry:
     entry = TrialEntry(id=held.path.name, log=str(held.path), role=role)
     entry._held = held
     return entry
-
-
-def _agreed(listings: dict[Path, trials_format.Arma], key: Literal["input", "output", "robot"]) -> str | None:
-    """Return the value of a key in the trials files that state it; raise an error if the values differ."""
-    stated = {path: getattr(listed, key) for path, listed in listings.items() if getattr(listed, key)}
-    first = next(iter(stated), Path())
-    for path, value in stated.items():
-        if value != stated[first]:
-            text = f"'{value}' contradicts '{stated[first]}' of {first.name}"
-            raise InputError(text, file=path, column=key)
-    return stated.get(first)
 
 
 def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source]]:
@@ -739,15 +722,17 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
             logs.append(item)
     if len(shares) > 1:
         raise UsageError("--validate: only one share can be given, besides any number of logs")
-    if shares and not 0 < shares[0] < 1:
-        hint = "0.25 is the last quarter"
-        raise UsageError(f"--validate {shares[0]:g}: a share must lie between 0 and 1", hint=hint)
+    for share in shares:
+        if not 0 < share < 1:
+            hint = "0.25 is the last quarter"
+            raise UsageError(f"--validate {share:g}: a share must lie between 0 and 1", hint=hint)
     return sum(shares), logs
 
 
-def _columns(options: RwlsOptions, listings: dict[Path, trials_format.Arma]) -> Columns:
-    source = options.input_column or _agreed(listings, "input")
-    output = options.output_column or _agreed(listings, "output")
+def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns:
+    """Return the columns that the options or the trials file name."""
+    source = options.input_column or (listed and listed.input)
+    output = options.output_column or (listed and listed.output)
     if output is None:
         raise UsageError("give the output column with --output COLUMN")
     if (options.input_sine is None) == (source is None):

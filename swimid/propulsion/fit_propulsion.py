@@ -532,28 +532,23 @@ def _speed_figure(
     frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
     swept = frequencies[counts > 2][:1].tolist()
     over_frequency, over_amplitude = [], []
-    apart: list[dict[str, Any]] = []
+    common = [p for p in points if abs(p["amplitude_deg"] - amplitude) < 1e-6]
+    kept = [p for p in common if p["frequency_hz"] not in left_out]
+    apart = [{**p, "fin": "not fitted"} for p in common if p not in kept]
     for group, trial in enumerate(experiment.trials):
-        own = [p for p in points if p["fin"] == trial.id]
-        runs = [p for p in own if abs(p["amplitude_deg"] - amplitude) < 1e-6]
-        if runs:
-            line = np.linspace(0.0, max(p["frequency_hz"] for p in runs), 60)[1:]
+        reach = [p["frequency_hz"] for p in common if p["fin"] == trial.id]
+        over_frequency += _points(kept, trial.id, "frequency_hz", 1.0, group)
+        if reach:
+            line = np.linspace(0.0, max(reach), 60)[1:]
             law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
-            kept = [p for p in runs if p["frequency_hz"] not in left_out]
-            apart += [p for p in runs if p["frequency_hz"] in left_out]
-            if kept:
-                over_frequency.append(_points(kept, "frequency_hz", 1.0, group))
             over_frequency.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
-        runs = [p for p in own if p["frequency_hz"] in swept]
+        runs = [p for p in points if p["fin"] == trial.id and p["frequency_hz"] in swept]
         if runs:
             line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 400)[1:]
             law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
-            over_amplitude.append(_points(runs, "amplitude_deg", 1.5, group))
+            over_amplitude += _points(runs, trial.id, "amplitude_deg", 1.5, group)
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
-    if apart:
-        over_frequency.append(
-            _points([{**p, "fin": "not fitted"} for p in apart], "frequency_hz", 1.0, len(experiment.trials))
-        )
+    over_frequency += _points(apart, "not fitted", "frequency_hz", 1.0, len(experiment.trials))
     title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
     speeds = [blocks.panel("frequency (Hz)", y_label, over_frequency, title=title)]
     if over_amplitude:
@@ -589,11 +584,16 @@ def _residual_figure(result: FitResult) -> ev.Figure:
     return blocks.panels("residuals", "Residuals of the average speed", caption, panels)
 
 
-def _points(runs: list[dict[str, Any]], x: str, power: float, group: int) -> ev.Trace:
-    label = runs[0]["fin"]
-    return blocks.points(
-        runs, lambda p: p[x], lambda p: (100 * p["mean_speed_m_s"]) ** power, label=label, group=group
-    )
+def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: int) -> list[ev.Trace]:
+    """Return the points of the runs of a fin as a trace; empty without a run."""
+    own = [p for p in runs if p["fin"] == fin]
+    if not own:
+        return []
+
+    def speed(run: dict[str, Any]) -> float:
+        return float((100 * run["mean_speed_m_s"]) ** power)
+
+    return [blocks.points(own, lambda run: run[x], speed, label=fin, group=group)]
 
 
 def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:

@@ -722,7 +722,14 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     The limits follow from body mass, frontal area and size only. If a limit depended on the stated force, a
     wrong force could pass the check.
     """
-    checks = [_estimate_check(result, *limit) for limit in _limits(experiment, result)]
+    checks = []
+    for name, most, basis, inputs in _limits(experiment, result):
+        value, error, unit = result.value(name), result.stderr(name), result.parameter(name).unit
+        size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
+        words, text = name.replace("_", " "), f"look at {inputs} and their units, and at what the model lacks"
+        reason = f"{words} {size} is more than {basis} can have ({limit})"
+        check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
+        checks.append(fit_common.warned_check(*check, failed=value - 1.96 * (error or 0.0) > most))
     coordinate = result.model.channels[0].name
     if coordinate in ("roll_rad", "pitch_rad"):
         angles = {t.id: t.measured[coordinate] for t in experiment.trials}
@@ -733,8 +740,14 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
         reason = f"the body swings by {size}, which no body does"
         check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
         checks.append(fit_common.warned_check(*check, failed=True))
-    if experiment.name == "falling-weight":
-        checks += _force_check(experiment)
+    forces = _force_ratios(experiment)
+    if forces:
+        _, force, most, name = max(forces)
+        size, limit = f"{numbers.number(force, 3, 'N')} in {name}", f"≤ {numbers.number(most, 3, 'N')}"
+        text = "look at its unit and the mass; only a drive of another kind is stronger"
+        reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
+        check = ("SWM072", "driving force possible", size, force <= most, limit, text, reason)
+        checks.append(fit_common.warned_check(*check))
     return checks
 
 
@@ -771,46 +784,32 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
         yield "drag_coefficient", most, basis, "forces, areas, lengths"
 
 
-def _estimate_check(result: FitResult, name: str, most: float, basis: str, inputs: str) -> ev.Check:
-    """Check that an estimate is not above its limit."""
-    value, error = result.value(name), result.stderr(name) or 0.0
-    unit = next(p.unit for p in result.parameters if p.name == name)
-    size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
-    words, text = name.replace("_", " "), f"look at {inputs} and their units, and at what the model lacks"
-    reason = f"{words} {size} is more than {basis} can have ({limit})"
-    check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
-    return fit_common.warned_check(*check, failed=value - 1.96 * error > most)
+def _force_ratios(experiment: Experiment) -> list[tuple[float, float, float, str]]:
+    """Return the driving force of each drop without a pulley over its maximum, both (N), and the trial.
 
-
-def _force_check(experiment: Experiment) -> list[ev.Check]:
-    """Check that the driving force of a body without a pulley is at most its weight or net buoyancy."""
-    gravity = experiment.robot.fluid.gravity_m_s2
-    forces: list[tuple[float, float, str]] = []
+    The maximum is the weight of the body or its net buoyancy.
+    """
+    forces = []
     for trial in experiment.trials:
         rig, water = trial.rig, _water_in_body(experiment, trial)
-        if not rig.pulley and math.isfinite(water) and rig.inertia > 0:
-            forces.append((rig.pull, gravity * max(rig.inertia, water - rig.inertia), trial.id))
-    if not forces:
-        return []
-    force, most, name = max(forces, key=lambda f: f[0] / f[1])
-    size, limit = f"{numbers.number(force, 3, 'N')} in {name}", f"≤ {numbers.number(most, 3, 'N')}"
-    text = "look at its unit and the mass; only a drive of another kind is stronger"
-    reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
-    return [
-        fit_common.warned_check("SWM072", "driving force possible", size, force <= most, limit, text, reason)
-    ]
+        if (
+            experiment.name == "falling-weight"
+            and not rig.pulley
+            and math.isfinite(water)
+            and rig.inertia > 0
+        ):
+            most = experiment.robot.fluid.gravity_m_s2 * max(rig.inertia, water - rig.inertia)
+            forces.append((rig.pull / most, rig.pull, most, trial.id))
+    return forces
 
 
 def _max_displaced(experiment: Experiment, trial: Trial) -> float:
     """Return the maximum mass of water that the body of a trial can displace, kg."""
-    rig, gravity = trial.rig, experiment.robot.fluid.gravity_m_s2
-    pulling = (experiment.facts.get("pulling_mass_kg") or {}).get(trial.id)
-    if pulling is not None:
-        return rig.inertia - pulling - experiment.robot.rig.pulley_inertia_kg
+    rig, weight = trial.rig, trial.rig.pull / experiment.robot.fluid.gravity_m_s2
     if rig.pulley:
-        return rig.inertia
+        return rig.inertia - weight - experiment.robot.rig.pulley_inertia_kg
     # a rising body displaces more than its own mass, by its net buoyancy, but not more than its size allows
-    return max(rig.inertia, min(rig.inertia + rig.pull / gravity, _water_in_body(experiment, trial)))
+    return max(rig.inertia, min(rig.inertia + weight, _water_in_body(experiment, trial)))
 
 
 def _box(body: Body) -> tuple[float, float, float] | None:

@@ -149,9 +149,8 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     variants = {}
     if any(r.kind == "sampled" for r in records):
         variants = {name: trials(name) for name in ROUNDINGS}
-    inputs, pulling = inputs_of(path, entries, logs), {e.id: e.pulling_mass_kg for e in entries.trials}
-    facts = {"pulling_mass_kg": pulling}
-    return Experiment("falling-weight", robot, model, trials("floor"), inputs, variants, facts)
+    inputs = inputs_of(path, entries, logs)
+    return Experiment("falling-weight", robot, model, trials("floor"), inputs, variants)
 
 
 def _without_standstill(log: Log) -> tuple[Array, Array]:
