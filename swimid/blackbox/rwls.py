@@ -55,7 +55,7 @@ from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers, parameters
 from swimid.results import evidence as ev
-from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Table, Trace
+from swimid.results.evidence import Check, Evidence, Figure, Table, Trace
 from swimid.results.parameters import Fitted
 
 #: Minimum |t| of the constant term at which the working point is subtracted without further conditions.
@@ -173,7 +173,25 @@ def rwls(
         for code, text in _warnings(m, checks):
             warn(code, text)
     file = _parameter_file(m)
-    made = Fitted.of(file, _evidence(m, file.provenance, checks, blocks.notices(notices)))
+    columns, where = data.columns, "held-out" if m.held_out else "fitted"
+    least = min(part.free_run.fit_percent for part in m.judged.values())
+    answer = f"The free run does not reproduce the {where} output."
+    if least >= 0:
+        answer = f"The free run reproduces {least:.1f} % of the {where} output."
+    evidence = Evidence(
+        command="rwls",
+        title=f"{m.kind} model, {columns.source} to {columns.output}",
+        verdict=ev.judged(answer, checks),
+        facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
+        checks=checks,
+        tables=[_errors(m), _modes(m)],
+        figures=[_free_run(m), _residuals(m)],
+        notices=blocks.notices(notices),
+        methods=_methods(m),
+        references=REFERENCES,
+        provenance=file.provenance,
+    )
+    made = Fitted.of(file, evidence)
     made.data["orders_tried"] = [{**asdict(orders), "bic": bic} for orders, bic in m.candidates]
     return made.saved(output)
 
@@ -357,30 +375,6 @@ def _finite(value: float) -> float | None:
 
 
 # ---------------------------------------------------------------- evidence
-
-
-def _evidence(
-    m: Identified, provenance: dict[str, Any], checks: list[Check], notices: list[NoticeRecord]
-) -> Evidence:
-    columns = m.data.columns
-    least = min(part.free_run.fit_percent for part in m.judged.values())
-    where = "held-out" if m.held_out else "fitted"
-    answer = f"The free run does not reproduce the {where} output."
-    if least >= 0:
-        answer = f"The free run reproduces {least:.1f} % of the {where} output."
-    return Evidence(
-        command="rwls",
-        title=f"{m.kind} model, {columns.source} to {columns.output}",
-        verdict=ev.judged(answer, checks),
-        facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
-        checks=checks,
-        tables=[_errors(m), _modes(m)],
-        figures=[_free_run(m), _residuals(m)],
-        notices=notices,
-        methods=_methods(m),
-        references=REFERENCES,
-        provenance=provenance,
-    )
 
 
 def _errors(m: Identified) -> Table:

@@ -11,7 +11,18 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.fitting.model import MEAN_SPEED, Array, Channel, Hooks, Model, Parameter, Scales, Stroke, Trial
+from swimid.fitting.model import (
+    MEAN_SPEED,
+    NONE,
+    Array,
+    Channel,
+    Hooks,
+    Model,
+    Parameter,
+    Scales,
+    Stroke,
+    Trial,
+)
 
 SPEED = MEAN_SPEED
 #: Maximum integration step of a surge that has no closed form, s.
@@ -204,32 +215,11 @@ class RecoilModel(Model):
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the average speed of each run (see :meth:`Model.simulate`)."""
-        inputs = trial.inputs
-        inertia = self._inertia(values, trial)
-        power = self._power(values, trial, inputs["frequency_hz"], inputs["amplitude_rad"], inertia)
-        terminal = np.cbrt(power / self.drag_area_kg_m)
-        return {SPEED: velocity_ratio(self.b1, 0.0, inputs["distance_m"]) * terminal}
+        return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> RecoilScales:
         """Return the typical scales of the quantities in trials."""
         return RecoilScales(self, trials)
-
-    def _inertia(self, values: Array, trial: Trial) -> float:
-        if trial.cruise.inertia_kg_m2 is not None:
-            return trial.cruise.inertia_kg_m2
-        return float(values[self.index(f"inertia_{trial.cruise.fin}")])
-
-    def _power(
-        self, values: Array, trial: Trial, frequency_hz: Array, amplitude_rad: Array, inertia_kg_m2: float
-    ) -> Array:
-        """Return the propulsive power of each run, W (Eqs 5, 27)."""
-        efficiency, offset, p, q = values[:4]
-        # scale frequency and amplitude by reference values, so that a free exponent does not change the
-        # efficiency
-        f_mid, a_mid = trial.cruise.middle
-        f, a = frequency_hz / f_mid, np.maximum(amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
-        factor = 8 * efficiency * np.pi**2 * inertia_kg_m2
-        return np.asarray(factor * f_mid**3 * f**p * a_mid**2 * a**q)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the average speed of each run with effects (see :meth:`Model.hooked`).
@@ -238,27 +228,26 @@ class RecoilModel(Model):
         The factor on the thrust of a steady beat multiplies the power. A water flow along x displaces the
         robot during the run.
         """
-        if not hooks.moves:
-            return hooks.seen(self.simulate(values, trial), trial.time_s)
-        inputs = trial.inputs
-        stroke = hooks.beaten(
-            Stroke(
-                inputs["frequency_hz"],
-                inputs["amplitude_rad"],
-                np.ones(len(trial.time_s)),
-                self._inertia(values, trial),
-            )
-        )
-        power = stroke.thrust * self._power(
-            values, trial, stroke.frequency_hz, stroke.amplitude_rad, stroke.inertia_kg_m2
-        )
+        inputs, known, distance = trial.inputs, trial.cruise, trial.inputs["distance_m"]
+        inertia = known.inertia_kg_m2
+        if inertia is None:
+            inertia = float(values[self.index(f"inertia_{known.fin}")])
+        steady = Stroke(inputs["frequency_hz"], inputs["amplitude_rad"], np.ones(len(trial.time_s)), inertia)
+        stroke = hooks.beaten(steady)
+        efficiency, offset, p, q = values[:4]
+        # scale frequency and amplitude by reference values, so that a free exponent does not change the
+        # efficiency
+        f_mid, a_mid = known.middle
+        f, a = stroke.frequency_hz / f_mid, np.maximum(stroke.amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
+        # propulsive power of each run, W (Eqs 5, 27)
+        factor = 8 * efficiency * np.pi**2 * stroke.inertia_kg_m2
+        power = stroke.thrust * (factor * f_mid**3 * f**p * a_mid**2 * a**q)
         c = hooks.changed(
             {"quadratic": self.drag_area_kg_m, "linear": 0.0, "dry": 0.0, "mass": self.moving_mass_kg},
             "coefficients",
         )
-        distance = inputs["distance_m"]
         if c["quadratic"] <= 0 or c["mass"] <= 0:
-            return {SPEED: np.full(len(trial.time_s), np.nan)}
+            return self.broken_down(trial)
         if c["linear"] == c["dry"] == 0:
             terminal = np.cbrt(power / c["quadratic"])
             speed = velocity_ratio(c["quadratic"] / c["mass"], 0.0, distance) * terminal
@@ -324,21 +313,11 @@ class SurgeModel(Model):
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the surge at the samples of a trial, in closed form (see :meth:`Model.simulate`)."""
-        _, drag, _, _, u0 = values
-        a = self._thrust(values, trial.surge.amplitude_rad, trial.surge.frequency_hz)
-        return {"u_m_s": _closed_form(trial.time_s - trial.surge.start_s, a, drag, u0)}
+        return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> SurgeScales:
         """Return the typical scales of the quantities in trials."""
         return SurgeScales(self, trials)
-
-    def _thrust(self, values: Array, amplitude_rad: float, frequency_hz: float) -> float:
-        thrust, _, n, m, _ = values
-        return float(
-            thrust
-            * (amplitude_rad / self.reference_amplitude_rad) ** n
-            * (frequency_hz / self.reference_frequency_hz) ** m
-        )
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the surge with effects (see :meth:`Model.hooked`).
@@ -346,20 +325,16 @@ class SurgeModel(Model):
         ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass`` (1).
         All values are per unit of mass. Drag depends on the speed relative to a water flow along x.
         """
-        if not hooks.moves:
-            return hooks.seen(self.simulate(values, trial), trial.time_s)
-        drag, u0 = float(values[1]), float(values[4])
-        surge = trial.surge
-        stroke = hooks.beaten(
-            Stroke(np.array([surge.frequency_hz]), np.array([surge.amplitude_rad]), np.ones(1))
-        )
-        a = float(stroke.thrust[0]) * self._thrust(
-            values, float(stroke.amplitude_rad[0]), float(stroke.frequency_hz[0])
-        )
+        (thrust, drag, n, m, u0), surge = values.tolist(), trial.surge
+        steady = Stroke(np.array([surge.frequency_hz]), np.array([surge.amplitude_rad]), np.ones(1))
+        stroke = hooks.beaten(steady)
+        amplitude = float(stroke.amplitude_rad[0]) / self.reference_amplitude_rad
+        a = thrust * amplitude**n * (float(stroke.frequency_hz[0]) / self.reference_frequency_hz) ** m
         c = hooks.changed({"quadratic": drag, "linear": 0.0, "dry": 0.0, "mass": 1.0}, "coefficients")
         if c["mass"] <= 0:
-            return {"u_m_s": np.full(len(trial.time_s), np.nan)}
-        a, quadratic, linear, dry = (v / c["mass"] for v in (a, c["quadratic"], c["linear"], c["dry"]))
+            return self.broken_down(trial)
+        force = float(stroke.thrust[0]) * a
+        a, quadratic, linear, dry = (v / c["mass"] for v in (force, c["quadratic"], c["linear"], c["dry"]))
         t = trial.time_s - surge.start_s
         if linear == dry == 0 and not hooks.flow:
             speed = _closed_form(t, a, quadratic, u0)
