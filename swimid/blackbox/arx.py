@@ -35,6 +35,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -187,102 +188,6 @@ def warm_up() -> None:
     recursive_least_squares(np.ones((2, 1)), np.ones(2))
 
 
-def errors_and_gradient(
-    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the one-step errors of an ARMAX model and the derivative of the one-step prediction.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (m + nc,)
-        Coefficients of A, B and C.
-    rows, outputs : ndarray, shape (n, m) and (n,)
-        Regression vectors of A and B, and the outputs z.
-    fresh : ndarray of bool, shape (n,)
-        True where a row does not directly follow the previous row in time. Past errors are taken as zero
-        there.
-
-    Returns
-    -------
-    errors : ndarray, shape (n,)
-        ``e(k) = z(k) - h(k)' theta_AB - sum_j c_j e(k-j)``.
-    gradient : ndarray, shape (n, m + nc)
-        Negative derivative of the errors with respect to theta: the regression vector filtered by 1 / C.
-    """
-    from scipy.signal import lfilter
-
-    n, m = rows.shape
-    errors = outputs - rows @ theta[:m]
-    gradient = np.hstack((rows, np.zeros((n, nc))))
-    noise = np.append(1.0, theta[m:])
-    for first, end in itertools.pairwise([*np.flatnonzero(fresh).tolist(), n]):
-        part = slice(first, end)
-        errors[part] = lfilter([1.0], noise, errors[part])
-        for j in range(1, nc + 1):
-            gradient[first + j : end, m + j - 1] = errors[first : max(end - j, first)]
-        gradient[part] = lfilter([1.0], noise, gradient[part], axis=0)
-    return errors, gradient
-
-
-def invertible(c: np.ndarray) -> np.ndarray:
-    """Return the coefficients of C after its zeros outside the unit circle are reflected to the inside."""
-    roots = np.roots(np.concatenate(([1.0], c)))
-    roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
-    roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
-    coefficients = np.real(np.poly(roots))[1:]
-    # np.roots drops zeros at the origin: the missing last coefficients are zero
-    return np.pad(coefficients, (0, len(c) - len(coefficients)))
-
-
-def refine(
-    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int, weights: np.ndarray
-) -> np.ndarray:
-    """Return the coefficients with the minimum weighted sum of squared one-step errors.
-
-    The search uses Gauss-Newton steps with step halving.
-
-    Parameters
-    ----------
-    theta, rows, outputs, fresh, nc
-        Initial coefficients, and data as in :func:`errors_and_gradient`.
-    weights : ndarray, shape (n,)
-        Weights of the squared errors.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        The search does not converge.
-    """
-    m = rows.shape[1]
-    root = np.sqrt(weights)
-
-    def cost(candidate: np.ndarray) -> float:
-        errors, _ = errors_and_gradient(candidate, rows, outputs, fresh, nc)
-        return float(np.nan_to_num(np.sum(weights * errors**2), nan=np.inf, posinf=np.inf))
-
-    best = np.concatenate((theta[:m], invertible(theta[m:])))
-    value = cost(best)
-    for _ in range(MAX_STEPS):
-        errors, gradient = errors_and_gradient(best, rows, outputs, fresh, nc)
-        step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
-        for halving in range(MAX_HALVINGS):
-            candidate = best + step / 2**halving
-            candidate[m:] = invertible(candidate[m:])
-            tried = cost(candidate)
-            if tried < value:
-                break
-        else:
-            return best  # no step reduces the cost: this is the minimum
-        gained = value - tried
-        best, value = candidate, tried
-        if gained <= 1e-13 * value:
-            return best
-    raise NoTrustworthyResult(
-        f"the noise polynomial C did not converge in {MAX_STEPS} steps",
-        hint="lower --nc, or give longer logs",
-    )
-
-
 @dataclass(frozen=True)
 class Regression:
     """Regression ``z = H theta + e`` for the coefficients of A and B. The columns of C are not data."""
@@ -300,7 +205,7 @@ class Regression:
     def __len__(self) -> int:
         return len(self.outputs)
 
-    @property
+    @cached_property
     def fresh(self) -> np.ndarray:
         """True where a row does not directly follow the previous row in time, shape (n,)."""
         return np.diff(self.sample, prepend=-2) != 1
@@ -324,6 +229,94 @@ def regression(records: Sequence[Record], orders: Orders) -> Regression:
     k = np.flatnonzero(np.isfinite(y) & np.isfinite(h).all(axis=1))
     possible = sum(max(len(r) - orders.lag, 0) for r in records)
     return Regression(h[k], y[k], k, u, possible)
+
+
+def errors_and_gradient(theta: np.ndarray, data: Regression, nc: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the one-step errors of an ARMAX model and the derivative of the one-step prediction.
+
+    Past errors are taken as zero where a row does not directly follow the previous row in time.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (m + nc,)
+        Coefficients of A, B and C.
+
+    Returns
+    -------
+    errors : ndarray, shape (n,)
+        ``e(k) = z(k) - h(k)' theta_AB - sum_j c_j e(k-j)``.
+    gradient : ndarray, shape (n, m + nc)
+        Negative derivative of the errors with respect to theta: the regression vector filtered by 1 / C.
+    """
+    from scipy.signal import lfilter
+
+    n, m = data.rows.shape
+    errors = data.outputs - data.rows @ theta[:m]
+    gradient = np.hstack((data.rows, np.zeros((n, nc))))
+    noise = np.append(1.0, theta[m:])
+    for first, end in itertools.pairwise([*np.flatnonzero(data.fresh).tolist(), n]):
+        part = slice(first, end)
+        errors[part] = lfilter([1.0], noise, errors[part])
+        for j in range(1, nc + 1):
+            gradient[first + j : end, m + j - 1] = errors[first : max(end - j, first)]
+        gradient[part] = lfilter([1.0], noise, gradient[part], axis=0)
+    return errors, gradient
+
+
+def invertible(c: np.ndarray) -> np.ndarray:
+    """Return the coefficients of C after its zeros outside the unit circle are reflected to the inside."""
+    roots = np.roots(np.concatenate(([1.0], c)))
+    roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
+    roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
+    coefficients = np.real(np.poly(roots))[1:]
+    # np.roots drops zeros at the origin: the missing last coefficients are zero
+    return np.pad(coefficients, (0, len(c) - len(coefficients)))
+
+
+def refine(theta: np.ndarray, data: Regression, nc: int, weights: np.ndarray) -> np.ndarray:
+    """Return the coefficients with the minimum weighted sum of squared one-step errors.
+
+    The search uses Gauss-Newton steps with step halving.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (m + nc,)
+        Initial coefficients.
+    weights : ndarray, shape (n,)
+        Weights of the squared errors.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        The search does not converge.
+    """
+    m, root = data.rows.shape[1], np.sqrt(weights)
+
+    def cost(candidate: np.ndarray) -> float:
+        errors, _ = errors_and_gradient(candidate, data, nc)
+        return float(np.nan_to_num(np.sum(weights * errors**2), nan=np.inf, posinf=np.inf))
+
+    best = np.concatenate((theta[:m], invertible(theta[m:])))
+    value = cost(best)
+    for _ in range(MAX_STEPS):
+        errors, gradient = errors_and_gradient(best, data, nc)
+        step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
+        for halving in range(MAX_HALVINGS):
+            candidate = best + step / 2**halving
+            candidate[m:] = invertible(candidate[m:])
+            tried = cost(candidate)
+            if tried < value:
+                break
+        else:
+            return best  # no step reduces the cost: this is the minimum
+        gained = value - tried
+        best, value = candidate, tried
+        if gained <= 1e-13 * value:
+            return best
+    raise NoTrustworthyResult(
+        f"the noise polynomial C did not converge in {MAX_STEPS} steps",
+        hint="lower --nc, or give longer logs",
+    )
 
 
 @dataclass(frozen=True)
@@ -537,8 +530,8 @@ def estimate(
     residuals, jacobian = data.outputs - data.rows @ theta, data.rows
     if orders.nc:
         theta = np.append(theta, np.zeros(orders.nc))
-        theta = refine(theta, data.rows, data.outputs, data.fresh, orders.nc, weights)
-        residuals, jacobian = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
+        theta = refine(theta, data, orders.nc, weights)
+        residuals, jacobian = errors_and_gradient(theta, data, orders.nc)
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
     tested = residuals
     if forgetting < 1 and not orders.nc:
