@@ -126,7 +126,8 @@ def fit_propulsion(
                 raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
             if options.keep_departures:
                 warn("SWM004", "--keep-departures belongs to a cruise experiment and has no effect here")
-        file, checks, shown = fit(experiment, choices, origin, options, progress)
+        file, checks, shown = fit(experiment, choices, options, progress)
+        file.provenance = origin
     evidence = ev.Evidence(
         command="fit-propulsion",
         verdict=ev.judged(fit_common.answer(file), checks),
@@ -143,11 +144,7 @@ def fit_propulsion(
 
 
 def _fit_surge(
-    experiment: Experiment,
-    choices: tuple[Parameter, ...],
-    origin: dict[str, Any],
-    options: FitPropulsionOptions,
-    progress: Progress,
+    experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
 ) -> Made:
     """Fit thrust and drag to the surge averaged over tail beats.
 
@@ -157,8 +154,6 @@ def _fit_surge(
     ----------
     choices : tuple of Parameter
         Parameters of the model with the choices of the user.
-    origin : dict
-        Provenance of the inputs.
 
     Raises
     ------
@@ -200,9 +195,7 @@ def _fit_surge(
         **experiment.facts,
     }
     robot = experiment.robot.name
-    file = fit_common.parameter_file(
-        result, robot=robot, provenance=origin, derived=derived, settings=settings
-    )
+    file = fit_common.parameter_file(result, robot=robot, provenance={}, derived=derived, settings=settings)
     checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
     state = "estimated"
     if not any(label.startswith("initial_speed[") for label in result.labels):
@@ -225,11 +218,7 @@ def _estimated(value: float, stderr: float, unit: str) -> Estimate:
 
 
 def _fit_recoil_law(
-    experiment: Experiment,
-    choices: tuple[Parameter, ...],
-    origin: dict[str, Any],
-    options: FitPropulsionOptions,
-    progress: Progress,
+    experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
 ) -> Made:
     """Fit the law to all frequencies that follow it; standard errors include those of the drag file.
 
@@ -237,8 +226,6 @@ def _fit_recoil_law(
     ----------
     choices : tuple of Parameter
         Parameters of the model with the choices of the user.
-    origin : dict
-        Provenance of the inputs.
 
     Raises
     ------
@@ -265,14 +252,13 @@ def _fit_recoil_law(
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
     exponents, exponent_checks = _free_exponents(model, kept, choices, LAWS, "power")
-    moved = _models_by_drag_error(experiment)
-    result = _with_drag_error(result, kept, choices, experiment.facts["drag"], moved)
+    result = _with_drag_error(result, kept, choices, experiment)
     points = _operating_points(experiment, result)
     file = fit_common.parameter_file(
         result,
         robot=experiment.robot.name,
-        provenance=origin,
-        derived=_derive(experiment, result, points, moved) | exponents,
+        provenance={},
+        derived=_derive(experiment, result, points) | exponents,
         settings={"drag_file": str(experiment.facts["drag_path"])},
     )
     file._drag = experiment.facts["drag"]
@@ -430,15 +416,12 @@ def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
 
 
 def _with_drag_error(
-    result: FitResult,
-    trials: list[Trial],
-    choices: tuple[Parameter, ...],
-    drag: ParameterFile,
-    models: Mapping[str, RecoilModel],
+    result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
 ) -> FitResult:
     """Add the errors of the drag file's parameters to the covariance of the estimates."""
+    drag: ParameterFile = experiment.facts["drag"]
     shifts, joint = np.zeros((2, len(result.labels))), np.eye(2)
-    for name, other in models.items():
+    for name, other in _models_by_drag_error(experiment).items():
         moved = output_error.fit(other, trials, parameters=choices)
         shifts[DRAG_PARAMETERS.index(name)] = moved.estimate - result.estimate
     if drag.correlation and all(n in drag.correlation.names for n in DRAG_PARAMETERS):
@@ -447,19 +430,12 @@ def _with_drag_error(
     return replace(result, covariance=result.covariance + shifts.T @ joint @ shifts)
 
 
-def _derive(
-    experiment: Experiment,
-    result: FitResult,
-    points: list[dict[str, Any]],
-    models: Mapping[str, RecoilModel],
-) -> dict[str, Estimate]:
+def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
     """Return the velocity ratio, and the minimum and the maximum propulsive force."""
     coefficient = experiment.facts["drag"].parameters["drag_coefficient"]
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
-    ratio, *moved = (
-        float(velocity_ratio(m.b1, 0.0, distance))  # type: ignore[attr-defined]
-        for m in (experiment.model, *models.values())
-    )
+    models = (experiment.model, *_models_by_drag_error(experiment).values())
+    ratio, *moved = (float(velocity_ratio(m.b1, 0.0, distance)) for m in models)  # type: ignore[attr-defined]
     error = math.sqrt(sum((other - ratio) ** 2 for other in moved))
     scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
     relative = math.hypot((coefficient.stderr or 0.0) / coefficient.value, scatter)
