@@ -502,7 +502,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     return replace(log, columns=columns), repeats
 
 
-def _even_times(time_s: Array, values: Array, held: Held) -> tuple[Array, Array] | None:
+def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the rows and the times (s) of a column's measurements if their rate is constant.
 
     The result is None if the rate is not constant, or if it is the rate of the log.
@@ -526,7 +526,7 @@ def _even_times(time_s: Array, values: Array, held: Held) -> tuple[Array, Array]
     return None
 
 
-def _means(time_s: Array, values: Array, times: Array) -> Array:
+def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return the mean of a held signal from each time to the next; NaN if too many samples are missing."""
     steps, missing = np.diff(time_s), np.isnan(values)
     held = np.column_stack([np.where(missing, 0.0, values), missing])
@@ -538,7 +538,7 @@ def _means(time_s: Array, values: Array, times: Array) -> Array:
     return np.where(empty > MAX_MISSING, np.nan, mean)
 
 
-def _is_lossy(values: Array, repeated: Array) -> bool:
+def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:
     """Return whether a signal repeats samples although its other changes are larger than its rounding."""
     changes = np.abs(np.diff(values[~repeated]))
     return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
@@ -698,7 +698,7 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
             label = "held-out part" + f" of {name}" * (len(fitted) > 1)
             held[label] = _records(log, name, columns, step_s, slice(cut, None))
     files += [Path(entry.log) if entry._held is None else entry._held.source for entry in entries]
-    return Data(columns, step_s, fit, held, fitted, files, listed and listed.robot, repeats)
+    return Data(columns, step_s, fit, held, fitted, files, getattr(listed, "robot", None), repeats)
 
 
 def _single(source: Source, role: Any, name: str) -> TrialEntry:
@@ -731,8 +731,9 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
 
 def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns:
     """Return the columns that the options or the trials file name."""
-    source = options.input_column or (listed and listed.input)
-    output = options.output_column or (listed and listed.output)
+    source, output = options.input_column, options.output_column
+    if listed is not None:
+        source, output = source or listed.input, output or listed.output
     if output is None:
         raise UsageError("give the output column with --output COLUMN")
     if (options.input_sine is None) == (source is None):

@@ -63,9 +63,7 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
     return np.asarray(b1 * (np.asarray(end_m) - np.asarray(start_m)) / (phase(end_m) - phase(start_m)))
 
 
-def terminal_speed(
-    power: Array, *, quadratic: Array | float, linear: Array | float, dry: Array | float
-) -> Array:
+def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
     """Return the speed at which drag consumes a propulsive power, m/s.
 
     The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``. It is zero if the power
@@ -74,9 +72,10 @@ def terminal_speed(
     Parameters
     ----------
     power : ndarray, W
-    quadratic, linear, dry : ndarray or float
-        Drag coefficients: kg/m, kg/s and N.
+    c : mapping of str to float
+        Drag coefficients ``quadratic``, ``linear`` and ``dry``: kg/m, kg/s and N.
     """
+    quadratic, linear, dry = c["quadratic"], c["linear"], c["dry"]
 
     def newton(v: Array) -> Array:
         slope = dry + v * (2 * linear + 3 * v * quadratic)
@@ -96,14 +95,7 @@ def _root(step: Callable[[Array], Array], start: Array) -> Array:
     return start
 
 
-def mean_speed(
-    terminal_m_s: Array,
-    distance_m: Array,
-    *,
-    mass: Array | float,
-    quadratic: Array | float,
-    linear: Array | float,
-) -> Array:
+def mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -> Array:
     """Return the average speed of a run from rest over a distance, m/s.
 
     The thrust is constant, and the robot would finally reach the given terminal speed. Dry friction only
@@ -113,8 +105,8 @@ def mean_speed(
     ----------
     terminal_m_s, distance_m : ndarray
         Terminal speed and distance of each run.
-    mass, quadratic, linear : ndarray or float
-        Mass in kg; drag coefficients in kg/m and kg/s.
+    c : mapping of str to float
+        ``mass`` in kg; drag coefficients ``quadratic`` and ``linear`` in kg/m and kg/s.
 
     Notes
     -----
@@ -123,10 +115,10 @@ def mean_speed(
     distance is ``scale (y - rho log(1 + (1 - exp(-y)) / rho))``, and the time is ``scale (y + log(1 + (1 -
     exp(-y)) / rho)) / v1``. Without linear drag the result is Eq 25.
     """
-    v1 = np.asarray(terminal_m_s, dtype=float)
+    v1, quadratic = np.asarray(terminal_m_s, dtype=float), c["quadratic"]
     moving = v1 > 0
-    rho = 1.0 + linear / (quadratic * np.where(moving, v1, 1.0))
-    scale = mass / (quadratic * (1.0 + rho))
+    rho = 1.0 + c["linear"] / (quadratic * np.where(moving, v1, 1.0))
+    scale = c["mass"] / (quadratic * (1.0 + rho))
 
     def newton(y: Array) -> Array:
         gone = -np.expm1(-y)
@@ -249,13 +241,11 @@ class RecoilModel(Model):
         if c["quadratic"] <= 0 or c["mass"] <= 0:
             return self.broken_down(trial)
         if c["linear"] == c["dry"] == 0:
-            terminal = np.cbrt(power / c["quadratic"])
-            speed = velocity_ratio(c["quadratic"] / c["mass"], 0.0, distance) * terminal
-        else:
-            terminal = terminal_speed(power, quadratic=c["quadratic"], linear=c["linear"], dry=c["dry"])
-            speed = mean_speed(
-                terminal, distance, mass=c["mass"], quadratic=c["quadratic"], linear=c["linear"]
+            speed = velocity_ratio(c["quadratic"] / c["mass"], 0.0, distance) * np.cbrt(
+                power / c["quadratic"]
             )
+        else:
+            speed = mean_speed(terminal_speed(power, c), distance, c)
         if hooks.flow:
             time = distance / np.maximum(speed, 1e-9)
             carried = sum(flow(time)[0][:, 0] - flow(np.zeros(1))[0][0, 0] for flow in hooks.flow)
@@ -268,13 +258,14 @@ class RecoilModel(Model):
         def cut(columns: Mapping[str, Any], k: int) -> dict[str, Any]:
             return {name: np.broadcast_to(v, len(trial.time_s))[k : k + 1] for name, v in columns.items()}
 
-        parts = ("measured", "inputs", "value_sd")
         return [
             replace(
                 trial,
                 id=f"{trial.id}/{k + 1}",
                 time_s=trial.time_s[k : k + 1],
-                **{part: cut(getattr(trial, part), k) for part in parts},
+                measured=cut(trial.measured, k),
+                inputs=cut(trial.inputs, k),
+                value_sd=cut(trial.value_sd, k),
             )
             for k in range(len(trial.time_s))
         ]

@@ -369,7 +369,8 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
         if doubtful:
             warn("SWM002", f"{path.name}, '{column}': {words}")
     fins = [cells["fin"] for _, cells in rows]
-    return CruiseTable(path, held or path, fins, *(columns[name] for name in NUMBERS), speeds)
+    frequency, amplitude, distance = (columns[name] for name in NUMBERS)
+    return CruiseTable(path, held or path, fins, frequency, amplitude, distance, speeds)
 
 
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:

@@ -350,11 +350,9 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
 
 def fit_freed(stated: FitResult, name: str) -> FitResult | None:
     """Return the best fit with one more free parameter, from several start values; None if all fail."""
-    held = next((p for p in stated.parameters if p.name == name and not p.free), None)
-    if held is None:
-        return None
-    freed = _fit_from_starts(stated, held, chosen(stated.parameters, freed=(name,)))
-    return freed and freed.fit
+    held = [p for p in stated.parameters if p.name == name and not p.free]
+    freed = [_fit_from_starts(stated, p, chosen(stated.parameters, freed=(name,))) for p in held]
+    return next((omitted.fit for omitted in freed if omitted is not None), None)
 
 
 def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.files.provenance import Input
 from swimid.fitting.drives import RigInput
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, Trial, chosen
@@ -110,13 +111,8 @@ def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list
 
 def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experiment:
     factors = _area_factors(entries.trials, robot, path)
-    records, known, logs = [], [], []
-    for entry, factor in zip(entries.trials, factors, strict=True):
-        log = read_log(entry, path.parent, required=("x_m",))
-        logs.append(log.source)
-        time, position = _without_standstill(log)
-        records.append(read_encoder(time, position, robot.rig.encoder_resolution_m))
-        known.append(_drop(path, entry, robot, factor, time, position, records[-1]))
+    drops = [_drop(e, path, robot, factor) for e, factor in zip(entries.trials, factors, strict=True)]
+    logs, known, records = zip(*drops, strict=True)
     model = rig.falling_weight(
         mass_kg=float(np.median([k.inertia for k in known])) or 1.0,
         force_N=float(np.median([k.pull for k in known])),
@@ -197,15 +193,12 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
 
 
 def _drop(
-    path: Path,
-    entry: FallingWeightTrial,
-    robot: Robot,
-    factor: float,
-    time: Array,
-    position: Array,
-    record: Displacement,
-) -> RigInput:
-    """Return the mass, the force and the time of release of a drop."""
+    entry: FallingWeightTrial, path: Path, robot: Robot, factor: float
+) -> tuple[Input, RigInput, Displacement]:
+    """Return the log of a drop, its mass, force and time of release, and its displacement."""
+    log = read_log(entry, path.parent, required=("x_m",))
+    time, position = _without_standstill(log)
+    record = read_encoder(time, position, robot.rig.encoder_resolution_m)
     mass = _mass(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None
     if entry.pulling_mass_kg is not None:
@@ -236,7 +229,8 @@ def _drop(
         release -= 1.4 * float(quickest)
     if from_origin:
         x0 = 0.0
-    return RigInput(inertia=mass, force=force, pulley=pulley, area_factor=factor, release_s=release, x0=x0)
+    known = RigInput(mass, force=force, pulley=pulley, area_factor=factor, release_s=release, x0=x0)
+    return log.source, known, record
 
 
 # ------------------------------------------------------------ towed
