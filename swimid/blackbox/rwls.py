@@ -111,7 +111,7 @@ def rwls(
     Parameters
     ----------
     logs : sequence of path, Log or DataFrame
-        Logs with one row for each sample, all at one rate; or trials files of the experiment ``arma``.
+        Logs with one row for each sample, all at one rate; or a trials file of the experiment ``arma``.
     output : Path, optional
         Parameter file to write. The evidence file is written to the same folder.
     progress : Progress
