@@ -201,14 +201,14 @@ def test_coloured_noise_biases_arx_and_not_armax():
 
 
 def test_armax_gradient_is_the_derivative():
-    data = regression([simulated(13, n=80)], Orders(2, 2))
+    data = regression([simulated(13, n=80)], Orders(2, 2, nc=2))
     theta = np.append(TRUTH, [0.4, -0.2])
-    _, gradient = arx.errors_and_gradient(theta, data, 2)
+    _, gradient = arx.errors_and_gradient(theta, data)
     for i in range(6):
         step = np.zeros(6)
         step[i] = 1e-6
-        up, _ = arx.errors_and_gradient(theta + step, data, 2)
-        down, _ = arx.errors_and_gradient(theta - step, data, 2)
+        up, _ = arx.errors_and_gradient(theta + step, data)
+        down, _ = arx.errors_and_gradient(theta - step, data)
         np.testing.assert_allclose(gradient[:, i], -(up - down) / 2e-6, rtol=1e-5, atol=1e-6)
 
 

@@ -192,6 +192,7 @@ def warm_up() -> None:
 class Regression:
     """Regression ``z = H theta + e`` for the coefficients of A and B. The columns of C are not data."""
 
+    orders: Orders
     #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
     rows: np.ndarray
     outputs: np.ndarray
@@ -228,10 +229,10 @@ def regression(records: Sequence[Record], orders: Orders) -> Regression:
     h = np.column_stack(past + [lagged(u, orders.nk + j) for j in range(orders.nb)])
     k = np.flatnonzero(np.isfinite(y) & np.isfinite(h).all(axis=1))
     possible = sum(max(len(r) - orders.lag, 0) for r in records)
-    return Regression(h[k], y[k], k, u, possible)
+    return Regression(orders, h[k], y[k], k, u, possible)
 
 
-def errors_and_gradient(theta: np.ndarray, data: Regression, nc: int) -> tuple[np.ndarray, np.ndarray]:
+def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray, np.ndarray]:
     """Return the one-step errors of an ARMAX model and the derivative of the one-step prediction.
 
     Past errors are taken as zero where a row does not directly follow the previous row in time.
@@ -250,7 +251,7 @@ def errors_and_gradient(theta: np.ndarray, data: Regression, nc: int) -> tuple[n
     """
     from scipy.signal import lfilter
 
-    n, m = data.rows.shape
+    (n, m), nc = data.rows.shape, data.orders.nc
     errors = data.outputs - data.rows @ theta[:m]
     gradient = np.hstack((data.rows, np.zeros((n, nc))))
     noise = np.append(1.0, theta[m:])
@@ -273,7 +274,7 @@ def invertible(c: np.ndarray) -> np.ndarray:
     return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
-def refine(theta: np.ndarray, data: Regression, nc: int, weights: np.ndarray) -> np.ndarray:
+def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarray:
     """Return the coefficients with the minimum weighted sum of squared one-step errors.
 
     The search uses Gauss-Newton steps with step halving.
@@ -293,13 +294,13 @@ def refine(theta: np.ndarray, data: Regression, nc: int, weights: np.ndarray) ->
     m, root = data.rows.shape[1], np.sqrt(weights)
 
     def cost(candidate: np.ndarray) -> float:
-        errors, _ = errors_and_gradient(candidate, data, nc)
+        errors, _ = errors_and_gradient(candidate, data)
         return float(np.nan_to_num(np.sum(weights * errors**2), nan=np.inf, posinf=np.inf))
 
     best = np.concatenate((theta[:m], invertible(theta[m:])))
     value = cost(best)
     for _ in range(MAX_STEPS):
-        errors, gradient = errors_and_gradient(best, data, nc)
+        errors, gradient = errors_and_gradient(best, data)
         step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
         for halving in range(MAX_HALVINGS):
             candidate = best + step / 2**halving
@@ -372,7 +373,7 @@ def _lengths(rows: np.ndarray) -> np.ndarray:
     return np.where(length > 0, length, 1.0)
 
 
-def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
+def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiability:
     """Find the coefficients of A and B that the rows determine. Those of C are always determined.
 
     Parameters
@@ -380,6 +381,7 @@ def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float
     quanta : (float, float)
         Rounding step of the input, and rounding step of the output.
     """
+    orders = data.orders
     steps = np.repeat([quanta[1], quanta[0]], [orders.na, orders.nb])
     both = find_directions(data.rows, steps)
     inputs = find_directions(data.rows[:, orders.na :], steps[orders.na :])
@@ -388,12 +390,7 @@ def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float
 
 
 def exclude_collinear(
-    known: Identifiability,
-    data: Regression,
-    orders: Orders,
-    theta: np.ndarray,
-    stderr: np.ndarray,
-    noise_sd: float,
+    known: Identifiability, data: Regression, theta: np.ndarray, stderr: np.ndarray, noise_sd: float
 ) -> Identifiability:
     """Flag coefficients as not determined if noise makes them indistinguishable despite full rank.
 
@@ -404,7 +401,7 @@ def exclude_collinear(
     are excluded if any of them has a standard error above half of its magnitude. A coefficient that is known
     to be small is not excluded.
     """
-    count = orders.na + orders.nb
+    orders, count = data.orders, data.rows.shape[1]
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
     length = np.linalg.norm(data.rows, axis=0)
     determined = known.determined.copy()
@@ -516,22 +513,18 @@ def estimate(
     data = regression(records, orders)
     check_enough(data, orders)
     quanta = (max(rounding(r.source) for r in records), max(rounding(r.output) for r in records))
-    known = find_determined(data, orders, quanta)
+    known = find_determined(data, quanta)
     _check_determined(known, orders)
     run = recursive_least_squares(
-        data.rows,
-        data.outputs,
-        weight=weight,
-        forgetting=forgetting,
-        prior_scale=prior_scale,
+        data.rows, data.outputs, weight=weight, forgetting=forgetting, prior_scale=prior_scale
     )
     weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age of a sample is counted in rows
     theta = run.theta
     residuals, jacobian = data.outputs - data.rows @ theta, data.rows
     if orders.nc:
         theta = np.append(theta, np.zeros(orders.nc))
-        theta = refine(theta, data, orders.nc, weights)
-        residuals, jacobian = errors_and_gradient(theta, data, orders.nc)
+        theta = refine(theta, data, weights)
+        residuals, jacobian = errors_and_gradient(theta, data)
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
     tested = residuals
     if forgetting < 1 and not orders.nc:
@@ -542,7 +535,7 @@ def estimate(
     robust = not (white.passed or exact)
     matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data, robust=robust)
     stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    known = exclude_collinear(known, data, orders, theta, stderr, noise_sd)
+    known = exclude_collinear(known, data, theta, stderr, noise_sd)
     _check_determined(known, orders)
     stderr = np.where(known.determined, stderr, np.nan)
     return ArxEstimate(

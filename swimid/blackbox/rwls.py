@@ -567,7 +567,7 @@ def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
 def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     """Return the prediction one sample ahead, shape (n,); NaN where a sample that it needs is missing."""
     data = regression([record], orders)
-    errors, _ = errors_and_gradient(theta, data, orders.nc)
+    errors, _ = errors_and_gradient(theta, data)
     return data.on_grid(data.outputs - errors)
 
 
