@@ -407,10 +407,9 @@ def compute_evidence(stated: FitResult, fit: FitResult) -> float:
 def find_moved(stated: FitResult, other: FitResult) -> list[str]:
     """Return the shared parameters whose 95 % interval in one fit excludes the estimate of another fit."""
     found = []
-    for label in stated.shared:
+    for label in [one for one in stated.shared if stated.status[one] != "unidentifiable"]:
         error = stated.stderr(label)
-        beyond = error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error
-        if beyond and stated.status[label] != "unidentifiable":
+        if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
             found.append(label)
     return found
 

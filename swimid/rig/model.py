@@ -376,7 +376,9 @@ def free_decay(
         force, mass, kind, loss = "N m", "kg m^2", "inertia", "damping"
     rate = math.sqrt(guess / inertia)
     damping, speed = 0.01 * inertia * rate, amplitude * rate
-    quadratic, known = damping / speed, stiffness is not None
+    quadratic, known, spring = damping / speed, stiffness is not None, stiffness
+    if spring is None:
+        spring = guess - gravity
     restoring = f"{force}/{unit}"
     cubic = guess / (6.0 * amplitude**2)
     meaning = "m g l of a restoring moment m g l sin(angle)"
@@ -385,16 +387,9 @@ def free_decay(
         _parameter(f"added_{kind}", mass, 0.0, 0.3 * inertia, f"added {kind}", free=known),
         _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),
         _parameter(f"linear_{loss}", f"{force} s/{unit}", damping, damping, "linear damping"),
-        _parameter(
-            "stiffness",
-            restoring,
-            guess - gravity if stiffness is None else stiffness,
-            guess,
-            "stiffness of a linear spring",
-            free=not known,
-        ),
+        _parameter("stiffness", restoring, spring, guess, "stiffness of a linear spring", free=not known),
         _signed("cubic_stiffness", f"{restoring}^3", cubic, "cubic restoring stiffness", free=False),
-        *([pendulum] if coordinate in ("roll_rad", "pitch_rad") else []),
+        *[pendulum] * (coordinate in ("roll_rad", "pitch_rad")),
         _parameter(
             "dry_friction", force, 0.0, 0.01 * guess * amplitude, "dry friction", free=False, kinked=True
         ),

@@ -401,8 +401,7 @@ def _period(time: Array, crossings: Array) -> float:
     regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
     count = max(int(np.argmin([*regular, False])), 1)
     # use whole periods, because the two half swings differ in duration if the level is not the rest position
-    if count > 1:
-        count -= count % 2
+    count = max(count - count % 2, 1)
     return 2.0 * float(np.sum(halves[:count])) / count
 
 
