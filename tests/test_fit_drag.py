@@ -252,7 +252,7 @@ class TestTwoPoint:
             drops = []
             for w, exact in clicks.items():
                 t = np.sort(exact + np.r_[0, rng.normal(0, 2e-3, len(exact) - 1)])
-                drops.append(drag_module.Drop(w / 1000, t, np.arange(len(exact)) * STEP))
+                drops.append(Trial(f"w{w}", "fit", t, {"x_m": np.arange(len(exact)) * STEP}, rig=_known(w)))
             found = drag_module.two_point(drops, robot_format.read("boxfish"), (0.293, 0.584))
             inside += all(abs(found.values[n] - v) < 2 * found.stderr[n] for n, v in TRUTH.items())
         # three correlated 2-sigma intervals all contain the truth in about nine of ten cases

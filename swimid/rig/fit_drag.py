@@ -33,7 +33,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import optimize, special
@@ -155,7 +155,7 @@ def fit_drag(
         result, facts, checks = _fit_best(experiment, choices, options.start_state, progress)
         pair = None
         try:
-            pair = _two_point(experiment, options.points_m)
+            pair = two_point(experiment.trials, experiment.robot, options.points_m)
         except NoTrustworthyResult:
             if options.method == "two-point":
                 raise
@@ -959,14 +959,6 @@ def theory_estimates(robot: Robot) -> list[Theory]:
 # ------------------------------------------------------------ two-point method of the boxfish paper
 
 
-class Drop(NamedTuple):
-    """Falling-weight trial from the time of release on, without missing samples."""
-
-    pulling_mass_kg: float
-    time_s: Array
-    displacement_m: Array
-
-
 @dataclass(frozen=True)
 class TwoPointResult:
     """Result of the two-point method.
@@ -1034,14 +1026,15 @@ def speed_at(
 
 
 def two_point(
-    drops: Sequence[Drop], robot: Robot, points_m: tuple[float, float] | None = None
+    trials: Sequence[Trial], robot: Robot, points_m: tuple[float, float] | None = None
 ) -> TwoPointResult:
     """Estimate drag coefficient, added mass and pulley friction from speeds at two displacements.
 
     Parameters
     ----------
-    drops : sequence of Drop
-        Falling-weight trials with at least three different pulling masses.
+    trials : sequence of Trial
+        Falling-weight trials without missing samples. Those with a pulley and the role ``fit`` are used; they
+        must have at least three different pulling masses.
     points_m : (x1, x2), optional
         The two displacements. The default is :data:`POINT_SHARES` of the displacement that all drops reached.
         The paper used 0.293 and 0.584 m.
@@ -1056,21 +1049,24 @@ def two_point(
     if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
         raise NoTrustworthyResult("the two-point method needs the robot's inertial mass and frontal area")
     area, mass = body.frontal_area_m2, body.inertial_mass_kg + robot.rig.pulley_inertia_kg
-    masses = np.array([d.pulling_mass_kg for d in drops])
+    drops = [t for t in trials if t.rig.pulley and t.role == "fit"]
+    masses = np.array([t.rig.pull / gravity for t in drops])
+    times = [t.time_s - t.rig.begin_s for t in drops]
+    measured_m = [t.measured["x_m"] - t.rig.x0 for t in drops]
     if len(np.unique(masses)) < MIN_MASSES:
         raise NoTrustworthyResult(
             f"the two-point method needs at least {MIN_MASSES} different pulling masses"
         )
-    reach = min(float(d.displacement_m.max()) for d in drops)
+    reach = min(float(x.max()) for x in measured_m)
     points = points_m or (POINT_SHARES[0] * reach, POINT_SHARES[1] * reach)
     if not 0 < points[0] < points[1]:
         raise NoTrustworthyResult(f"the two displacements must rise from zero: {points[0]:g} {points[1]:g}")
 
     def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
         """Return the speeds at the points and their standard errors, each shape (2, k)."""
-        pairs = list(zip(drops, displacements, strict=True))
+        pairs = list(zip(times, displacements, strict=True))
         width = points[0] * HALF_WIDTH
-        fits = np.array([[speed_at(d.time_s, x, point, width) for d, x in pairs] for point in points])
+        fits = np.array([[speed_at(t, x, point, width) for t, x in pairs] for point in points])
         return fits[:, :, 0], fits[:, :, 1]
 
     def solve(squared: Array) -> tuple[Array, Array]:
@@ -1083,7 +1079,7 @@ def two_point(
         added = density * drag * area / (2 * a1) - mass - float(masses.mean())
         return np.array([drag, added, float(np.mean(-gravity * intercepts / slopes))]), lines
 
-    measured, measured_sd = speeds([d.displacement_m for d in drops])
+    measured, measured_sd = speeds(measured_m)
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, lines = solve(squared)
 
@@ -1104,9 +1100,9 @@ def two_point(
     drag, added, friction = answer
     perfect = [
         falling_weight_closed_form(
-            d.time_s, 0.0, mass + added + weight, 0.5 * density * area * drag, weight * gravity - friction
+            t, 0.0, mass + added + weight, 0.5 * density * area * drag, weight * gravity - friction
         )[0]
-        for d, weight in zip(drops, masses, strict=True)
+        for t, weight in zip(times, masses, strict=True)
     ]
     bias = solve(speeds(perfect)[0] ** 2)[0] - answer
     values, stderr, bias_of = (
@@ -1141,17 +1137,6 @@ def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
         return math.expm1(-2 * a1 * x1) / math.expm1(-2 * a1 * x2) - ratio
 
     return float(optimize.brentq(mismatch, 1e-9 / x1, 50 / x1))
-
-
-def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> TwoPointResult:
-    """Apply the two-point method to the fitted drops of an experiment."""
-    gravity = experiment.robot.fluid.gravity_m_s2
-    drops = [
-        Drop(t.rig.pull / gravity, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
-        for t in experiment.trials
-        if t.rig.pulley and t.role == "fit"
-    ]
-    return two_point(drops, experiment.robot, points_m)
 
 
 def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
