@@ -504,9 +504,10 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
     size = abs(t) * bool(abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2)))
     far = bool(abs(output) > FAR * np.std(data.outputs))
     point = WorkingPoint(source, output, t, True)
-    if mode == "auto" and size <= CLEAR_T and (far or size > LIKELY_T):
-        mode = "mean" * _helps(records, orders, point, far=far, likely=size > WEAK_T)
-    if mode == "mean" or (mode == "auto" and size > CLEAR_T):
+    removed = mode == "mean" or (mode == "auto" and size > CLEAR_T)
+    if mode == "auto" and not removed and (far or size > LIKELY_T):
+        removed = _helps(records, orders, point, far=far, likely=size > WEAK_T)
+    if removed:
         return point
     return WorkingPoint(0.0, 0.0, t, False)
 

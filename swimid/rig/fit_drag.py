@@ -59,7 +59,7 @@ from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
 #: Start values of a freed parameter, as multiples of its typical scale from the value at which it was held.
-FREED_STARTS = (0.0, 1.0, -1.0)
+FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
 #: Minimum of twice the logarithm of a likelihood ratio that counts as strong evidence [1]_.
 STRONG = 6.0
 #: Maximum number of parameters that a warning names.
@@ -382,8 +382,10 @@ def _fit_from_starts(
     """Return the best fit with the given parameters, from several start values of the parameter ``held``."""
     free = any(p.name == held.name and p.free for p in parameters)
     here = {p.name: stated.value(p.name) for p in parameters if p.free and p.name in stated.labels}
-    fits = []
-    for step in FREED_STARTS[: len(FREED_STARTS) if free else 1]:
+    fits, steps = [], FREED_STARTS
+    if not free:
+        steps = (0.0,)
+    for step in steps:
         start = held.start + step * held.scale
         if not held.lower <= start <= held.upper:
             continue
