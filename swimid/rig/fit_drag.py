@@ -653,9 +653,10 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         return quantity(result.model.coefficients(values, trial.rig))  # type: ignore[attr-defined]
 
     values = result.values(trial.id)
-    estimate = Estimate(value=at(values), unit=unit, status="fixed")
-    if not math.isfinite(estimate.value):
+    centre = at(values)
+    if not math.isfinite(centre):
         return None
+    estimate = Estimate(value=centre, unit=unit, status="fixed")
     gradient, unknown, bound = np.zeros(len(result.labels)), False, False
     for j, label in enumerate(result.labels):
         parameter, error, status = result.parameter(label), result.stderr(label), result.status[label]
@@ -666,7 +667,7 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         moved[k] += step
         if moved[k] > parameter.upper:
             moved[k] = values[k] - step
-        gradient[j] = (at(moved) - estimate.value) / (moved[k] - values[k])
+        gradient[j] = (at(moved) - centre) / (moved[k] - values[k])
         if gradient[j] == 0:
             continue
         bound |= status == "at-bound"
@@ -681,7 +682,7 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         estimate.status, estimate.stderr = "estimated", math.sqrt(variance)
     if estimate.stderr is None and bound:
         estimate.status = "at-bound"
-    elif unit != "1" and (estimate.stderr or 0.0) > UNIDENTIFIABLE * abs(estimate.value):
+    elif unit != "1" and (estimate.stderr or 0.0) > UNIDENTIFIABLE * abs(centre):
         estimate.status = "unidentifiable"
     return estimate
 
