@@ -15,9 +15,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-from swimid.blackbox.arx import estimate, regression
-from swimid.blackbox.difference import Orders, Record
-from swimid.blackbox.recursive import Recursion, recursive_least_squares
+from swimid.blackbox.arx import Recursion, estimate, recursive_least_squares, regression
+from swimid.blackbox.model import Orders, Record
 
 SAMPLES = 100_000
 ORDERS = Orders(3, 4)

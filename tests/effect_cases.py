@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from swimid.blackbox.model import ArxModel
 from swimid.effects.base import Affected, Effect
 from swimid.fitting.drives import Beat, RigInput, SwimInput
 from swimid.fitting.model import Model, Trial
+from swimid.results import parameters
 from swimid.rig import model as rig
 from swimid.robots import file as robots
 from swimid.robots.file import Robot
@@ -123,3 +125,20 @@ def dry_fish() -> MultilinkModel:
 def coasting(model: MultilinkModel) -> Trial:
     """Return a straight run without a beat."""
     return swim(model, amplitude_rad=0.0, pose=(0.0, 0.0, 0.0))
+
+
+def arx_model(coefficients: dict[str, float], sample_time_s: float, *, output: str = "u_m_s") -> ArxModel:
+    """Return the black-box model of some coefficients, from ``cmd1_rad`` to an output column."""
+    estimates = {
+        name: parameters.Estimate(value=value, unit="1", status="fixed")
+        for name, value in coefficients.items()
+    }
+    return ArxModel(
+        parameters.ParameterFile(
+            model="arma",
+            parameters=estimates,
+            delay=1,
+            sample_time_s=sample_time_s,
+            settings={"input": "cmd1_rad", "output": output},
+        )
+    )

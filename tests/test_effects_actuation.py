@@ -10,8 +10,6 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from swimid.blackbox.difference import Orders
-from swimid.blackbox.model import ArxModel
 from swimid.effects import actuation
 from swimid.effects.base import Affected
 from swimid.fitting import drives
@@ -20,6 +18,7 @@ from swimid.fitting.model import Hooks, Stroke, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
+from tests import effect_cases
 
 EFFECTS = [
     actuation.ServoLag(),
@@ -64,9 +63,7 @@ def surge():
 
 
 def black_box(source=None):
-    model = ArxModel(
-        Orders(2, 2), 0.05, source="cmd1_rad", output="u_m_s", start=np.array([-1.5, 0.7, 0.5, 0.25])
-    )
+    model = effect_cases.arx_model({"a1": -1.5, "a2": 0.7, "b1": 0.5, "b2": 0.25}, 0.05)
     time = np.arange(200) * 0.05
     column = 0.4 * np.sin(2 * np.pi * 0.8 * time) if source is None else source
     trial = Trial("a", "fit", time, {"u_m_s": np.zeros(200)}, inputs={"cmd1_rad": column})
@@ -360,10 +357,10 @@ class TestAverageModels:
 
     def test_general_run_is_the_paper_s_without_linear_drag(self):
         v1, x = np.array([0.05, 0.1, 0.3]), np.array([0.02, 1.15, 40.0])
-        found = mean_speed(v1, x, mass=MASS, quadratic=DRAG_AREA, linear=0.0)
+        found = mean_speed(v1, x, {"mass": MASS, "quadratic": DRAG_AREA, "linear": 0.0})
         np.testing.assert_allclose(found, v1 * velocity_ratio(DRAG_AREA / MASS, 0.0, x), rtol=1e-11)
         power = np.array([0.0, 1e-6, 1e-2])
-        found = terminal_speed(power, quadratic=2.0, linear=0.0, dry=0.0)
+        found = terminal_speed(power, {"quadratic": 2.0, "linear": 0.0, "dry": 0.0})
         np.testing.assert_allclose(found, np.cbrt(power / 2.0), rtol=1e-13)
 
     def test_current_carries_both_models(self):

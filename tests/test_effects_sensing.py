@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
-from swimid.blackbox.difference import Orders
-from swimid.blackbox.model import ArxModel
 from swimid.effects import sensing
 from swimid.effects.base import Affected
 from swimid.fitting import drives
@@ -83,7 +81,7 @@ def surge():
 
 
 def black_box(output):
-    model = ArxModel(Orders(1, 1), 0.1, source="cmd1_rad", output=output, start=np.array([-0.9, 0.3]))
+    model = effect_cases.arx_model({"a1": -0.9, "b1": 0.3}, 0.1, output=output)
     time = np.arange(60) * 0.1
     return model, Trial("a", "fit", time, {output: np.zeros(60)}, inputs={"cmd1_rad": np.sin(3 * time)})
 
@@ -331,8 +329,7 @@ def test_a_fast_clock_agrees_with_the_drive_where_that_begins():
     np.testing.assert_allclose(
         shown(weight, trial, RATE, 0.02)["x_m"], 0.5 * 0.2 / 1.2 * fallen**2, atol=1e-12
     )
-    start = np.array([-1.5, 0.7, 0.5, 0.25])
-    model = ArxModel(Orders(2, 2), 0.05, source="cmd1_rad", output="u_m_s", start=start)
+    model = effect_cases.arx_model({"a1": -1.5, "a2": 0.7, "b1": 0.5, "b2": 0.25}, 0.05)
     time = 7.0 + np.arange(200) * 0.05
     source = np.sin(0.8 * time)
     run = Trial("a", "fit", time, {"u_m_s": np.zeros(200)}, inputs={"cmd1_rad": source})

@@ -16,11 +16,11 @@ from swimid.fitting import output_error
 from swimid.fitting.drives import RigInput
 from swimid.fitting.model import Trial
 from swimid.results import evidence, parameters
-from swimid.rig import checks
 from swimid.rig import fit_drag as drag_module
 from swimid.rig import model as equation
 from swimid.rig import model as rig_model
 from swimid.rig import trials as rig_trials
+from swimid.robots import file as robot_format
 from tests.conftest import Ran
 from tests.generators import rig as generator
 
@@ -252,15 +252,8 @@ class TestTwoPoint:
             drops = []
             for w, exact in clicks.items():
                 t = np.sort(exact + np.r_[0, rng.normal(0, 2e-3, len(exact) - 1)])
-                drops.append(drag_module.Drop(w / 1000, t, np.arange(len(exact)) * STEP))
-            found = drag_module.two_point(
-                drops,
-                mass_kg=1.196 + 0.02,
-                frontal_area_m2=0.00698,
-                density_kg_m3=997,
-                gravity_m_s2=9.8,
-                points_m=(0.293, 0.584),
-            )
+                drops.append(Trial(f"w{w}", "fit", t, {"x_m": np.arange(len(exact)) * STEP}, rig=_known(w)))
+            found = drag_module.two_point(drops, robot_format.read("boxfish"), (0.293, 0.584))
             inside += all(abs(found.values[n] - v) < 2 * found.stderr[n] for n, v in TRUTH.items())
         # three correlated 2-sigma intervals all contain the truth in about nine of ten cases
         assert inside >= 32
@@ -273,7 +266,7 @@ class TestTwoPoint:
 
 def test_added_mass_of_a_prism() -> None:
     # DNV-RP-C205: a cube moving along an edge has the coefficient 0.68
-    assert checks.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
+    assert drag_module.prism_added_mass(0.1, 0.1, 0.1, 1000.0) == pytest.approx(0.68)
 
 
 class TestCommand:

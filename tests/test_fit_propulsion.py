@@ -16,7 +16,7 @@ from swimid.propulsion import model as propulsion
 from swimid.propulsion.trials import beat_averages
 from swimid.results import evidence, parameters
 from swimid.robots import file as robot_format
-from tests.conftest import SAMPLES, Ran
+from tests.conftest import Ran
 from tests.generators import cruise
 
 #: The paper's C_d, A, m_f + m_a.
@@ -361,15 +361,9 @@ class TestStartStates:
 
     def test_trials_start_at_rest_on_request(self, swimid: Callable[..., Ran], tmp_path: Path) -> None:
         trials = write_straight_runs(tmp_path, held_out_speed_m_s=0.6)
-        ran = swimid("fit-propulsion", trials, "--start-state", "rest", "--json")
+        ran = swimid("fit-propulsion", trials, "--fix", "initial_speed=0", "--json")
         assert "initial_speed[fast]" not in ran.json["result"]["parameters"]
         assert "SWM015" in ran.err
-
-    def test_a_cruise_starts_at_rest(self, swimid: Callable[..., Ran], drag: Path) -> None:
-        ran = swimid(
-            "fit-propulsion", SAMPLES / "cruise" / "trials.yaml", "--drag", drag, "--start-state", "rest"
-        )
-        assert "SWM004: --start-state belongs to free-swim trials" in ran.err
 
 
 class TestStatedRamp:

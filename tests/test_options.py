@@ -191,7 +191,7 @@ def test_the_provenance_records_the_options(
 #: Keys of ``settings`` in the provenance, in the order of the files.
 RECORDED = {
     "fit-drag": "method start_state fixed freed bounds",
-    "fit-propulsion": "keep_departures start_state fixed freed",
+    "fit-propulsion": "keep_departures fixed freed",
     "fit-graybox": "fixed freed bounds share channels start_state starts seed readings max_step_s method",
     "compare": "channels refit_start start_state set readings dt",
     "sensitivity": "samples range coefficients set readings seed dt",
@@ -241,7 +241,7 @@ def test_what_is_typed_wrong_is_told(swimid: Callable[..., Ran], words: list[str
 class TestWording:
     """Messages name arguments in Python, and options on the command line."""
 
-    RIG, CRUISE, SWIM = (f"sample_logs/{name}/trials.yaml" for name in ("rig", "cruise", "tfish"))
+    RIG, SWIM = (f"sample_logs/{name}/trials.yaml" for name in ("rig", "tfish"))
     LOG = "sample_logs/longfin/longfin_marching.csv"
 
     @pytest.mark.parametrize(
@@ -283,15 +283,12 @@ class TestWording:
         with pytest.raises(UsageError, match=f"^{re.escape(told)}"):
             call()
 
-    def test_warnings(
-        self, swimid: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_warnings(self, swimid: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(ROOT)
-        drag = package.fit_drag(self.RIG).save(tmp_path / "drag.yaml")
-        with pytest.warns(SwimidWarning, match="^SWM004 start_state belongs to free-swim trials"):
-            package.fit_propulsion(self.CRUISE, drag=drag, start_state="rest")
-        ran = swimid("fit-propulsion", self.CRUISE, "--drag", drag.path, "--start-state", "rest")
-        assert "warning SWM004: --start-state belongs to free-swim trials" in ran.err
+        with pytest.warns(SwimidWarning, match="^SWM004 coordinate belongs to a free-decay experiment"):
+            package.fit_drag(self.RIG, coordinate="roll_rad")
+        ran = swimid("fit-drag", self.RIG, "--coordinate", "roll_rad")
+        assert "warning SWM004: --coordinate belongs to a free-decay experiment" in ran.err
 
     def test_commands_in_hints_can_still_be_typed(self) -> None:
         @takes(Example)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from swimid.rig import checks
+from swimid.rig import fit_drag as checks
 from tests.conftest import Ran
 from tests.generators import rig as generator
 

@@ -11,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from swimid.blackbox import arx, difference, identified, recursive
+from swimid.blackbox import arx
+from swimid.blackbox import model as difference
+from swimid.blackbox import rwls as identified
 from swimid.blackbox.arx import estimate, regression
-from swimid.blackbox.difference import Orders, Record
-from swimid.blackbox.identified import search_orders
+from swimid.blackbox.model import Orders, Record
+from swimid.blackbox.rwls import search_orders
 from swimid.errors import NoTrustworthyResult
 from swimid.logs import sampling
 
@@ -49,7 +51,7 @@ def batch(h, z, *, weight=1.0, forgetting=1.0, prior_scale=1e6):
 @pytest.mark.parametrize("weight,forgetting", [(1.0, 1.0), (0.95, 1.0), (0.93, 0.99), (7.0, 0.9)])
 def test_recursion_equals_batch_with_its_prior(prior_scale, weight, forgetting):
     data = regression([simulated(1)], Orders(2, 2))
-    run = recursive.recursive_least_squares(
+    run = arx.recursive_least_squares(
         data.rows, data.outputs, weight=weight, forgetting=forgetting, prior_scale=prior_scale
     )
     expected = batch(data.rows, data.outputs, weight=weight, forgetting=forgetting, prior_scale=prior_scale)
@@ -61,7 +63,7 @@ def test_recursion_equals_batch_with_its_prior(prior_scale, weight, forgetting):
 def test_recursion_equals_batch_for_random_problems(seed, p, weight, forgetting):
     rng = np.random.default_rng(seed)
     h, z = rng.normal(size=(60, p)), rng.normal(size=60)
-    run = recursive.recursive_least_squares(h, z, weight=weight, forgetting=forgetting)
+    run = arx.recursive_least_squares(h, z, weight=weight, forgetting=forgetting)
     np.testing.assert_allclose(
         run.theta, batch(h, z, weight=weight, forgetting=forgetting), rtol=1e-8, atol=1e-8
     )
@@ -70,14 +72,14 @@ def test_recursion_equals_batch_for_random_problems(seed, p, weight, forgetting)
 def test_recursion_follows_the_printed_equations():
     """Eq 9 written out with a full P, compared at every row."""
     data = regression([simulated(2, n=60)], Orders(2, 2))
-    run = recursive.recursive_least_squares(data.rows, data.outputs, weight=0.95, prior_scale=100.0)
+    run = arx.recursive_least_squares(data.rows, data.outputs, weight=0.95, prior_scale=100.0)
     theta, p = np.zeros(4), 1e4 * np.eye(4)
     for k, (h, z) in enumerate(zip(data.rows, data.outputs, strict=True)):
         gain = p @ h / (h @ p @ h + 1 / 0.95)
         assert run.innovations[k] == pytest.approx(z - h @ theta, rel=1e-6, abs=1e-9)
         theta = theta + gain * (z - h @ theta)
         p = (np.eye(4) - np.outer(gain, h)) @ p
-        begun = recursive.recursive_least_squares(
+        begun = arx.recursive_least_squares(
             data.rows[: k + 1], data.outputs[: k + 1], weight=0.95, prior_scale=100.0
         )
         np.testing.assert_allclose(begun.theta, theta, rtol=1e-6, atol=1e-8)
@@ -88,8 +90,8 @@ def test_recursion_follows_the_printed_equations():
 def test_constant_weight_is_not_forgetting():
     """Lambda only rescales P(0): the same result with P(0) scaled and weight one."""
     data = regression([simulated(3)], Orders(2, 2))
-    weighted = recursive.recursive_least_squares(data.rows, data.outputs, weight=0.5, prior_scale=10.0)
-    rescaled = recursive.recursive_least_squares(data.rows, data.outputs, prior_scale=10.0 * np.sqrt(0.5))
+    weighted = arx.recursive_least_squares(data.rows, data.outputs, weight=0.5, prior_scale=10.0)
+    rescaled = arx.recursive_least_squares(data.rows, data.outputs, prior_scale=10.0 * np.sqrt(0.5))
     np.testing.assert_allclose(weighted.theta, rescaled.theta, rtol=1e-12)
 
 
@@ -105,7 +107,7 @@ def test_forgetting_follows_a_change_and_weight_does_not():
 def test_growth_of_p_is_limited_and_counted():
     h = np.zeros((5000, 2))
     h[:, 0] = 1.0
-    run = recursive.recursive_least_squares(h, np.ones(5000), forgetting=0.9)
+    run = arx.recursive_least_squares(h, np.ones(5000), forgetting=0.9)
     assert run.limited > 1000
     assert np.isfinite(run.covariance).all()
     assert run.theta == pytest.approx([1.0, 0.0])
@@ -113,7 +115,7 @@ def test_growth_of_p_is_limited_and_counted():
 
 def test_recursion_refuses_missing_values():
     with pytest.raises(ValueError, match="finite"):
-        recursive.recursive_least_squares(np.array([[np.nan]]), np.ones(1))
+        arx.recursive_least_squares(np.array([[np.nan]]), np.ones(1))
 
 
 def test_exact_arx_data_without_offset_give_plain_least_squares():
@@ -199,14 +201,14 @@ def test_coloured_noise_biases_arx_and_not_armax():
 
 
 def test_armax_gradient_is_the_derivative():
-    data = regression([simulated(13, n=80)], Orders(2, 2))
+    data = regression([simulated(13, n=80)], Orders(2, 2, nc=2))
     theta = np.append(TRUTH, [0.4, -0.2])
-    _, gradient = arx.errors_and_gradient(theta, data.rows, data.outputs, data.fresh, 2)
+    _, gradient = arx.errors_and_gradient(theta, data)
     for i in range(6):
         step = np.zeros(6)
         step[i] = 1e-6
-        up, _ = arx.errors_and_gradient(theta + step, data.rows, data.outputs, data.fresh, 2)
-        down, _ = arx.errors_and_gradient(theta - step, data.rows, data.outputs, data.fresh, 2)
+        up, _ = arx.errors_and_gradient(theta + step, data)
+        down, _ = arx.errors_and_gradient(theta - step, data)
         np.testing.assert_allclose(gradient[:, i], -(up - down) / 2e-6, rtol=1e-5, atol=1e-6)
 
 
@@ -357,17 +359,17 @@ def test_pole_uncertainty_matches_repeats():
     sizes, errors = [], []
     for seed in range(200):
         found = estimate([simulated(3000 + seed, n=500, a=np.array([-1.3, 0.4]))], Orders(2, 2))
-        pole = difference.poles(found.theta[:2], found.covariance[:2, :2], 0.1)[0]
+        pole = difference.find_poles(found.theta[:2], found.covariance[:2, :2])[0]
         sizes.append(pole.magnitude)
-        errors.append(pole.stderr)
+        errors.append(pole.stderr_magnitude)
     assert np.mean(errors) == pytest.approx(np.std(sizes), rel=0.15)
 
 
 def test_integrating_and_unstable_poles():
-    on = difference.poles(np.array([-1.0]), np.array([[1e-4]]), 0.1)[0]
-    near = difference.poles(np.array([-0.99]), np.array([[1e-4]]), 0.1)[0]
-    inside = difference.poles(np.array([-0.9]), np.array([[1e-4]]), 0.1)[0]
-    outside = difference.poles(np.array([-1.1]), np.array([[1e-4]]), 0.1)[0]
+    on = difference.find_poles(np.array([-1.0]), np.array([[1e-4]]))[0]
+    near = difference.find_poles(np.array([-0.99]), np.array([[1e-4]]))[0]
+    inside = difference.find_poles(np.array([-0.9]), np.array([[1e-4]]))[0]
+    outside = difference.find_poles(np.array([-1.1]), np.array([[1e-4]]))[0]
     assert (on.integrating, on.state) == (True, "unstable")
     assert (near.integrating, near.state) == (True, "integrating")
     assert (inside.integrating, inside.state) == (False, "stable")
@@ -436,5 +438,5 @@ def test_hair_dryer_free_run_on_the_second_half():
 def test_ball_beam_is_an_integrator():
     first, _ = _halves("ballbeam", 0.1)
     found = estimate([first], Orders(4, 4))
-    poles = difference.poles(found.theta[:4], found.covariance[:4, :4], 0.1)
+    poles = difference.find_poles(found.theta[:4], found.covariance[:4, :4])
     assert poles[0].integrating or poles[0].state == "unstable"

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
-from swimid.blackbox import trials as arma
+from swimid.blackbox import model as arma
 from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, SwimidError
 from swimid.logs import trials as trials_format

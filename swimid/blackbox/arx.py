@@ -1,6 +1,18 @@
-"""Estimation of ARX and ARMAX models from records with gaps.
+"""Recursive weighted least squares, and the estimation of ARX and ARMAX models from records with gaps.
 
-The model is defined in :mod:`swimid.blackbox.difference`. The regression has a row for each sample whose past
+The recursion is Eq 9 of the long-fin paper [1]_,
+
+    K(k)     = P(k-1) h(k) / (h(k)' P(k-1) h(k) + 1 / weight)
+    theta(k) = theta(k-1) + K(k) (z(k) - h(k)' theta(k-1))
+    P(k)     = (I - K(k) h(k)') P(k-1)          [divided by ``forgetting`` afterwards]
+
+with P(0) = a^2 I. The recursion updates the factors U D U' of P instead of P (Bierman [2]_). The results
+are the same, P stays symmetric and positive definite, and a large value of a causes no loss of digits.
+
+``weight`` is constant and multiplies every row. The result equals ordinary least squares with the prior P(0)
+scaled by ``weight``. Old samples are discounted only if ``forgetting`` is below 1.
+
+The model is defined in :mod:`swimid.blackbox.model`. The regression has a row for each sample whose past
 samples are all known, so that only the rows around a gap are lost. See L. Ljung, "System Identification:
 Theory for the User", 2nd ed. (1999), ch. 7-9 and 11.
 
@@ -9,6 +21,13 @@ with a Kalman filter across the gaps. On 60 simulated records of 600 samples of 
 the estimates of both are about equally good: with 30 % of the samples missing, SARIMAX reduces the scatter of
 one coefficient by 13 %, and without gaps the scatter is equal. SARIMAX takes 40 to 70 times as long, one
 search in ten does not converge, and old samples cannot be discounted.
+
+References
+----------
+.. [1] L. Shang, S. Wang, M. Tan, L. Cheng, "Swimming locomotion modeling for biomimetic
+   underwater vehicle with two undulating long-fins", Robotica 30 (2012) 913-923, Eq 6-9.
+   doi:10.1017/S0263574711001159
+.. [2] G. J. Bierman, "Factorization Methods for Discrete Sequential Estimation" (1977), ch. 5.
 """
 
 from __future__ import annotations
@@ -16,17 +35,21 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numba import njit
 
-from swimid.blackbox import recursive
-from swimid.blackbox.difference import Orders, Record, lagged
+from swimid.blackbox.model import Orders, Record, lagged
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import noise as rt
 from swimid.logs.sampling import rounding
 
 #: Maximum magnitude of a zero of C. The inverse of C is stable if all magnitudes are below 1.
 MAX_ZERO = 0.999
+#: Number of missing samples between two joined records, in addition to the lags of the model. It exceeds the
+#: lags of all tests of the residuals.
+GAP = 100
 #: Maximum number of Gauss-Newton steps, and maximum number of halvings of one step.
 MAX_STEPS, MAX_HALVINGS = 100, 30
 #: Maximum root-mean-square residual that is taken for a rounding error, divided by the standard deviation of
@@ -42,22 +65,182 @@ MIN_SHARE = 1e-3
 #: Minimum variance inflation factor of nearly dependent columns. The standard errors are then 100 times those
 #: of independent columns.
 NEARLY_DEPENDENT = 1e4
+#: Default of a in P(0) = a^2 I. The paper recommends values above 10^3.
+PRIOR_SCALE = 1e6
+#: Maximum of the elements of the diagonal factor D, in units of a^2. With forgetting, P grows without limit
+#: in directions that the input does not excite. In excited directions D stays below this limit.
+MAX_GROWTH = 1e6
 
 
-def errors_and_gradient(
-    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int
-) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class Recursion:
+    """Result of a recursion over n rows with p coefficients."""
+
+    #: Last estimate of the coefficients, shape (p,).
+    theta: np.ndarray
+    #: P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P multiplied
+    #: by the noise variance and the weight.
+    covariance: np.ndarray
+    #: One-step errors ``z(k) - h(k)' theta(k-1)``, shape (n,).
+    innovations: np.ndarray
+    #: Number of rows at which an element of D reached :data:`MAX_GROWTH`.
+    limited: int
+
+
+def recursive_least_squares(
+    regressors: np.ndarray,
+    outputs: np.ndarray,
+    *,
+    weight: float = 1.0,
+    forgetting: float = 1.0,
+    prior_scale: float = PRIOR_SCALE,
+) -> Recursion:
+    """Return the recursive estimate of theta in ``outputs = regressors @ theta + noise``, from theta(0) = 0.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (n, p)
+        Regression vectors; row k is h(k)'. All elements must be finite.
+    outputs : ndarray, shape (n,)
+        Outputs z; all elements must be finite.
+    weight : float
+        Weight of every row (lambda in the paper), above 0.
+    forgetting : float
+        Factor by which P is divided after every row, above 0 and at most 1.
+    prior_scale : float
+        Value of a in P(0) = a^2 I, above 0.
+
+    Raises
+    ------
+    ValueError
+        A regressor or an output is not finite.
+
+    Examples
+    --------
+    >>> h = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]])
+    >>> recursive_least_squares(h, np.array([1.0, 3.0, 5.0])).theta.round(6)
+    array([1., 2.])
+    """
+    h, z = np.ascontiguousarray(regressors, dtype=float), np.ascontiguousarray(outputs, dtype=float)
+    if not (np.isfinite(z).all() and np.isfinite(h).all()):
+        raise ValueError("regressors and outputs must be finite; leave rows with gaps out")
+    theta, factors, diagonal, innovations, limited = _run(
+        h, z, 1.0 / weight, 1.0 / forgetting, prior_scale**2
+    )
+    covariance = (factors.T * diagonal) @ factors
+    return Recursion(theta, covariance, innovations, limited)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
+    """Run the recursion as one compiled loop, because function calls and branches would cost time.
+
+    Row j of ``factors`` holds column j of U.
+    """
+    n, p = h.shape
+    ceiling = MAX_GROWTH * prior
+    theta = np.zeros(p)
+    factors, diagonal = np.eye(p), np.full(p, prior)
+    innovations = np.empty(n)
+    gain, f = np.empty(p), np.empty(p)
+    limited = 0
+    for k in range(n):
+        # compute the innovation, and f = U' h
+        error = z[k]
+        for j in range(p):
+            error -= h[k, j] * theta[j]
+            total = h[k, j]
+            for i in range(j):
+                total += factors[j, i] * h[k, i]
+            f[j] = total
+        # update U and D column by column (Bierman)
+        alpha = variance
+        for j in range(p):
+            v = diagonal[j] * f[j]
+            old = alpha
+            alpha += f[j] * v
+            inverse = 1.0 / alpha
+            ratio = old * inverse
+            diagonal[j] *= ratio
+            push = -f[j] / old
+            gain[j] = v
+            for i in range(j):
+                u = factors[j, i]
+                factors[j, i] = u + gain[i] * push
+                gain[i] += u * v
+        step = error / alpha
+        innovations[k] = error
+        for j in range(p):
+            theta[j] += gain[j] * step
+        if growth > 1.0:
+            held = False
+            for j in range(p):
+                diagonal[j] *= growth
+                if diagonal[j] > ceiling:
+                    diagonal[j] = ceiling
+                    held = True
+            limited += held
+    return theta, factors, diagonal, innovations, limited
+
+
+def warm_up() -> None:
+    """Compile the numba function of this module before its first use."""
+    recursive_least_squares(np.ones((2, 1)), np.ones(2))
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Regression ``z = H theta + e`` for the coefficients of A and B. The columns of C are not data."""
+
+    orders: Orders
+    #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
+    rows: np.ndarray
+    outputs: np.ndarray
+    #: Index of the sample that each row predicts, in the joined records, shape (n,).
+    sample: np.ndarray
+    #: Input of the joined records, with NaN between two records.
+    source: np.ndarray
+    #: Number of rows there would be without missing samples.
+    possible: int
+
+    def __len__(self) -> int:
+        return len(self.outputs)
+
+    @cached_property
+    def fresh(self) -> np.ndarray:
+        """True where a row does not directly follow the previous row in time, shape (n,)."""
+        return np.diff(self.sample, prepend=-2) != 1
+
+    def on_grid(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the rows, shape (n,) or (n, p), on the grid of the joined records, with NaN."""
+        result = np.full((len(self.source), *np.shape(values)[1:]), np.nan)
+        result[self.sample] = values
+        return result
+
+
+def regression(records: Sequence[Record], orders: Orders) -> Regression:
+    """Return all complete rows of the regression over several records with one sample time.
+
+    Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
+    """
+    y = rt.joined([r.output for r in records], gap=orders.lag + GAP)
+    u = rt.joined([r.source for r in records], gap=orders.lag + GAP)
+    past = [-lagged(y, lag) for lag in range(1, orders.na + 1)]
+    h = np.column_stack(past + [lagged(u, orders.nk + j) for j in range(orders.nb)])
+    k = np.flatnonzero(np.isfinite(y) & np.isfinite(h).all(axis=1))
+    possible = sum(max(len(r) - orders.lag, 0) for r in records)
+    return Regression(orders, h[k], y[k], k, u, possible)
+
+
+def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray, np.ndarray]:
     """Return the one-step errors of an ARMAX model and the derivative of the one-step prediction.
+
+    Past errors are taken as zero where a row does not directly follow the previous row in time.
 
     Parameters
     ----------
     theta : ndarray, shape (m + nc,)
         Coefficients of A, B and C.
-    rows, outputs : ndarray, shape (n, m) and (n,)
-        Regression vectors of A and B, and the outputs z.
-    fresh : ndarray of bool, shape (n,)
-        True where a row does not directly follow the previous row in time. Past errors are taken as zero
-        there.
 
     Returns
     -------
@@ -68,11 +251,11 @@ def errors_and_gradient(
     """
     from scipy.signal import lfilter
 
-    n, m = rows.shape
-    errors = outputs - rows @ theta[:m]
-    gradient = np.hstack((rows, np.zeros((n, nc))))
+    (n, m), nc = data.rows.shape, data.orders.nc
+    errors = data.outputs - data.rows @ theta[:m]
+    gradient = np.hstack((data.rows, np.zeros((n, nc))))
     noise = np.append(1.0, theta[m:])
-    for first, end in itertools.pairwise([*np.flatnonzero(fresh).tolist(), n]):
+    for first, end in itertools.pairwise([*np.flatnonzero(data.fresh).tolist(), n]):
         part = slice(first, end)
         errors[part] = lfilter([1.0], noise, errors[part])
         for j in range(1, nc + 1):
@@ -91,17 +274,15 @@ def invertible(c: np.ndarray) -> np.ndarray:
     return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
-def refine(
-    theta: np.ndarray, rows: np.ndarray, outputs: np.ndarray, fresh: np.ndarray, nc: int, weights: np.ndarray
-) -> np.ndarray:
+def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarray:
     """Return the coefficients with the minimum weighted sum of squared one-step errors.
 
     The search uses Gauss-Newton steps with step halving.
 
     Parameters
     ----------
-    theta, rows, outputs, fresh, nc
-        Initial coefficients, and data as in :func:`errors_and_gradient`.
+    theta : ndarray, shape (m + nc,)
+        Initial coefficients.
     weights : ndarray, shape (n,)
         Weights of the squared errors.
 
@@ -110,17 +291,16 @@ def refine(
     NoTrustworthyResult
         The search does not converge.
     """
-    m = rows.shape[1]
-    root = np.sqrt(weights)
+    m, root = data.rows.shape[1], np.sqrt(weights)
 
     def cost(candidate: np.ndarray) -> float:
-        errors, _ = errors_and_gradient(candidate, rows, outputs, fresh, nc)
+        errors, _ = errors_and_gradient(candidate, data)
         return float(np.nan_to_num(np.sum(weights * errors**2), nan=np.inf, posinf=np.inf))
 
     best = np.concatenate((theta[:m], invertible(theta[m:])))
     value = cost(best)
     for _ in range(MAX_STEPS):
-        errors, gradient = errors_and_gradient(best, rows, outputs, fresh, nc)
+        errors, gradient = errors_and_gradient(best, data)
         step = np.linalg.lstsq(gradient * root[:, None], errors * root, rcond=None)[0]
         for halving in range(MAX_HALVINGS):
             candidate = best + step / 2**halving
@@ -138,61 +318,6 @@ def refine(
         f"the noise polynomial C did not converge in {MAX_STEPS} steps",
         hint="lower --nc, or give longer logs",
     )
-
-
-@dataclass(frozen=True)
-class Regression:
-    """Regression ``z = H theta + e`` for the coefficients of A and B. The columns of C are not data."""
-
-    #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
-    rows: np.ndarray
-    outputs: np.ndarray
-    #: Index of the record, and index of the sample in this record, that each row predicts, shape (n,).
-    record: np.ndarray
-    sample: np.ndarray
-    #: True where a row does not directly follow the previous row in time, shape (n,).
-    fresh: np.ndarray
-    #: Number of samples of each record.
-    lengths: list[int]
-    #: Number of rows there would be without missing samples.
-    possible: int
-
-    def __len__(self) -> int:
-        return len(self.outputs)
-
-    def on_grid(self, values: np.ndarray, *, gap: int) -> np.ndarray:
-        """Return values of the rows, shape (n,) or (n, p), on the time grid of the concatenated records.
-
-        The result is NaN where a row is missing, and for ``gap`` samples between two records.
-        """
-        starts = np.cumsum([0, *(length + gap for length in self.lengths)])
-        result = np.full((int(starts[-1]) - gap, *np.shape(values)[1:]), np.nan)
-        result[starts[self.record] + self.sample] = values
-        return result
-
-
-def regression(records: Sequence[Record], orders: Orders) -> Regression:
-    """Return all complete rows of the regression over several records with one sample time.
-
-    Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
-    """
-    none = np.empty(0, dtype=int)
-    vectors, outputs, number, sample = [np.empty((0, orders.na + orders.nb))], [np.empty(0)], [none], [none]
-    for i, record in enumerate(records):
-        past = [-lagged(record.output, lag) for lag in range(1, orders.na + 1)]
-        h = np.column_stack(past + [lagged(record.source, orders.nk + j) for j in range(orders.nb)])
-        k = np.flatnonzero(np.isfinite(record.output) & np.isfinite(h).all(axis=1))
-        vectors.append(h[k])
-        outputs.append(record.output[k])
-        number.append(np.full(len(k), i))
-        sample.append(k)
-    record_of, samples = np.concatenate(number), np.concatenate(sample)
-    fresh = np.ones(len(samples), dtype=bool)
-    fresh[1:] = (np.diff(record_of) != 0) | (np.diff(samples) != 1)
-    lengths = [len(record) for record in records]
-    possible = sum(max(length - orders.lag, 0) for length in lengths)
-    h, z = np.vstack(vectors), np.concatenate(outputs)
-    return Regression(h, z, record_of, samples, fresh, lengths, possible)
 
 
 @dataclass(frozen=True)
@@ -248,7 +373,7 @@ def _lengths(rows: np.ndarray) -> np.ndarray:
     return np.where(length > 0, length, 1.0)
 
 
-def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float]) -> Identifiability:
+def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiability:
     """Find the coefficients of A and B that the rows determine. Those of C are always determined.
 
     Parameters
@@ -256,6 +381,7 @@ def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float
     quanta : (float, float)
         Rounding step of the input, and rounding step of the output.
     """
+    orders = data.orders
     steps = np.repeat([quanta[1], quanta[0]], [orders.na, orders.nb])
     both = find_directions(data.rows, steps)
     inputs = find_directions(data.rows[:, orders.na :], steps[orders.na :])
@@ -264,12 +390,7 @@ def find_determined(data: Regression, orders: Orders, quanta: tuple[float, float
 
 
 def exclude_collinear(
-    known: Identifiability,
-    data: Regression,
-    orders: Orders,
-    theta: np.ndarray,
-    stderr: np.ndarray,
-    noise_sd: float,
+    known: Identifiability, data: Regression, theta: np.ndarray, stderr: np.ndarray, noise_sd: float
 ) -> Identifiability:
     """Flag coefficients as not determined if noise makes them indistinguishable despite full rank.
 
@@ -280,7 +401,7 @@ def exclude_collinear(
     are excluded if any of them has a standard error above half of its magnitude. A coefficient that is known
     to be small is not excluded.
     """
-    count = orders.na + orders.nb
+    orders, count = data.orders, data.rows.shape[1]
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
     length = np.linalg.norm(data.rows, axis=0)
     determined = known.determined.copy()
@@ -317,7 +438,7 @@ class ArxEstimate:
     #: One-step errors of the model, shape (n,).
     residuals: np.ndarray
     data: Regression
-    recursion: recursive.Recursion
+    recursion: Recursion
     known: Identifiability
     #: Test of the one-step errors for whiteness. With forgetting and without C, the innovations of the
     #: recursion are tested.
@@ -360,7 +481,7 @@ def estimate(
     *,
     weight: float = 1.0,
     forgetting: float = 1.0,
-    prior_scale: float = recursive.PRIOR_SCALE,
+    prior_scale: float = PRIOR_SCALE,
 ) -> ArxEstimate:
     """Fit an ARX or ARMAX model to one or several records.
 
@@ -368,9 +489,9 @@ def estimate(
     ----------
     records : sequence of Record
         Records with one sample time. A working point must already be subtracted
-        (:func:`swimid.blackbox.identified.find_working_point`).
+        (:func:`swimid.blackbox.rwls.find_working_point`).
     weight, forgetting, prior_scale
-        See :func:`swimid.blackbox.recursive.recursive_least_squares`. The recursion runs through the records
+        See :func:`recursive_least_squares`. The recursion runs through the records
         one after the other.
 
     Raises
@@ -392,34 +513,29 @@ def estimate(
     data = regression(records, orders)
     check_enough(data, orders)
     quanta = (max(rounding(r.source) for r in records), max(rounding(r.output) for r in records))
-    known = find_determined(data, orders, quanta)
+    known = find_determined(data, quanta)
     _check_determined(known, orders)
-    run = recursive.recursive_least_squares(
-        data.rows,
-        data.outputs,
-        weight=weight,
-        forgetting=forgetting,
-        prior_scale=prior_scale,
+    run = recursive_least_squares(
+        data.rows, data.outputs, weight=weight, forgetting=forgetting, prior_scale=prior_scale
     )
     weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age of a sample is counted in rows
     theta = run.theta
     residuals, jacobian = data.outputs - data.rows @ theta, data.rows
     if orders.nc:
         theta = np.append(theta, np.zeros(orders.nc))
-        theta = refine(theta, data.rows, data.outputs, data.fresh, orders.nc, weights)
-        residuals, jacobian = errors_and_gradient(theta, data.rows, data.outputs, data.fresh, orders.nc)
+        theta = refine(theta, data, weights)
+        residuals, jacobian = errors_and_gradient(theta, data)
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
     tested = residuals
     if forgetting < 1 and not orders.nc:
         skipped = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)
         tested = np.where(np.arange(len(data)) < skipped, np.nan, run.innovations)
     exact = bool(np.sqrt(np.mean(residuals**2)) <= EXACT * np.std(data.outputs))
-    tested = data.on_grid(tested, gap=rt.default_lags(len(data)))
-    white = rt.ljung_box(tested, fitted=orders.na + orders.nc)
+    white = rt.ljung_box(data.on_grid(tested), fitted=orders.na + orders.nc)
     robust = not (white.passed or exact)
     matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data, robust=robust)
     stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    known = exclude_collinear(known, data, orders, theta, stderr, noise_sd)
+    known = exclude_collinear(known, data, theta, stderr, noise_sd)
     _check_determined(known, orders)
     stderr = np.where(known.determined, stderr, np.nan)
     return ArxEstimate(
@@ -470,7 +586,7 @@ def covariance(
     variance = float(np.sum(weights * residuals**2)) / remaining
     middle = middle * variance
     if robust:
-        scores = data.on_grid(whitened * residuals[:, None], gap=rt.default_lags(n))
+        scores = data.on_grid(whitened * residuals[:, None])
         middle = rt.long_run_covariance(scores) * (n / max(n - p, 1))
     matrix = inverse @ middle @ inverse.T
     return (matrix + matrix.T) / 2, float(np.sqrt(variance))

@@ -1,23 +1,44 @@
-"""ARX model with the interface of all swimid models, and its conversions (parameter file, python-control).
+"""Difference equation of ARX and ARMAX models, the model of swimid, and its trials.
 
-The folder ``published`` contains the models of Tables II and III of the long-fin paper.
+    A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
+    A = 1 + a1 z^-1 + ... + a_na z^-na
+    B = b1 z^-nk + b2 z^-(nk+1) + ... + b_nb z^-(nk+nb-1)
+    C = 1 + c1 z^-1 + ... + c_nc z^-nc
+
+Eqs 4 to 7 of the long-fin paper (Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159),
+with a delay and a noise polynomial added. y is the output, u the input and e white noise. The folder
+``published`` contains the models of Tables II and III of this paper.
+
+The trials of the model, and the records that ``swimid rwls`` fits or holds out, lie on a time grid at the
+rate of their measurements.
 """
 
 from __future__ import annotations
 
 import copy
 import itertools
+import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from swimid.blackbox.difference import Orders, Record, best_level, simulate
-from swimid.errors import InputError
+from swimid.blackbox.options import RwlsOptions
+from swimid.errors import InputError, UsageError
+from swimid.files.provenance import Input
+from swimid.fitting import noise as rt
+from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.logs import sampling
+from swimid.logs import trials as trials_format
+from swimid.logs.log import TIME, Log
+from swimid.logs.sampling import SAME_RATE, Held, find_held, quantum, step_of, usual_step
+from swimid.logs.trials import Trial as TrialEntry
+from swimid.logs.trials import TrialSet
+from swimid.notices import warn
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
 
@@ -26,6 +47,8 @@ if TYPE_CHECKING:
 
 #: Name of the model in parameter files.
 NAME = "arma"
+#: Names of the quantities of a computed sine.
+SINE = ("amplitude", "frequency_hz", "phase_rad")
 #: Source of the equations, for the parameters.
 PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
@@ -33,6 +56,193 @@ PAPER = (
 )
 #: Folder of the published parameter files.
 PUBLISHED = Path(__file__).with_name("published")
+#: Minimum magnitude of a pole that counts as integrating, whatever its standard error is.
+INTEGRATING = 0.999
+#: Maximum standard error of a pole's magnitude for a test of integration. Larger standard errors are not
+#: reliable, because the linearisation behind them fails, above all for nearly double poles.
+MAX_POLE_STDERR = 0.05
+#: Maximum distance of a free run from the measured output, divided by the range of that output. At a larger
+#: distance the free run is stopped.
+MAX_DISTANCE = 100.0
+#: Minimum fraction of the measurements that are repeated for the same number of samples, for a constant
+#: measurement rate.
+REGULAR_SHARE = 0.9
+#: Minimum median change between measurements, in rounding steps. With smaller changes, rounding alone causes
+#: many repeated samples.
+MIN_CHANGE = 5.0
+#: Maximum fraction of an averaging interval of the input, in time, in which samples are missing.
+MAX_MISSING = 1e-3
+
+
+@dataclass(frozen=True)
+class Record:
+    """Input and output on a grid of constant rate, each of shape (n,); NaN where a sample is missing."""
+
+    #: Name of the log.
+    name: str
+    time_s: np.ndarray
+    #: Input u.
+    source: np.ndarray
+    #: Output y.
+    output: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Numbers of coefficients of A, B and C (``na``, ``nb``, ``nc``), and delay ``nk`` of b1 in samples."""
+
+    na: int
+    nb: int
+    nk: int = 1
+    nc: int = 0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coefficients: a1, ..., b1, ..., c1, ..."""
+        counts = {"a": self.na, "b": self.nb, "c": self.nc}
+        return tuple(f"{letter}{i}" for letter, count in counts.items() for i in range(1, count + 1))
+
+    @property
+    def count(self) -> int:
+        """Total number of coefficients."""
+        return self.na + self.nb + self.nc
+
+    @property
+    def lag(self) -> int:
+        """Number of past samples that a row of the regression contains."""
+        return max(self.na, self.nk + self.nb - 1)
+
+    def split(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the coefficients of A, of B and of C, from one vector of all coefficients."""
+        theta = np.asarray(theta, dtype=float)
+        return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
+
+    def __str__(self) -> str:
+        noise = f", nc={self.nc}" * bool(self.nc)
+        return f"na={self.na}, nb={self.nb}, nk={self.nk}{noise}"
+
+
+class Pole(parameters_format.Pole):
+    """Pole in the z plane. The standard error of its magnitude is None for a repeated pole."""
+
+    @property
+    def integrating(self) -> bool:
+        """Whether the magnitude differs from 1 by at most two standard errors, or is very close to 1."""
+        stderr = self.stderr_magnitude
+        near = stderr is not None and stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * stderr
+        return near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING
+
+    @property
+    def state(self) -> Literal["stable", "integrating", "unstable"]:
+        """Effect of the pole on a free run. A pole on or outside the unit circle is unstable."""
+        if self.magnitude >= 1.0:
+            return "unstable"
+        return "integrating" if self.integrating else "stable"
+
+
+def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
+    """Return the roots of A with the standard errors of their magnitudes, the largest magnitude first.
+
+    Parameters
+    ----------
+    a : ndarray, shape (na,)
+        Coefficients a1 to a_na.
+    covariance : ndarray, shape (na, na)
+        Covariance of the coefficients.
+
+    Notes
+    -----
+    The standard errors follow from ``dz/da_i = -z^(n-i) / p'(z)``, for a simple root z of the polynomial
+    ``p(z) = z^n + a1 z^(n-1) + ...``.
+    """
+    polynomial = np.concatenate(([1.0], a))
+    result = []
+    for z in np.roots(polynomial):
+        pole = Pole(real=float(z.real), imag=float(z.imag), magnitude=float(abs(z)), stderr_magnitude=None)
+        slope = np.polyval(np.polyder(polynomial), z)
+        if abs(z) > 0 and abs(slope) > 1e-12:
+            gradient = -(z ** np.arange(len(a) - 1, -1, -1)) / slope
+            along = np.real(np.conj(z) / abs(z) * gradient)
+            pole.stderr_magnitude = float(np.sqrt(max(along @ covariance @ along, 0.0)))
+        result.append(pole)
+    return sorted(result, key=lambda pole: (-pole.magnitude, -pole.imag))
+
+
+def lagged(x: np.ndarray, lag: int) -> np.ndarray:
+    """Return a series delayed by ``lag`` samples, shape (n,). The first ``lag`` samples are NaN."""
+    return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
+
+
+def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+    """Simulate A(z^-1) y = B(z^-1) u from the input and the first measured outputs of a record.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Simulated output. It is NaN at the samples that start the simulation and where nothing is simulated.
+        It is also NaN after its distance from the measured output exceeds :data:`MAX_DISTANCE` ranges of that
+        output.
+
+    Notes
+    -----
+    Only ``na`` consecutive samples of the measured output are used, to start the simulation at the beginning
+    and again after each gap in the input.
+    """
+    from scipy.signal import lfilter, lfiltic
+
+    a, b, _ = orders.split(theta)
+    measured, na = record.output, orders.na
+    values = measured[np.isfinite(measured)]
+    limit = 1e150  # prevents overflow if the output has no range (a start from rest)
+    if len(values) and np.ptp(values) > 0:
+        limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
+    driven = np.zeros(len(record))
+    for j, value in enumerate(b):
+        driven = driven + value * lagged(record.source, orders.nk + j)
+    started = np.isfinite(driven)
+    for i in range(1, na + 1):
+        started &= np.isfinite(lagged(measured, i))
+    result = np.full(len(record), np.nan)
+    for piece in np.ma.clump_unmasked(np.ma.masked_invalid(driven)):
+        first = piece.start + int(np.argmax(started[piece]))
+        if not started[first]:
+            continue
+        state = lfiltic([1.0], np.append(1.0, a), measured[first - na : first][::-1])
+        run, _ = lfilter([1.0], np.append(1.0, a), driven[first : piece.stop], zi=state)
+        # a comparison with an overflowed (NaN) value is false
+        within = np.logical_and.accumulate(np.abs(run) <= limit)
+        result[first : piece.stop] = np.where(within, run, np.nan)
+    return result
+
+
+def simulate_all(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the measured outputs and the free runs of several records, each concatenated."""
+    runs = [simulate(r, orders, theta) for r in records]
+    return np.concatenate([r.output for r in records]), np.concatenate(runs)
+
+
+def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
+    """Return the output level that minimises the sum of squared errors of the free run.
+
+    The result is 0 if the level has no effect. A free run is linear in its initial samples, so that at level
+    L it is ``run + L (raised - run)``.
+
+    Parameters
+    ----------
+    measured, run, raised : ndarray, shape (n,)
+        Measured output, free run at level 0, and free run at level 1.
+    """
+    slope, error = raised - run, measured - run
+    use = np.isfinite(slope) & np.isfinite(error)
+    weight = float(np.sum(slope[use] ** 2))
+    if weight == 0:
+        return 0.0
+    return float(np.sum(slope[use] * error[use])) / weight
 
 
 class ArxModel(Model):
@@ -40,87 +250,53 @@ class ArxModel(Model):
 
     Parameters
     ----------
-    orders : Orders
-        Orders na, nb and nk. The order nc is ignored, because a simulation does not use the noise polynomial.
-    sample_time_s : float
-        Sample time, s.
-    source, output : str
-        Names of the input and the output column.
-    source_level, output_level : float
-        Working point. ``source_level`` is subtracted from the input, ``output_level`` is added to the
-        simulated output.
-    sine : tuple of float, optional
-        Amplitude, frequency (Hz) and phase (rad) of a computed input, if no column holds the input.
-    start : ndarray, shape (na + nb,), optional
-        Initial values of the coefficients a1, ..., b1, ...
-    unit, gain_unit : str
-        Unit of the output, and unit of the b coefficients.
+    parameters : ParameterFile
+        Parameter file of ``rwls``. A simulation does not use the noise polynomial.
+    path : Path, optional
+        Path of the file in error messages.
+
+    Raises
+    ------
+    InputError
+        The file is of another model, or the delay, the sample time or coefficients are missing.
     """
 
     name = NAME
     offers = frozenset({"command", "output", "clock"})
     has_gaps = True
 
-    def __init__(
-        self,
-        orders: Orders,
-        sample_time_s: float,
-        *,
-        source: str,
-        output: str,
-        source_level: float = 0.0,
-        output_level: float = 0.0,
-        sine: tuple[float, float, float] | None = None,
-        start: Array | None = None,
-        unit: str = "1",
-        gain_unit: str = "1",
-    ) -> None:
-        self.orders = Orders(orders.na, orders.nb, orders.nk)
-        self.sample_time_s = sample_time_s
-        self.source, self.output = source, output
-        self.source_level, self.output_level = source_level, output_level
-        self.sine = sine
-        values = np.zeros(self.orders.count)
-        if start is not None:
-            values = np.asarray(start, dtype=float)
-        na, nb, nk = self.orders.na, self.orders.nb, self.orders.nk
-        places = [("1", f"past output, z^-{i}") for i in range(1, na + 1)]
-        places += [(gain_unit, f"input, z^-{nk + j}") for j in range(nb)]
-        self.parameters = tuple(
-            Parameter(
-                name, unit_of, -np.inf, np.inf, float(value), scale=max(abs(float(value)), 1e-3),
-                meaning=f"coefficient of {place}", source=f"{PAPER}, Eq 5",
-            )
-            for name, (unit_of, place), value in zip(self.orders.names, places, values, strict=True)
-        )  # fmt: skip
-        self.channels = (Channel(output, unit, "output of the model"),)
-
-    @classmethod
-    def from_file(cls, parameters: ParameterFile, path: Path | None = None) -> ArxModel:
-        """Return the model of a parameter file; ``path`` is the path of the file in error messages.
-
-        Raises
-        ------
-        InputError
-            The file is of another model, or the delay, the sample time or coefficients are missing.
-        """
+    def __init__(self, parameters: ParameterFile, path: Path | None = None) -> None:
+        delay, step_s, found = parameters.delay, parameters.sample_time_s, parameters.parameters
         if parameters.model != NAME:
             raise InputError(f"model '{parameters.model}' is not '{NAME}'", file=path, column="model")
-        orders, sample_time_s, start = _coefficients(parameters, path)
+        if delay is None or step_s is None:
+            text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
+            raise InputError(text, file=path, column="delay")
+        if "b1" not in found:
+            raise InputError("this parameter is missing", file=path, column="parameters.b1")
+        na, nb = (next(k for k in itertools.count() if f"{x}{k + 1}" not in found) for x in "ab")
+        self.orders, self.sample_time_s = Orders(na, nb, delay), step_s
         settings = parameters.settings
-        sine = settings.get("input_model")
-        return cls(
-            orders,
-            sample_time_s,
-            source=str(settings.get("input", "u")),
-            output=str(settings.get("output", "y")),
-            source_level=float(settings.get("input_level", 0.0)),
-            output_level=float(settings.get("output_level", 0.0)),
-            sine=sine and (sine["amplitude"], sine["frequency_hz"], sine["phase_rad"]),
-            start=start,
-            unit=str(settings.get("output_unit", "1")),
-            gain_unit=parameters.parameters["b1"].unit,
-        )
+        self.source, self.output = str(settings.get("input", "u")), str(settings.get("output", "y"))
+        #: Working point. ``source_level`` is subtracted from the input, ``output_level`` is added to the
+        #: simulated output.
+        self.source_level = float(settings.get("input_level", 0.0))
+        self.output_level = float(settings.get("output_level", 0.0))
+        #: Amplitude, frequency (Hz) and phase (rad) of a computed input, if no column holds the input.
+        self.sine: tuple[float, float, float] | None = None
+        if settings.get("input_model"):
+            self.sine = tuple(settings["input_model"][key] for key in SINE)
+        places = [f"past output, z^-{i + 1}" for i in range(na)]
+        places += [f"input, z^-{delay + j}" for j in range(nb)]
+        source = f"{PAPER}, Eq 5"
+        made = []
+        for name, place in zip(self.orders.names, places, strict=True):
+            value, unit, meaning = parameters.value(name), found[name].unit, f"coefficient of {place}"
+            scale = max(abs(value), 1e-3)
+            made.append(Parameter(name, unit, -np.inf, np.inf, value, scale, meaning=meaning, source=source))
+        self.parameters = tuple(made)
+        unit = str(settings.get("output_unit", "1"))
+        self.channels = (Channel(self.output, unit, "output of the model"),)
 
     def commanded(self, trial: Trial) -> bool:
         """Return whether the input column is a command, and not a measured joint angle."""
@@ -139,7 +315,9 @@ class ArxModel(Model):
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
         """Return the frequency of a computed input, Hz; empty for an input column."""
-        return [self.sine[1]] if self.sine else []
+        if self.sine is None:
+            return []
+        return [self.sine[1]]
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the free run of one trial: the simulation from the input and the first outputs.
@@ -235,22 +413,6 @@ def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: 
     return amplitude * np.sin(2 * np.pi * frequency_hz * np.asarray(time_s, dtype=float) + phase_rad)
 
 
-def _coefficients(parameters: ParameterFile, path: Path | None = None) -> tuple[Orders, float, Array]:
-    """Return the orders, the sample time (s) and the coefficients a1, ..., b1, ... of a parameter file."""
-    delay, sample_time_s = parameters.delay, parameters.sample_time_s
-    if delay is None or sample_time_s is None:
-        text = f"a model '{NAME}' needs 'delay' and 'sample_time_s'"
-        raise InputError(text, file=path, column="delay")
-    if "b1" not in parameters.parameters:
-        raise InputError("this parameter is missing", file=path, column="parameters.b1")
-    na, nb = (
-        next(k for k in itertools.count() if f"{letter}{k + 1}" not in parameters.parameters)
-        for letter in "ab"
-    )
-    orders = Orders(na, nb, delay)
-    return orders, sample_time_s, np.array([parameters.value(name) for name in orders.names])
-
-
 def to_control(parameters: ParameterFile) -> control.TransferFunction:
     """Return the model of a parameter file as a discrete-time transfer function of python-control.
 
@@ -259,11 +421,12 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
     """
     import control
 
-    orders, sample_time_s, theta = _coefficients(parameters)
-    a, b, _ = orders.split(theta)
+    model = ArxModel(parameters)
+    orders = model.orders
+    a, b, _ = orders.split(np.array([p.start for p in model.parameters]))
     denominator = np.concatenate(([1.0], a, np.zeros(orders.lag - orders.na)))
     numerator = np.concatenate((b, np.zeros(orders.lag - (orders.nk + orders.nb - 1))))
-    return control.TransferFunction(numerator, denominator, sample_time_s)
+    return control.TransferFunction(numerator, denominator, model.sample_time_s)
 
 
 def published(name: str) -> ParameterFile:
@@ -279,3 +442,353 @@ def published(name: str) -> ParameterFile:
 def published_names() -> tuple[str, ...]:
     """Return the names of the published models."""
     return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))
+
+
+# ------------------------------------------------------------ trials and records
+
+
+def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[str]]:
+    """Return a log at the rate of its measurements, and a sentence for each column with repeated samples.
+
+    If a log contains each measurement several times, a discrete-time model fitted to it describes the logger,
+    and its poles are wrong. Columns with a value in every n-th row only are also resampled. An input with few
+    levels, or with independent levels, is a command that is constant by design. It is not resampled for its
+    own sake.
+
+    Parameters
+    ----------
+    log : Log
+    source : str or None
+        Name of the input column; None for a computed input.
+    output : str
+        Output column.
+
+    Notes
+    -----
+    The output sets the rate. Of each measurement of the output, the first sample is used. The input of a row
+    is the mean of the input until the next row, as for a zero-order hold. If the measurements of the output
+    have no constant rate, the repeated samples are set to NaN instead. An input with repeated samples is used
+    as it is.
+    """
+    repeats, even, columns = [], None, dict(log.columns)
+    for column in [c for c in (output, source) if c is not None]:
+        values = log[column]
+        held, empty = find_held(log.time_s, [values]), np.isnan(values)
+        # independent values between the repeated samples are the levels of a random command
+        if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
+            continue
+        own = _even_times(log.time_s, values, held)
+        if own is None and (column == source or not _is_lossy(values[~empty], held.repeated[~empty])):
+            continue
+        what = "are empty"
+        if held.repeated.any():
+            what = "repeat the measurement before"
+        text = f"{int(np.sum(held.repeated | empty))} of {len(log)} samples of {column} {what}"
+        if own is None:
+            columns[column] = np.where(held.repeated, np.nan, values)
+            text += f" at no even rate: they are left out, and the others may be {held.lateness_s:.6g} s late"
+        else:
+            text += f": it is measured every {usual_step(own[1]):.6g} s"
+        if column == output and own is not None:
+            even = own
+            text += ", and the model is fitted at that rate"
+        warn("SWM058", f"{log.path.name}: {text}; log each measurement once, with its own time")
+        repeats.append(text)
+    if even is not None:
+        rows, times = even
+        columns = {name: values[rows] for name, values in log.columns.items()} | {TIME: times}
+        if source is not None:
+            columns[source] = _means(log.time_s, log[source], times)
+    return replace(log, columns=columns), repeats
+
+
+def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the rows and the times (s) of a column's measurements if their rate is constant.
+
+    The result is None if the rate is not constant, or if it is the rate of the log.
+    """
+    rows = np.flatnonzero(~(held.repeated | np.isnan(values)))
+    lasts = np.diff(rows)
+    if not (lasts > 1).any():
+        return None
+    factor = int(np.median(lasts[lasts > 1]))
+    # samples at which a resting robot repeats its value are new measurements, so they are not counted
+    shown = lasts[(lasts > 1) | (values[rows[1:]] != values[rows[1:] - 1])]
+    if np.mean(shown == factor) >= REGULAR_SHARE:
+        kept: list[int] = []
+        for row, length in zip(rows.tolist(), [*lasts.tolist(), 1], strict=True):
+            if length > 1 or not kept or row - kept[-1] >= factor:
+                kept.append(row)
+        return np.array(kept), time_s[kept]
+    if held.even:
+        times = held.measured_s[rows]
+        return rows, times + float(np.min(time_s[rows] - times))
+    return None
+
+
+def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return the mean of a held signal from each time to the next; NaN if too many samples are missing."""
+    steps, missing = np.diff(time_s), np.isnan(values)
+    held = np.column_stack([np.where(missing, 0.0, values), missing])
+    total = np.vstack([[0.0, 0.0], np.cumsum(held[:-1] * steps[:, None], axis=0)])
+    ends = np.append(times, 2 * times[-1] - times[-2])
+    row = np.clip(np.searchsorted(time_s, ends + 1e-6 * steps.min(), side="right") - 1, 0, None)
+    integral = total[row] + held[row] * (ends - time_s[row])[:, None]
+    mean, empty = (np.diff(integral, axis=0) / np.diff(ends)[:, None]).T
+    return np.where(empty > MAX_MISSING, np.nan, mean)
+
+
+def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:
+    """Return whether a signal repeats samples although its other changes are larger than its rounding."""
+    changes = np.abs(np.diff(values[~repeated]))
+    return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
+
+
+#: Keys of a trials file that are used, by experiment.
+USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
+
+
+def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Path) -> Experiment:
+    """Read trials of the experiment ``arma`` for the model of a parameter file.
+
+    Input and output are the columns to which the model was fitted.
+
+    Raises
+    ------
+    InputError
+        The trials file names other columns, or a file cannot be used.
+    """
+    path = trials_format.place(source)
+    entries = trials_format.read(source, trials_format.Arma, uses=USES)
+    robot = trials_format.robot_of(entries, path)
+    model = ArxModel(file, parameters_path)
+    read = [model.source] * (model.sine is None)
+    for key, columns in (("input", read), ("output", [model.output])):
+        named = getattr(entries, key)
+        if columns and named is not None and named != columns[0]:
+            words = f"these trials name the {key} '{named}', the parameters are of '{columns[0]}'"
+            raise InputError(words, file=path, column=key)
+    inputs: list[Input] = []
+    if not entries._in_memory:
+        inputs.append(path)
+    trials = []
+    for entry in entries.trials:
+        log = read_log(entry, path.parent, required=(*read, model.output))
+        log, _ = at_own_rate(log, next(iter(read), None), model.output)
+        inputs.append(log.source)
+        measured, given = {model.output: log[model.output]}, {name: log[name] for name in read}
+        trials.append(Trial(entry.id, entry.role, log.time_s, measured, given))
+    return Experiment("arma", robot, model, trials, inputs)
+
+
+# ------------------------------------------------------------ records for rwls
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Names of the input and output columns, and the sine that replaces the input column, if any."""
+
+    source: str
+    output: str
+    #: Amplitude, frequency (Hz) and phase (rad) of a computed input.
+    sine: tuple[float, float, float] | None
+
+    @property
+    def unit(self) -> str:
+        """Unit of the output, from the ending of its name; ``"1"`` if the name has no unit."""
+        return numbers.split_unit(self.output)[1] or "1"
+
+    @property
+    def gain_unit(self) -> str:
+        """Unit of the coefficients of B: unit of the output divided by that of the input."""
+        source = numbers.split_unit(self.source)[1] or "1"
+        if source == "1":
+            return self.unit
+        if source == self.unit:
+            return "1"
+        return "/".join(re.sub(r"(.*[/ ].*)", r"(\1)", unit) for unit in (self.unit, source))
+
+    @property
+    def measured_source(self) -> str | None:
+        """Name of the input column; None for a computed input."""
+        return None if self.sine else self.source
+
+
+@dataclass(frozen=True)
+class Data:
+    """Records of the fitted logs and of the held-out data."""
+
+    columns: Columns
+    sample_time_s: float
+    fit: list[Record]
+    #: Held-out records by the name of the data.
+    held_out: dict[str, list[Record]]
+    #: Names of the fitted logs.
+    logs: list[str]
+    #: Paths or objects of all inputs, for the provenance.
+    files: list[Input]
+    robot: str | None
+    #: Sentences about repeated samples, one for each column that has them.
+    repeats: list[str]
+
+
+#: Type of an input: a log or trials of the experiment ``arma``, as a file or as an object in memory.
+Source = Any
+
+
+def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
+    """Read logs or a trials file of the experiment ``arma``, and hold out parts of them.
+
+    Parameters
+    ----------
+    logs : sequence of paths, Log, DataFrame or TrialSet
+    options : RwlsOptions
+        Options that state the columns and the data to hold out.
+
+    Raises
+    ------
+    UsageError
+        When the options contradict each other.
+    InputError
+        A file is unreadable, columns are missing, the rate is not constant, or held-out rows are also fitted.
+    """
+    share, held_out = _split_held_out(options.held_out)
+    entries: list[TrialEntry] = []
+    files: list[Input] = []
+    listed: trials_format.Arma | None = None
+    for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
+        file = isinstance(source, str | Path)
+        if isinstance(source, TrialSet) or (file and Path(source).suffix.lower() in (".yaml", ".yml")):
+            if listed is not None:
+                raise UsageError("give one trials file; it may list logs to fit and logs to hold out")
+            path = trials_format.place(source)
+            listed = trials_format.read(source, trials_format.Arma, uses=USES)
+            files += [path] * (not listed._in_memory)
+            found = [e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials]
+        else:
+            found = [_single(source, role, f"table {number + 1}")]
+        for one, other in itertools.product(entries, found):
+            if trials_format.same_recording(one, Path(one.log), other, Path(other.log)):
+                trials_format.check_apart(one, other, Path(one.log))
+        entries += found
+    columns = _columns(options, listed)
+    if all(entry.role == "validate" for entry in entries):
+        raise UsageError("every trial is a validation trial; at least one must be fitted")
+    ids = [entry.id for entry in entries]
+    names = [entry.id if ids.count(entry.id) == 1 else entry.log for entry in entries]
+    required = tuple(name for name in (columns.measured_source, columns.output) if name)
+    contents, repeats = [], []
+    for entry in entries:
+        log = read_log(entry, Path(), required=required)
+        _check_distinct(log, columns)
+        log, found_repeats = at_own_rate(log, columns.measured_source, columns.output)
+        contents.append(log)
+        repeats += found_repeats
+    step_s = _common_step(names, contents)
+    fitted = [name for name, entry in zip(names, entries, strict=True) if entry.role == "fit"]
+    fit: list[Record] = []
+    held: dict[str, list[Record]] = {}
+    for name, entry, log in zip(names, entries, contents, strict=True):
+        cut = len(log) - round(share * len(log))
+        if entry.role == "validate":
+            held[name] = _records(log, name, columns, step_s, slice(None))
+            continue
+        fit += _records(log, name, columns, step_s, slice(0, cut))
+        if share:
+            label = "held-out part" + f" of {name}" * (len(fitted) > 1)
+            held[label] = _records(log, name, columns, step_s, slice(cut, None))
+    files += [Path(entry.log) if entry._held is None else entry._held.source for entry in entries]
+    return Data(columns, step_s, fit, held, fitted, files, getattr(listed, "robot", None), repeats)
+
+
+def _single(source: Source, role: Any, name: str) -> TrialEntry:
+    """Return the entry of a log without a trials file; ``name`` is the name of a table without a name."""
+    if isinstance(source, str | Path):
+        return TrialEntry(id=Path(source).name, log=str(source), role=role)
+    held = source if isinstance(source, Log) else Log.from_frame(source, name=name)
+    entry = TrialEntry(id=held.path.name, log=str(held.path), role=role)
+    entry._held = held
+    return entry
+
+
+def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source]]:
+    """Return the fraction to hold out (0 if none is given), and the logs to hold out."""
+    shares: list[float] = []
+    logs: list[Source] = []
+    for item in given:
+        try:
+            shares.append(float(item))
+        except (TypeError, ValueError):
+            logs.append(item)
+    if len(shares) > 1:
+        raise UsageError("--validate: only one share can be given, besides any number of logs")
+    for share in shares:
+        if not 0 < share < 1:
+            hint = "0.25 is the last quarter"
+            raise UsageError(f"--validate {share:g}: a share must lie between 0 and 1", hint=hint)
+    return sum(shares), logs
+
+
+def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns:
+    """Return the columns that the options or the trials file name."""
+    source, output = options.input_column, options.output_column
+    if listed is not None:
+        source, output = source or listed.input, output or listed.output
+    if output is None:
+        raise UsageError("give the output column with --output COLUMN")
+    if (options.input_sine is None) == (source is None):
+        raise UsageError(
+            "give the input column with --input COLUMN, or compute it with --input-sine A F PHASE"
+        )
+    if source == output:
+        raise UsageError(f"input and output are the same column '{source}'")
+    return Columns(source or "F_u", output, options.input_sine)
+
+
+def _check_distinct(log: Log, columns: Columns) -> None:
+    """Raise an error if the output is a copy of the input and not constant."""
+    if columns.sine:
+        return
+    u, y = log[columns.source], log[columns.output]
+    both = np.isfinite(u) & np.isfinite(y)
+    if np.any(both) and np.ptp(y[both]) > 0 and np.array_equal(u[both], y[both]):
+        text = f"holds the same values as the input column '{columns.source}' in every row"
+        hint = "one of the two is a copy: name the measured output with --output"
+        raise InputError(text, file=log.path, column=columns.output, hint=hint)
+
+
+def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
+    """Return the common sample time of all logs, s; raise an error if the rates differ or vary."""
+    rates = [sampling.rate(log.time_s) for log in logs]
+    first_s = rates[0].step_s
+    for name, log, rate in zip(names, logs, rates, strict=True):
+        step = f"every {rate.step_s:.6g} s, the first log every {first_s:.6g} s"
+        if not rate.uniform:
+            step = (
+                f"at a constant rate: only {100 * rate.on_grid:.0f} % of its steps are whole multiples of "
+                f"{rate.step_s:.6g} s"
+            )
+        if not rate.uniform or abs(rate.step_s / first_s - 1) > SAME_RATE:
+            text = f"is {'not ' * (not rate.uniform)}sampled {step}; a discrete-time model needs one rate"
+            hint = "resample the logs to one sample time"
+            raise InputError(text, file=log.path, column="t_s", hint=hint)
+        if rate.jitter > sampling.NOTABLE_JITTER:
+            text = f"time steps scatter by {100 * rate.jitter:.1f} % around {rate.step_s:.6g} s"
+            warn("SWM003", f"{name}: {text}; the model takes them as equal")
+    return first_s
+
+
+def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
+    """Return the gap-free parts of the given rows of a log, on the time grid."""
+    time = log.time_s[rows]
+    if len(time) < 2:
+        return []
+    records = []
+    for piece in sampling.pieces(time, step_s):
+        y = piece.take(log[columns.output][rows])
+        if columns.sine:
+            u = sine_input(piece.time_s, *columns.sine)
+        else:
+            u = piece.take(log[columns.source][rows])
+        records.append(Record(name, piece.time_s, u, y))
+    return records

@@ -68,6 +68,11 @@ class RwlsOptions(
         "Repeatable.",
     )
 
+    @property
+    def delay(self) -> int:
+        """Delay of b1, samples."""
+        return self.nk if self.nk is not None else 1
+
     @model_validator(mode="after")
     def _check_together(self) -> Self:
         if (self.na is None) != (self.nb is None):

@@ -1,30 +1,81 @@
-"""Command ``swimid rwls``: identifies a discrete-time model from an input and an output column."""
+"""Command ``swimid rwls``: identifies a discrete-time model from an input and an output column.
+
+The command chooses the working point and the orders, estimates the model, and computes its prediction errors.
+A model without a constant term describes deviations from a working point. If data are recorded around a
+working point (20 degrees, half throttle), the means must be subtracted. If data obey the model without a
+constant term, they must not be changed. Predictions are one step ahead, and the free run (simulation), which
+uses no measured output after its start.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from swimid.blackbox import difference
-from swimid.blackbox.identified import MAX_RATIO, Identified, Scores, identify
-from swimid.blackbox.model import NAME, PAPER
+from swimid.blackbox.arx import (
+    EXACT,
+    ArxEstimate,
+    Regression,
+    check_enough,
+    covariance,
+    errors_and_gradient,
+    estimate,
+    find_directions,
+    regression,
+)
+from swimid.blackbox.model import (
+    INTEGRATING,
+    NAME,
+    PAPER,
+    SINE,
+    Data,
+    Orders,
+    Pole,
+    Record,
+    best_level,
+    find_poles,
+    read,
+    simulate,
+    simulate_all,
+)
 from swimid.blackbox.options import RwlsOptions
-from swimid.blackbox.trials import read
+from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import noise as rt
-from swimid.fitting.metrics import score
+from swimid.fitting.metrics import Score, score
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers, parameters
-from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Table, Trace
+from swimid.results.evidence import Check, Evidence, Figure, Table, Trace
 from swimid.results.parameters import Fitted
 
+#: Minimum |t| of the constant term at which the working point is subtracted without further conditions.
+CLEAR_T = 5.0
+#: Minimum |t| of the constant term at which the working point is subtracted if this improves the free run by
+#: :data:`CLEAR_GAIN`. Data that need no constant term reach both thresholds by chance in less than one of a
+#: hundred records, also for slow systems.
+LIKELY_T = 3.5
+#: Minimum |t| of the constant term at which the working point is subtracted if the output is far from zero
+#: and the free run improves at all. A missing constant term then biases the other coefficients (a spurious
+#: pole at 1), so that the |t| of the constant term is small.
+WEAK_T = 2.0
+#: Minimum relative reduction of the root-mean-square error of the free run that counts as a clear
+#: improvement.
+CLEAR_GAIN = 0.1
+#: Minimum ratio of the absolute mean of the output to its standard deviation, for an output that is far from
+#: zero.
+FAR = 3.0
+#: Maximum ratio of the root-mean-square error of the free run on held-out data to that on the fitted data
+#: (SWM015).
+MAX_RATIO = 2.0
 #: Codes of the warnings whose text is the reason of a check, by the name of the check.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
 #: Minimum NRMSE fit of a free run that counts as reproducing the output, %.
@@ -51,15 +102,15 @@ def rwls(
     """Identify an ARX or ARMAX model by recursive weighted least squares.
 
     A trials file can state the columns. Without ``na`` and ``nb`` the orders with the lowest BIC are chosen.
-    See :class:`swimid.blackbox.difference.Orders` for the orders, :mod:`swimid.blackbox.recursive` for
-    weight, forgetting and P(0), and :func:`swimid.blackbox.identified.find_working_point` for the means. If
+    See :class:`swimid.blackbox.model.Orders` for the orders, :mod:`swimid.blackbox.arx` for
+    weight, forgetting and P(0), and :func:`find_working_point` for the means. If
     the one-step residuals are not white (SWM013), the coefficients of an ARX model are biased. Judge such a
     model by its free run, or give ``nc``.
 
     Parameters
     ----------
     logs : sequence of path, Log or DataFrame
-        Logs with one row for each sample, all at one rate; or trials files of the experiment ``arma``.
+        Logs with one row for each sample, all at one rate; or a trials file of the experiment ``arma``.
     output : Path, optional
         Parameter file to write. The evidence file is written to the same folder.
     progress : Progress
@@ -121,7 +172,25 @@ def rwls(
         for code, text in _warnings(m, checks):
             warn(code, text)
     file = _parameter_file(m)
-    made = Fitted.of(file, _evidence(m, file.provenance, checks, ev.notices(notices)))
+    columns, where = data.columns, "held-out" if m.held_out else "fitted"
+    least = min(part.free_run.fit_percent for part in m.judged.values())
+    answer = f"The free run does not reproduce the {where} output."
+    if least >= 0:
+        answer = f"The free run reproduces {least:.1f} % of the {where} output."
+    evidence = Evidence(
+        command="rwls",
+        title=f"{m.kind} model, {columns.source} to {columns.output}",
+        verdict=ev.judged(answer, checks),
+        facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
+        checks=checks,
+        tables=[_errors(m), _modes(m)],
+        figures=[_free_run(m), _residuals(m)],
+        notices=ev.notices(notices),
+        methods=_methods(m),
+        references=REFERENCES,
+        provenance=file.provenance,
+    )
+    made = Fitted.of(file, evidence)
     made.data["orders_tried"] = [{**asdict(orders), "bic": bic} for orders, bic in m.candidates]
     return made.saved(output)
 
@@ -129,33 +198,30 @@ def rwls(
 # ---------------------------------------------------------------- checks and warnings
 
 
-def _deciding_scores(m: Identified) -> dict[str, Scores]:
-    """Return the errors by which the model is judged: on held-out data, or on the fitted data if none."""
-    return dict(m.scores) or {"the fitted part": m.fit_scores}
-
-
 def _checks(m: Identified) -> list[Check]:
-    fitted, pole = m.estimate, m.critical_pole
+    fitted, pole, count = m.estimate, m.critical_pole, m.estimate.orders.count
     checks = [
-        ev.check("Held-out data", str(len(m.scores)), bool(m.scores), "some", reason="no data were held out"),
+        ev.check(
+            "Held-out data", str(len(m.held_out)), bool(m.held_out), "some", reason="no data were held out"
+        ),
         ev.check("Repeated samples", "; ".join(m.data.repeats), not m.data.repeats, "none"),
     ]
     otherwise: Literal["warn", "fail"] = "warn"
     if pole is not None:
-        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr)}"
+        size = f"|z| = {numbers.measured(pole.magnitude, pole.stderr_magnitude)}"
         reason, passed = f"the model integrates ({size}), so that a free run drifts", pole.state == "stable"
         if pole.state == "unstable":
             otherwise, reason = "fail", f"the model is unstable ({size}) and cannot be simulated"
         checks.append(
             ev.check("Largest pole", size, passed, "below 1", pole.state, otherwise=otherwise, reason=reason)
         )
-    runs = _deciding_scores(m)
-    if m.fit_scores.diverged:
-        runs["the fitted part"] = m.fit_scores
-    for name, s in runs.items():
-        fit, value = s.free_run.fit_percent, f"{s.free_run.fit_percent:.1f} % fit"
+    runs = m.judged
+    if m.fit.diverged:
+        runs["the fitted part"] = m.fit
+    for name, part in runs.items():
+        fit, value = part.free_run.fit_percent, f"{part.free_run.fit_percent:.1f} % fit"
         otherwise, passed = "warn", False
-        if s.diverged:
+        if part.diverged:
             otherwise, reason = "fail", f"the free run diverges on {name}"
         elif fit < 0:
             otherwise = "fail"
@@ -175,17 +241,10 @@ def _checks(m: Identified) -> list[Check]:
         checks.append(
             ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
         )
-    lost = _undetermined(m)
-    value = f"{fitted.orders.count - len(lost)} of {fitted.orders.count}"
-    reason = f"the data do not determine {', '.join(lost)}"
+    lost = m.undetermined
+    value, reason = f"{count - len(lost)} of {count}", f"the data do not determine {', '.join(lost)}"
     excited = f"the input excites {fitted.known.input_rank} of the {fitted.orders.nb} coefficients of B"
     return [*checks, ev.check("Coefficients determined", value, not lost, "all", excited, reason=reason)]
-
-
-def _undetermined(m: Identified) -> list[str]:
-    """Return the names of the coefficients that the data do not determine."""
-    pairs = zip(m.estimate.orders.names, m.estimate.stderr, strict=True)
-    return [name for name, stderr in pairs if not math.isfinite(stderr)]
 
 
 def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
@@ -202,24 +261,26 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
             f"regression restarted {restarts} times at gaps; no value was filled in",
         )
     if point.removed:
-        text = (
+        yield (
+            "SWM021",
             f"means of the fitted part subtracted: {data.columns.source} {point.source:.6g}, "
             f"{data.columns.output} {point.output:.6g} (constant term t = {point.t:.1f}); the model is of "
-            "deviations from them"
+            "deviations from them",
         )
-        yield "SWM021", text
     for check in checks:
         if check.name in CODES and check.verdict != "pass":
             yield CODES[check.name], check.reason
     source = np.concatenate([record.source for record in data.fit])
-    if np.ptp(source[np.isfinite(source)]) == 0:
-        yield "SWM022", "the input is constant: B is an offset of the output and says nothing of the input"
-    elif known.input_rank < nb:
-        text = f"the input excites {known.input_rank} of the {nb} coefficients of B"
+    regressions = {
+        "the input is constant: B is an offset of the output and says nothing of the input": np.nanmin(source)
+        == np.nanmax(source),
+        f"the input excites {known.input_rank} of the {nb} coefficients of B": known.input_rank < nb,
+        f"the regression is ill-conditioned (condition number {known.condition:.1e}): lower the orders": (
+            known.condition > MAX_CONDITION
+        ),
+    }
+    for text in [text for text, applies in regressions.items() if applies][:1]:
         yield "SWM022", text
-    elif known.condition > MAX_CONDITION:
-        text = f"the regression is ill-conditioned (condition number {known.condition:.1e})"
-        yield "SWM022", f"{text}: lower the orders"
     if fitted.recursion.limited:
         yield (
             "SWM022",
@@ -227,66 +288,49 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
             f"{fitted.recursion.limited} of {len(fitted.data)} samples",
         )
     for name in m.worse:
-        here, fit = (f"{s.free_run.rmse:.3g} {unit}".rstrip() for s in (m.scores[name], m.fit_scores))
+        here, fit = (f"{part.free_run.rmse:.3g} {unit}".rstrip() for part in (m.held_out[name], m.fit))
         yield "SWM015", f"the free-run error is {here} on {name}, {fit} on the fitted part"
 
 
 # ---------------------------------------------------------------- parameter file
 
 
-def _settings(m: Identified) -> dict[str, Any]:
-    """Return the options as the parameter file contains them, with the orders, columns and levels in use."""
-    columns = m.data.columns
+def _parameter_file(m: Identified) -> parameters.ParameterFile:
+    """Return the parameter file. Its settings have the orders, columns and levels in use."""
+    fitted, data, columns = m.estimate, m.data, m.data.columns
+    orders, names, lost = fitted.orders, fitted.orders.names, m.undetermined
+    unit, channel = columns.unit, columns.output
     settings: dict[str, Any] = {
-        "orders": asdict(m.estimate.orders),
+        "orders": asdict(orders),
         "order": "least BIC" if m.candidates else "given",
         "input": columns.source,
-        "output": columns.output,
-        "output_unit": columns.unit,
+        "output": channel,
+        "output_unit": unit,
         **m.options.model_dump(include={"weight", "forgetting", "prior_scale", "centre"}),
         "input_level": m.point.source,
         "output_level": m.point.output,
     }
     if columns.sine:
-        names = ("amplitude", "frequency_hz", "phase_rad")
-        settings["input_model"] = {"kind": "sine", **dict(zip(names, columns.sine, strict=True))}
-    return settings
-
-
-def _parameter_file(m: Identified) -> parameters.ParameterFile:
-    fitted, data = m.estimate, m.data
-    orders, names, lost = fitted.orders, fitted.orders.names, _undetermined(m)
-    unit, channel = data.columns.unit, data.columns.output
+        settings["input_model"] = {"kind": "sine", **dict(zip(SINE, columns.sine, strict=True))}
+    units = {"a": "1", "b": columns.gain_unit, "c": "1"}
     estimates = {
         name: parameters.Estimate(
-            value=float(value),
-            stderr=_finite(stderr),
-            unit=data.columns.gain_unit if name.startswith("b") else "1",
-            status="unidentifiable" if name in lost else "estimated",
+            value=float(value), stderr=_finite(stderr), unit=units[name[0]], status="estimated"
         )
         for name, value, stderr in zip(names, fitted.theta, fitted.stderr, strict=True)
     }
+    for name in lost:
+        estimates[name].status = "unidentifiable"
+    words = (
+        f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
+        f"{', '.join(lost)} are determined."
+    )
     validation: dict[str, Any] = {}
-    if m.scores:
-        held_out = [record for part in m.held_out.values() for record in part]
-        together = score(*difference.simulate_all(held_out, orders, fitted.theta))
-        by_set = {name: s.as_dict(unit) for name, s in m.scores.items()}
+    if m.held_out:
+        held_out = [record for part in m.held_out.values() for record in part.records]
+        together = score(*simulate_all(held_out, orders, fitted.theta))
+        by_set = {name: part.as_dict(unit) for name, part in m.held_out.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
-    words = []
-    if lost:
-        words.append(
-            f"The data span {fitted.known.rank} of {orders.na + orders.nb} directions; only combinations of "
-            f"{', '.join(lost)} are determined."
-        )
-    details = {
-        "rows": len(fitted.data),
-        "rows_left_out": fitted.data.possible - len(fitted.data),
-        "condition": fitted.known.condition,
-        "input_excites": fitted.known.input_rank,
-        "stability": m.critical_pole.state if m.critical_pole else "stable",
-        "integrating": any(p.integrating for p in m.poles),
-    }
-    settings = _settings(m)
     # held-out data are named by a fraction, a file, or a log in memory
     shares = [
         str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in m.options.held_out
@@ -295,26 +339,18 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         model=NAME,
         robot=data.robot,
         parameters=estimates,
-        identifiability=words,
+        identifiability=[words] * bool(lost),
         correlation=parameters.Correlation(
             names=[name for name in names if name not in lost], matrix=fitted.correlation.tolist()
         ),
         delay=orders.nk,
         sample_time_s=data.sample_time_s,
-        poles=[
-            parameters.Pole(
-                real=p.value.real,
-                imag=p.value.imag,
-                magnitude=p.magnitude,
-                stderr_magnitude=_finite(p.stderr),
-            )
-            for p in m.poles
-        ],
+        poles=[*m.poles],
         stable=all(p.state != "unstable" for p in m.poles),
         settings=settings,
         fit=parameters.Fit(
             trials=data.logs,
-            channels={channel: {**m.fit_scores.free_run.as_dict(unit), **m.fit_scores.as_dict(unit)}},
+            channels={channel: {**m.fit.free_run.as_dict(unit), **m.fit.as_dict(unit)}},
             validation=validation,
             converged=True,
             noise={
@@ -326,7 +362,8 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
                 "input_independent_p": m.independent.p_value,
                 "standard_errors": "sandwich" if fitted.robust else "sigma^2 (H'H)^-1",
             },
-            **details,
+            rows=len(fitted.data),  # type: ignore[call-arg]
+            integrating=any(p.integrating for p in m.poles),  # type: ignore[call-arg]
         ),
         provenance=provenance.collect(data.files, settings={**settings, "validate": shares}),
     )
@@ -339,36 +376,12 @@ def _finite(value: float) -> float | None:
 # ---------------------------------------------------------------- evidence
 
 
-def _evidence(
-    m: Identified, provenance: dict[str, Any], checks: list[Check], notices: list[NoticeRecord]
-) -> Evidence:
-    columns = m.data.columns
-    least = min(s.free_run.fit_percent for s in _deciding_scores(m).values())
-    where = "held-out" if m.scores else "fitted"
-    answer = f"The free run does not reproduce the {where} output."
-    if least >= 0:
-        answer = f"The free run reproduces {least:.1f} % of the {where} output."
-    return Evidence(
-        command="rwls",
-        title=f"{m.kind} model, {columns.source} to {columns.output}",
-        verdict=ev.judged(answer, checks),
-        facts={"Orders": str(m.estimate.orders), "Rows": str(len(m.estimate.data))},
-        checks=checks,
-        tables=[_errors(m), _modes(m)],
-        figures=[_free_run(m), _residuals(m)],
-        notices=notices,
-        methods=_methods(m),
-        references=REFERENCES,
-        provenance=provenance,
-    )
-
-
 def _errors(m: Identified) -> Table:
     rows: list[list[ev.Cell]] = []
-    for name, s in {"fitted": m.fit_scores, **m.scores}.items():
-        kinds = {"one step": s.one_step, "free run": s.free_run}
-        if s.strict is not None:
-            kinds["free run, predicted level"] = s.strict
+    for name, part in {"fitted": m.fit, **m.held_out}.items():
+        kinds = {"one step": part.one_step, "free run": part.free_run}
+        if part.strict is not None:
+            kinds["free run, predicted level"] = part.strict
         for kind, q in kinds.items():
             share = numbers.percent(q.nrmse)
             rows.append([name, kind, _finite(q.fit_percent), _finite(q.rmse), share, q.samples])
@@ -387,10 +400,14 @@ def _errors(m: Identified) -> Table:
 
 
 def _modes(m: Identified) -> Table:
+    """Return the table of the poles, with frequency and damping of the continuous-time pole log(z) / Ts."""
     rows: list[list[ev.Cell]] = []
     for p in m.poles:
-        size = numbers.measured(p.magnitude, p.stderr)
-        rows.append([size, _finite(p.frequency_hz), _finite(p.damping_ratio), p.state])
+        size = numbers.measured(p.magnitude, p.stderr_magnitude)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = np.log(np.complex128(complex(p.real, p.imag))) / m.data.sample_time_s
+            damping = -rate.real / abs(rate)
+        rows.append([size, _finite(abs(rate) / (2 * np.pi)), _finite(damping), p.state])
     columns = ["|z|", "natural frequency (Hz)", "damping ratio", "stability"]
     return Table(id="modes", title="Modes of the model", columns=columns, rows=rows, folded=True)
 
@@ -418,24 +435,23 @@ def _methods(m: Identified) -> list[str]:
 
 def _free_run(m: Identified) -> Figure:
     """Return the figure of measured output and free run, for the worst and the best data set."""
-    sets, scores = dict(m.held_out) or {"the fitted part": m.fit}, _deciding_scores(m)
-    ranked = sorted(sets, key=lambda name: scores[name].free_run.fit_percent)
+    parts = m.judged
+    ranked = sorted(parts, key=lambda name: parts[name].free_run.fit_percent)
     panels = []
     for name in dict.fromkeys([ranked[0], ranked[-1]]):
-        level = m.point.output + scores[name].level
+        level = m.point.output + parts[name].level
         traces: list[Trace] = []
-        for record in sets[name]:
-            run = difference.simulate(record, m.estimate.orders, m.estimate.theta)
-            labels = ("", "") if traces else ("measured", "free run")
-            for group, y in enumerate((record.output, run)):
+        for record in parts[name].records:
+            run = simulate(record, m.estimate.orders, m.estimate.theta)
+            for group, (label, y) in enumerate({"measured": record.output, "free run": run}.items()):
                 x, shown = ev.thinned(record.time_s, y + level)
-                traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
+                traces.append(Trace(x=x, y=shown, label=label * (len(traces) < 2), group=group))
         y_label = numbers.column_title(m.data.columns.output)
-        title = name.removesuffix(".csv") * (len(sets) > 1)
+        title = name.removesuffix(".csv") * (len(parts) > 1)
         panels.append(ev.panel("time (s)", y_label, traces, title=title))
     caption = "The free run is simulated from the input alone, after its first samples, about the mean level."
-    if len(sets) > 2:
-        caption += f" Shown are the worst and the best of {len(sets)} records."
+    if len(parts) > 2:
+        caption += f" Shown are the worst and the best of {len(parts)} records."
     return ev.panels("free-run", "Measured and simulated output", caption, panels)
 
 
@@ -445,3 +461,325 @@ def _residuals(m: Identified) -> Figure:
     caption = "Values outside of the 95 % band of white noise show that the model lacks an effect."
     panels = [ev.correlogram(own, "autocorrelation", "residuals", skip_zero=True)]
     return ev.panels("residuals", "Autocorrelation of the one-step residuals", caption, panels)
+
+
+# ---------------------------------------------------------------- identification
+
+
+@dataclass(frozen=True)
+class WorkingPoint:
+    """Means that are subtracted from input and output; zero if none are subtracted."""
+
+    source: float
+    output: float
+    #: Constant term of the regression divided by its standard error.
+    t: float
+    removed: bool
+
+
+def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
+    """Decide whether the means of the fitted records must be subtracted.
+
+    Parameters
+    ----------
+    mode : {"auto", "none", "mean"}
+        ``none`` never subtracts the means, ``mean`` always does. ``auto`` subtracts them in four cases, where
+        t is the t value of a constant term that is fitted together with A and B. (1) |t| is above
+        :data:`CLEAR_T`. (2) |t| is above :data:`LIKELY_T`, and the free run improves by :data:`CLEAR_GAIN`.
+        (3) The mean of the output is more than :data:`FAR` standard deviations from zero, and the free run
+        improves by :data:`CLEAR_GAIN`, or at all if |t| is above :data:`WEAK_T`. (4) The mean of the output
+        is that far from zero, and a pole at 1 disappears.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        There are not more rows than coefficients, or the output is constant.
+    """
+    data = regression(records, replace(orders, nc=0))
+    check_enough(data, orders)
+    source = float(np.nanmean(np.concatenate([r.source for r in records])))
+    output = float(np.nanmean(np.concatenate([r.output for r in records])))
+    constant, t = constant_term(data)
+    size = abs(t) * bool(abs(constant) > EXACT * np.sqrt(np.mean(data.outputs**2)))
+    far = bool(abs(output) > FAR * np.std(data.outputs))
+    point = WorkingPoint(source, output, t, True)
+    removed = mode == "mean" or (mode == "auto" and size > CLEAR_T)
+    if mode == "auto" and not removed and (far or size > LIKELY_T):
+        removed = _helps(records, orders, point, far=far, likely=size > WEAK_T)
+    if removed:
+        return point
+    return WorkingPoint(0.0, 0.0, t, False)
+
+
+def _helps(
+    records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
+) -> bool:
+    """Return whether subtracting the means improves the free run, or removes a spurious pole at 1.
+
+    Parameters
+    ----------
+    far, likely : bool
+        Whether the output is far from zero, and whether a constant term is likely.
+    """
+    plain = replace(orders, nc=0)
+    rms, largest = [], []
+    for part in (records, shifted(records, point)):
+        data = regression(part, plain)
+        theta = np.linalg.lstsq(data.rows, data.outputs, rcond=None)[0]
+        squared = np.subtract(*simulate_all(part, plain, theta)) ** 2
+        compared = squared[np.isfinite(squared)]
+        if not len(compared):
+            compared = np.full(1, np.inf)
+        rms.append(float(np.sqrt(np.mean(compared))))
+        roots = np.roots([1.0, *theta[: orders.na]])
+        largest.append(float(np.max(np.abs(roots), initial=0.0)))
+    if far and largest[0] > INTEGRATING >= largest[1]:
+        return True
+    return rms[1] < rms[0] * (1.0 - CLEAR_GAIN * (not (far and likely)))
+
+
+def constant_term(data: Regression) -> tuple[float, float]:
+    """Return the constant term that is fitted together with A and B, and its t value.
+
+    They are NaN and 0 if the data do not determine the constant term.
+    """
+    n, p = data.rows.shape
+    rows = np.hstack((data.rows, np.ones((n, 1))))
+    if n <= p + 1 or not find_directions(rows, np.zeros(p + 1)).determined[-1]:
+        return float("nan"), 0.0
+    theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
+    residuals = data.outputs - rows @ theta
+    white = rt.ljung_box(data.on_grid(residuals)).passed
+    spread, _ = covariance(rows, residuals, np.ones(n), 0.0, data, robust=not white)
+    constant, stderr = float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
+    if stderr > 0:
+        return constant, constant / stderr
+    return constant, 0.0 if constant == 0 else float("inf")
+
+
+def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
+    """Return the records as deviations from a working point."""
+    if not point.removed:
+        return list(records)
+    return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
+
+
+def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
+    """Return the prediction one sample ahead, shape (n,); NaN where a sample that it needs is missing."""
+    data = regression([record], orders)
+    errors, _ = errors_and_gradient(theta, data)
+    return data.on_grid(data.outputs - errors)
+
+
+def about_own_level(
+    records: Sequence[Record], orders: Orders, theta: np.ndarray
+) -> tuple[list[Record], float]:
+    """Return records relative to the output level that minimises the free-run error, and this level.
+
+    Held-out data can have another working point than the fitted data. The level is subtracted from all
+    outputs, also from those that start the free run.
+    """
+    measured, run = simulate_all(records, orders, theta)
+    _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
+    level = best_level(measured, run, raised + 1.0)
+    return [replace(r, output=r.output - level) for r in records], level
+
+
+@dataclass(frozen=True)
+class Part:
+    """Records of one set of data, relative to the working point, and the prediction errors on them."""
+
+    records: list[Record]
+    one_step: Score
+    free_run: Score
+    #: Whether the model is not stable and its free run diverges from the data.
+    diverged: bool
+    #: Output level of held-out records, relative to the level of the fitted data.
+    level: float = 0.0
+    #: Free-run error at the output level of the fitted data. The records and the other errors are relative to
+    #: their own output level.
+    strict: Score | None = None
+
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """Return the errors in the form in which the parameter file contains them."""
+        free = {**self.free_run.as_dict(unit), "diverged": self.diverged}
+        if self.strict is not None:
+            free |= {"level_shift": self.level, "at_predicted_level": self.strict.as_dict(unit)}
+        return {"one_step": self.one_step.as_dict(unit), "free_run": free}
+
+
+def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) -> Part:
+    """Return records with the prediction errors one step ahead and of the free run.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        No record has more samples than the past samples that the model needs.
+    """
+    orders, theta = model.orders, model.theta
+    longest = max((len(r) for r in records), default=0)
+    if longest <= orders.lag:
+        raise NoTrustworthyResult(
+            f"a held-out part has {longest} samples, the model needs {orders.lag} past ones",
+            hint="hold out a larger share, or validate on a longer log",
+        )
+    runs = [simulate(r, orders, theta) for r in records]
+    measured = np.concatenate([r.output for r in records])
+    one = score(measured, np.concatenate([predict(r, orders, theta) for r in records]))
+    free = score(measured, np.concatenate(runs))
+    stopped = False
+    for record, run in zip(records, runs, strict=True):
+        last = np.flatnonzero(np.isfinite(run))[-1:]
+        stopped |= bool(len(last) and np.isfinite(record.source[last[0] + 1 :]).any())
+    at_risk = any(pole.state != "stable" for pole in poles)
+    return Part(records, one, free, bool(at_risk and (stopped or free.fit_percent < 0)))
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Identified model with its data and prediction errors."""
+
+    options: RwlsOptions
+    data: Data
+    point: WorkingPoint
+    fit: Part
+    #: Held-out records by the name of the data.
+    held_out: Mapping[str, Part]
+    estimate: ArxEstimate
+    #: Poles of the model, the largest magnitude first.
+    poles: list[Pole]
+    #: Orders of the order search with their BIC, lowest first; empty without a search.
+    candidates: Sequence[tuple[Orders, float]]
+
+    @property
+    def kind(self) -> str:
+        """Kind of the model: ``ARX``, or ``ARMAX`` if it has a noise polynomial."""
+        return "ARMAX" if self.estimate.orders.nc else "ARX"
+
+    @property
+    def judged(self) -> dict[str, Part]:
+        """Data by which the model is judged: the held-out data, or the fitted data if none are held out."""
+        return dict(self.held_out) or {"the fitted part": self.fit}
+
+    @cached_property
+    def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """One-step residuals and input of the fitted records on one time grid, and number of lags to test."""
+        data = self.estimate.data
+        return data.on_grid(self.estimate.residuals), data.source, rt.default_lags(len(data))
+
+    @cached_property
+    def independent(self) -> rt.TestResult:
+        """Test of the hypothesis that the residuals are independent of past inputs."""
+        residuals, source, lags = self.residual_series
+        return rt.independence(residuals, source, lags=lags, first=self.estimate.orders.nk)
+
+    @property
+    def worse(self) -> list[str]:
+        """Names of the held-out data whose free-run error exceeds :data:`MAX_RATIO` times that of the fit."""
+        limit = MAX_RATIO * self.fit.free_run.rmse
+        return [name for name, part in self.held_out.items() if part.free_run.rmse > limit]
+
+    @property
+    def undetermined(self) -> list[str]:
+        """Names of the coefficients that the data do not determine."""
+        pairs = zip(self.estimate.orders.names, self.estimate.stderr, strict=True)
+        return [name for name, stderr in pairs if not math.isfinite(stderr)]
+
+    @property
+    def critical_pole(self) -> Pole | None:
+        """Pole that determines the stability: an unstable one, else an integrating one, else the largest."""
+        states = ("unstable", "integrating", "stable")
+        return min(self.poles, key=lambda pole: states.index(pole.state), default=None)
+
+
+def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified:
+    """Choose the orders if they are not given, fit the model, and compute its prediction errors.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        The errors of :func:`swimid.blackbox.arx.estimate`.
+    """
+    candidates: list[tuple[Orders, float]] = []
+    if options.na is None or options.nb is None:
+        candidates = _search(data, options, progress)
+        orders = replace(candidates[0][0], nc=options.nc)
+    else:
+        orders = Orders(options.na, options.nb, options.delay, options.nc)
+    point = find_working_point(data.fit, orders, options.centre)
+    how = options.model_dump(include={"weight", "forgetting", "prior_scale"})
+    fitted = estimate(shifted(data.fit, point), orders, **how)
+    a, _, _ = orders.split(fitted.theta)
+    poles = find_poles(a, fitted.covariance[: orders.na, : orders.na])
+    held_out = {}
+    for name, records in data.held_out.items():
+        part = score_records(shifted(records, point), fitted, poles)
+        if point.removed:
+            own, level = about_own_level(part.records, orders, fitted.theta)
+            part = replace(score_records(own, fitted, poles), level=level, strict=part.free_run)
+        held_out[name] = part
+    fit = score_records(shifted(data.fit, point), fitted, poles)
+    return Identified(options, data, point, fit, held_out, fitted, poles, candidates)
+
+
+def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[Orders, float]]:
+    """Rank the orders of the search grid by BIC; warn if the best orders lie at the edge of the grid."""
+    largest = options.max_order
+    delays = range(options.max_nk + 1)
+    if options.nk is not None:
+        delays = range(options.delay, options.delay + 1)
+    point = find_working_point(data.fit, Orders(largest, largest), options.centre)
+    candidates = search_orders(shifted(data.fit, point), largest, delays, progress=progress)
+    best = candidates[0][0]
+    edge = {name: "--max-order" for name in ("na", "nb") if getattr(best, name) == largest}
+    if options.nk is None and best.nk == options.max_nk > 0:
+        edge["nk"] = "--max-nk"
+    if edge:
+        flags = ", ".join(dict.fromkeys(edge.values()))
+        warn(
+            "SWM023",
+            f"the order chosen ({best}) is the largest tried in {', '.join(edge)} (tried: na 0 to {largest}, "
+            f"nb 1 to {largest}, nk {delays[0]} to {delays[-1]}): widen the grid with {flags}",
+        )
+    return candidates
+
+
+def search_orders(
+    records: Sequence[Record], largest: int, delays: range, *, progress: Progress = silent
+) -> list[tuple[Orders, float]]:
+    """Rank ARX models with na from 0 to ``largest``, nb from 1 to ``largest`` and nk in ``delays``.
+
+    Returns
+    -------
+    list of (Orders, float)
+        Orders and Bayesian information criterion (BIC) ``n ln(RSS / n) + p ln n``, lowest first. If criteria
+        are equal, the model with fewer coefficients is first.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        There are too few rows, or the output is constant.
+
+    Notes
+    -----
+    All models are fitted to the same n rows, which are complete for the longest lags of the grid, so that the
+    criteria can be compared. All fits use one QR decomposition, that of the regression with all lags.
+    """
+    widest = Orders(largest, delays[-1] + largest, 0)
+    data = regression(records, widest)
+    check_enough(data, widest)
+    n = len(data)
+    factor = np.asarray(np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r"))
+    # without this minimum, noise-free data would always favour more coefficients
+    floor = max(n * (EXACT * float(np.std(data.outputs))) ** 2, float(np.finfo(float).tiny))
+    grid = list(product(range(largest + 1), range(1, largest + 1), delays))
+    found = []
+    with progress("trying orders", total=len(grid)) as step:
+        for na, nb, nk in grid:
+            chosen = [*range(na), *range(largest + nk, largest + nk + nb)]
+            theta = np.linalg.lstsq(factor[:, chosen], factor[:, -1], rcond=None)[0]
+            rss = float(np.sum((factor[:, -1] - factor[:, chosen] @ theta) ** 2))
+            bic = n * float(np.log(max(rss, floor) / n)) + float(np.log(n)) * (na + nb)
+            found.append((Orders(na, nb, nk), bic))
+            step()
+    return sorted(found, key=lambda one: (one[1], one[0].count, one[0].nk))

@@ -125,7 +125,7 @@ OPTIONAL = {
 KERNELS = (
     "swimid.rig.model",
     "swimid.swimmer.planar.model",
-    "swimid.blackbox.recursive",
+    "swimid.blackbox.arx",
     "swimid.fitting.metrics",
     "swimid.tracking.detect",
     "swimid.tracking.smooth",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.propulsion import trials as propulsion_trials
-from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
+from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, strouhal, velocity_ratio
 from swimid.propulsion.options import FitPropulsionOptions
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -48,6 +49,8 @@ COLUMNS = {
     "Strouhal, axle": ("strouhal_axle", 1.0),
     "efficiency (%)": ("efficiency", 100.0),
 }
+#: Parameter file, checks, and other parts of the evidence of a fit, by name.
+Made = tuple[ParameterFile, list[ev.Check], dict[str, Any]]
 #: Exponent of the amplitude in the law of thrust.
 AMPLITUDE_EXPONENT = 2.0
 
@@ -115,19 +118,24 @@ def fit_propulsion(
         experiment = propulsion_trials.load(trials, drag=options.drag)
         choices = fit_common.prepare(experiment, output, fixed=options.fixed, freed=options.freed)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
-        if experiment.name == "cruise":
-            if options.start_state != "auto":
-                warn("SWM004", "--start-state belongs to free-swim trials: runs of a cruise start at rest")
-            file, evidence = _fit_recoil_law(experiment, choices, origin, options.keep_departures, progress)
-        else:
+        fit = _fit_recoil_law
+        if experiment.name != "cruise":
+            fit = _fit_surge
             if options.drag is not None:
                 raise UsageError("--drag belongs to a cruise experiment; free-swim trials do not use it")
             if options.keep_departures:
                 warn("SWM004", "--keep-departures belongs to a cruise experiment and has no effect here")
-            file, evidence = _fit_surge(
-                experiment, choices, origin, progress, from_rest=options.start_state == "rest"
-            )
-    evidence.notices = ev.notices(notices)
+        file, checks, shown = fit(experiment, choices, options, progress)
+        file.provenance = origin
+    evidence = ev.Evidence(
+        command="fit-propulsion",
+        verdict=ev.judged(fit_common.answer(file), checks),
+        checks=checks,
+        notices=ev.notices(notices),
+        references=list(experiment.robot.sources),
+        provenance=origin,
+        **shown,
+    )
     return Fitted.of(file, evidence).saved(output)
 
 
@@ -135,24 +143,16 @@ def fit_propulsion(
 
 
 def _fit_surge(
-    experiment: Experiment,
-    choices: tuple[Parameter, ...],
-    origin: dict[str, Any],
-    progress: Progress,
-    *,
-    from_rest: bool = False,
-) -> tuple[ParameterFile, ev.Evidence]:
+    experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
+) -> Made:
     """Fit thrust and drag to the surge averaged over tail beats.
+
+    The initial speed of each trial is estimated, unless the user holds it.
 
     Parameters
     ----------
     choices : tuple of Parameter
         Parameters of the model with the choices of the user.
-    origin : dict
-        Provenance of the inputs.
-    from_rest : bool
-        Whether trials are at rest at their first beat. Otherwise the initial speed of each trial is
-        estimated.
 
     Raises
     ------
@@ -160,28 +160,25 @@ def _fit_surge(
         If neither thrust nor drag can be identified.
     """
     model = experiment.model
-    if from_rest:
-        choices = tuple(replace(p, free=False) if p.name == "initial_speed" else p for p in choices)
+    assert isinstance(model, SurgeModel)
     result = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(result)
     result = output_error.with_held_out(result)
     if all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult("neither thrust nor drag can be identified from these trials")
     amplitudes = {round(t.surge.amplitude_rad, 6) for t in experiment.trials if t.role == "fit"}
-    laws = {}
-    if len(amplitudes) > 1:
-        laws["amplitude_exponent"] = AMPLITUDE_EXPONENT
+    laws = {"amplitude_exponent": AMPLITUDE_EXPONENT}
+    if len(amplitudes) < 2:
+        laws = {}
     derived, exponent_checks = _free_exponents(model, experiment.trials, choices, laws, "thrust")
-    reference = model.reference_amplitude_rad  # type: ignore[attr-defined]
+    reference = model.reference_amplitude_rad
     thrust, exponent = result.value("thrust_acceleration"), result.value("amplitude_exponent")
     at_one = thrust / reference**exponent
     spread = math.hypot(
         (result.stderr("thrust_acceleration") or 0.0) / thrust,
         (result.stderr("amplitude_exponent") or 0.0) * abs(math.log(reference)),
     )
-    derived["thrust_coefficient"] = Estimate(
-        value=at_one, stderr=at_one * spread, unit="m/s^2", status="estimated"
-    )
+    derived["thrust_coefficient"] = _estimated(at_one, at_one * spread, "m/s^2")
     if spread >= UNIDENTIFIABLE:
         derived["thrust_coefficient"].status = "unidentifiable"
     beats = experiment.facts["beats"]
@@ -189,64 +186,45 @@ def _fit_surge(
     if measured:
         values = [float(b["found_hz"]) for b in measured]
         scatter = float(np.std(values) / math.sqrt(len(values)))
-        derived["beat_frequency"] = Estimate(
-            value=float(np.median(values)),
-            stderr=max(scatter, min(float(b["stderr_hz"]) for b in measured)),
-            unit="Hz",
-            status="estimated",
-        )
-    file = fit_common.parameter_file(
-        result,
-        robot=experiment.robot.name,
-        provenance=origin,
-        derived=derived,
-        settings={
-            "reference_amplitude_rad": reference,
-            "reference_frequency_hz": model.reference_frequency_hz,  # type: ignore[attr-defined]
-            "beats": beats,
-            "waveform": experiment.facts["waveform"],
-            "asymmetry": experiment.facts["asymmetry"],
-        },
-    )
+        error = max(scatter, min(float(b["stderr_hz"]) for b in measured))
+        derived["beat_frequency"] = _estimated(float(np.median(values)), error, "Hz")
+    settings = {
+        "reference_amplitude_rad": reference,
+        "reference_frequency_hz": model.reference_frequency_hz,
+        **experiment.facts,
+    }
+    robot = experiment.robot.name
+    file = fit_common.parameter_file(result, robot=robot, provenance={}, derived=derived, settings=settings)
     checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
-    starts = "with the initial speed of each trial estimated"
-    if from_rest:
-        starts = "with every trial from rest"
-    evidence = ev.Evidence(
-        command="fit-propulsion",
-        title=f"Propulsion of {experiment.robot.name}: beat-averaged surge",
-        verdict=ev.judged(fit_common.answer(file), checks),
-        checks=checks,
-        figures=fit_common.figures(result),
-        methods=[
-            "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
-            f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
-            f"likelihood, {starts}.",
-        ],
-        references=list(experiment.robot.sources),
-        provenance=origin,
-    )
-    return file, evidence
+    state = "estimated"
+    if not any(label.startswith("initial_speed[") for label in result.labels):
+        state = "held"
+    methods = [
+        "Surge was averaged over whole tail beats, their frequency found in the yaw, and du/dt = a "
+        f"(A/A_ref)^n - c u² fitted to {len(result.trials)} straight trials by output-error maximum "
+        f"likelihood, with the initial speed of each trial {state}.",
+    ]
+    title, figures = f"Propulsion of {robot}: beat-averaged surge", fit_common.figures(result)
+    return file, checks, {"title": title, "figures": figures, "methods": methods}
+
+
+def _estimated(value: float, stderr: float, unit: str) -> Estimate:
+    """Return a derived quantity."""
+    return Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
 
 # ---------------------------------------------------------------- recoil law
 
 
 def _fit_recoil_law(
-    experiment: Experiment,
-    choices: tuple[Parameter, ...],
-    origin: dict[str, Any],
-    keep_departures: bool,
-    progress: Progress,
-) -> tuple[ParameterFile, ev.Evidence]:
+    experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
+) -> Made:
     """Fit the law to all frequencies that follow it; standard errors include those of the drag file.
 
     Parameters
     ----------
     choices : tuple of Parameter
         Parameters of the model with the choices of the user.
-    origin : dict
-        Provenance of the inputs.
 
     Raises
     ------
@@ -264,11 +242,11 @@ def _fit_recoil_law(
     everything = output_error.fit(model, experiment.trials, parameters=choices, progress=progress)
     fit_common.refuse_interrupted(everything)
     departures: list[dict[str, Any]] = []
-    if not keep_departures:
+    if not options.keep_departures:
         departures = _find_departures(model, experiment.trials, choices)
-    kept, result = experiment.trials, everything
+    kept, result, left_out = experiment.trials, everything, [d["frequency_hz"] for d in departures]
     if departures:
-        kept = _without(experiment.trials, [d["frequency_hz"] for d in departures])
+        kept = _without(experiment.trials, left_out)
         result = output_error.fit(model, kept, parameters=choices, progress=progress)
     if all(result.status[label] != "estimated" for label in result.labels):
         raise NoTrustworthyResult("neither efficiency nor offset can be identified from this table")
@@ -278,7 +256,7 @@ def _fit_recoil_law(
     file = fit_common.parameter_file(
         result,
         robot=experiment.robot.name,
-        provenance=origin,
+        provenance={},
         derived=_derive(experiment, result, points) | exponents,
         settings={"drag_file": str(experiment.facts["drag_path"])},
     )
@@ -286,32 +264,21 @@ def _fit_recoil_law(
     assert file.fit is not None
     assert file.fit.model_extra is not None
     file.fit.model_extra.update(departures=departures, operating_points=points)
-    checks = [
-        *fit_common.checks(result, file),
-        _departure_check(departures, everything),
-        *exponent_checks,
+    departed = _departure_check(departures, everything)
+    methods = [
+        "Recoil efficiency and amplitude offset were estimated from the average speeds of "
+        f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
+        "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
+        "falling-weight rig and their uncertainty carried along.",
+        "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
     ]
-    evidence = ev.Evidence(
-        command="fit-propulsion",
-        title=f"Propulsion of {experiment.robot.name}: energy recoil law",
-        verdict=ev.judged(fit_common.answer(file), checks),
-        checks=checks,
-        tables=[_run_table(points)],
-        figures=[
-            _speed_figure(experiment, result, points, [d["frequency_hz"] for d in departures]),
-            _residual_figure(result),
-        ],
-        methods=[
-            "Recoil efficiency and amplitude offset were estimated from the average speeds of "
-            f"{result.samples} runs over {len(experiment.trials)} fins by weighted least squares under the "
-            "energy recoil law (Eqs 5, 25 to 27), with drag coefficient and added mass from the "
-            "falling-weight rig and their uncertainty carried along.",
-            "Average speeds were converted to terminal speeds by the velocity ratio of Eq 25.",
-        ],
-        references=list(experiment.robot.sources),
-        provenance=origin,
-    )
-    return file, evidence
+    shown = {
+        "title": f"Propulsion of {experiment.robot.name}: energy recoil law",
+        "tables": [_run_table(points)],
+        "figures": [_speed_figure(experiment, result, points, left_out), _residual_figure(result)],
+        "methods": methods,
+    }
+    return file, [*fit_common.checks(result, file), departed, *exponent_checks], shown
 
 
 # ------------------------------------------------------------ checks of the law
@@ -333,18 +300,13 @@ def _find_departures(
     levels = np.unique(np.concatenate([t.inputs["frequency_hz"] for t in trials])).tolist()
     departures: list[dict[str, Any]] = []
     while len(levels) - len(departures) > MIN_LEVELS and len(departures) < len(levels) // 3:
-        out = [d["frequency_hz"] for d in departures]
-        tests = []
-        for level in levels:
-            if level in out:
-                continue
-            try:
+        out, tests = [d["frequency_hz"] for d in departures], []
+        for level in [one for one in levels if one not in out]:
+            with suppress(NoTrustworthyResult):
                 fitted = output_error.fit(model, _without(trials, [*out, level]), parameters=choices)
-            except NoTrustworthyResult:
-                continue
-            test = _departure(fitted, trials, level)
-            if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
-                tests.append(test)
+                test = _departure(fitted, trials, level)
+                if test is not None and abs(test["z"]) > DEPARTURE_Z and abs(test["share"]) > DEPARTURE_RTOL:
+                    tests.append(test)
         if not tests:
             break
         departures.append(max(tests, key=lambda t: abs(t["z"])))
@@ -367,7 +329,7 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
         return None
     share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
     # standard error of the mean speed, and of the fitted law (about twice that of the mean of all runs)
-    error = math.hypot(math.sqrt(variance / len(shares)), 2 * math.sqrt(variance / max(fitted.samples, 1)))
+    error = math.sqrt(variance * (1 / len(shares) + 4 / max(fitted.samples, 1)))
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 
 
@@ -382,9 +344,8 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
             "are left out of the fit. Fins that flex at high frequency do this (source, section 4.2)",
         )
     off = ", ".join(f"{d['frequency_hz']:g} Hz: {numbers.percent(d['share'], 2)}" for d in departures)
-    units = {p.name: p.unit for p in everything.parameters}
     fitted = "; ".join(
-        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), units[n])}"
+        f"{n} {numbers.measured(everything.value(n), everything.stderr(n), everything.parameter(n).unit)}"
         for n in everything.labels
     )
     limit = f"within {100 * DEPARTURE_RTOL:g} % or {DEPARTURE_Z:g} standard errors"
@@ -458,11 +419,10 @@ def _with_drag_error(
 ) -> FitResult:
     """Add the errors of the drag file's parameters to the covariance of the estimates."""
     drag: ParameterFile = experiment.facts["drag"]
-    shifts = np.zeros((2, len(result.labels)))
+    shifts, joint = np.zeros((2, len(result.labels))), np.eye(2)
     for name, other in _models_by_drag_error(experiment).items():
         moved = output_error.fit(other, trials, parameters=choices)
         shifts[DRAG_PARAMETERS.index(name)] = moved.estimate - result.estimate
-    joint = np.eye(2)
     if drag.correlation and all(n in drag.correlation.names for n in DRAG_PARAMETERS):
         i, j = (drag.correlation.names.index(n) for n in DRAG_PARAMETERS)
         joint[0, 1] = joint[1, 0] = drag.correlation.matrix[i][j]
@@ -471,22 +431,19 @@ def _with_drag_error(
 
 def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
     """Return the velocity ratio, and the minimum and the maximum propulsive force."""
-    drag, model = experiment.facts["drag"], experiment.model
-    assert isinstance(model, RecoilModel)
+    coefficient = experiment.facts["drag"].parameters["drag_coefficient"]
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
-    ratio = float(velocity_ratio(model.b1, 0.0, distance))
-    moved = [float(velocity_ratio(m.b1, 0.0, distance)) for m in _models_by_drag_error(experiment).values()]
+    models = (experiment.model, *_models_by_drag_error(experiment).values())
+    ratio, *moved = (float(velocity_ratio(m.b1, 0.0, distance)) for m in models)  # type: ignore[attr-defined]
     error = math.sqrt(sum((other - ratio) ** 2 for other in moved))
-    quantities = {"velocity_ratio": Estimate(value=ratio, stderr=error, unit="1", status="estimated")}
-    coefficient = drag.parameters["drag_coefficient"]
-    relative_drag = (coefficient.stderr or 0.0) / coefficient.value
     scatter = 2 * result.noise[SPEED].value_sd / float(np.median([p["mean_speed_m_s"] for p in points]))
-    for end, pick in (("smallest", min), ("largest", max)):
-        force = pick(p["propulsive_force_N"] for p in points)
-        quantities[f"{end}_propulsive_force"] = Estimate(
-            value=force, stderr=force * math.hypot(relative_drag, scatter), unit="N", status="estimated"
-        )
-    return quantities
+    relative = math.hypot((coefficient.stderr or 0.0) / coefficient.value, scatter)
+    forces = [p["propulsive_force_N"] for p in points]
+    return {
+        "velocity_ratio": _estimated(ratio, error, "1"),
+        "smallest_propulsive_force": _estimated(min(forces), min(forces) * relative, "N"),
+        "largest_propulsive_force": _estimated(max(forces), max(forces) * relative, "N"),
+    }
 
 
 # ------------------------------------------------------------ operating points
@@ -550,28 +507,23 @@ def _speed_figure(
     frequencies, counts = np.unique([f for f, _ in settings], return_counts=True)
     swept = frequencies[counts > 2][:1].tolist()
     over_frequency, over_amplitude = [], []
-    apart: list[dict[str, Any]] = []
+    common = [p for p in points if abs(p["amplitude_deg"] - amplitude) < 1e-6]
+    kept = [p for p in common if p["frequency_hz"] not in left_out]
+    apart = [{**p, "fin": "not fitted"} for p in common if p not in kept]
     for group, trial in enumerate(experiment.trials):
-        own = [p for p in points if p["fin"] == trial.id]
-        runs = [p for p in own if abs(p["amplitude_deg"] - amplitude) < 1e-6]
-        if runs:
-            line = np.linspace(0.0, max(p["frequency_hz"] for p in runs), 60)[1:]
+        reach = [p["frequency_hz"] for p in common if p["fin"] == trial.id]
+        over_frequency += _points(kept, trial.id, "frequency_hz", 1.0, group)
+        if reach:
+            line = np.linspace(0.0, max(reach), 60)[1:]
             law = _law_cm_s(result, trial, line, np.full(len(line), amplitude))
-            kept = [p for p in runs if p["frequency_hz"] not in left_out]
-            apart += [p for p in runs if p["frequency_hz"] in left_out]
-            if kept:
-                over_frequency.append(_points(kept, "frequency_hz", 1.0, group))
             over_frequency.append(ev.Trace(x=[0.0, *line], y=[0.0, *law], group=group))
-        runs = [p for p in own if p["frequency_hz"] in swept]
+        runs = [p for p in points if p["fin"] == trial.id and p["frequency_hz"] in swept]
         if runs:
             line = np.linspace(0.0, max(p["amplitude_deg"] for p in runs), 400)[1:]
             law = _law_cm_s(result, trial, np.full(len(line), swept[0]), line)
-            over_amplitude.append(_points(runs, "amplitude_deg", 1.5, group))
+            over_amplitude += _points(runs, trial.id, "amplitude_deg", 1.5, group)
             over_amplitude.append(ev.Trace(x=line, y=law**1.5, group=group))
-    if apart:
-        over_frequency.append(
-            _points([{**p, "fin": "not fitted"} for p in apart], "frequency_hz", 1.0, len(experiment.trials))
-        )
+    over_frequency += _points(apart, "not fitted", "frequency_hz", 1.0, len(experiment.trials))
     title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
     speeds = [ev.panel("frequency (Hz)", y_label, over_frequency, title=title)]
     if over_amplitude:
@@ -607,11 +559,16 @@ def _residual_figure(result: FitResult) -> ev.Figure:
     return ev.panels("residuals", "Residuals of the average speed", caption, panels)
 
 
-def _points(runs: list[dict[str, Any]], x: str, power: float, group: int) -> ev.Trace:
-    label = runs[0]["fin"]
-    return ev.points(
-        runs, lambda p: p[x], lambda p: (100 * p["mean_speed_m_s"]) ** power, label=label, group=group
-    )
+def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: int) -> list[ev.Trace]:
+    """Return the points of the runs of a fin as a trace; empty without a run."""
+    own = [p for p in runs if p["fin"] == fin]
+    if not own:
+        return []
+
+    def speed(run: dict[str, Any]) -> float:
+        return float((100 * run["mean_speed_m_s"]) ** power)
+
+    return [ev.points(own, lambda run: run[x], speed, label=fin, group=group)]
 
 
 def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numba
 import numpy as np
 
-from swimid.fitting.model import MEAN_SPEED, Array, Channel, Hooks, Model, Parameter, Scales, Stroke, Trial
+from swimid.fitting.model import (
+    MEAN_SPEED,
+    NONE,
+    Array,
+    Channel,
+    Hooks,
+    Model,
+    Parameter,
+    Scales,
+    Stroke,
+    Trial,
+)
 
 SPEED = MEAN_SPEED
 #: Maximum integration step of a surge that has no closed form, s.
@@ -52,9 +63,7 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
     return np.asarray(b1 * (np.asarray(end_m) - np.asarray(start_m)) / (phase(end_m) - phase(start_m)))
 
 
-def terminal_speed(
-    power: Array, *, quadratic: Array | float, linear: Array | float, dry: Array | float
-) -> Array:
+def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
     """Return the speed at which drag consumes a propulsive power, m/s.
 
     The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``. It is zero if the power
@@ -63,28 +72,30 @@ def terminal_speed(
     Parameters
     ----------
     power : ndarray, W
-    quadratic, linear, dry : ndarray or float
-        Drag coefficients: kg/m, kg/s and N.
+    c : mapping of str to float
+        Drag coefficients ``quadratic``, ``linear`` and ``dry``: kg/m, kg/s and N.
     """
-    v = np.cbrt(power / quadratic) + np.abs(linear) / quadratic + np.sqrt(np.abs(dry) / quadratic)
-    for _ in range(MAX_ITERATIONS):
-        excess = v * (dry + v * (linear + v * quadratic)) - power
+    quadratic, linear, dry = c["quadratic"], c["linear"], c["dry"]
+
+    def newton(v: Array) -> Array:
         slope = dry + v * (2 * linear + 3 * v * quadratic)
-        step = excess / np.where(slope > 0, slope, np.inf)
-        v = v - step
-        if np.all(np.abs(step) <= 1e-14 * np.abs(v) + 1e-300):
+        return (v * (dry + v * (linear + v * quadratic)) - power) / np.where(slope > 0, slope, np.inf)
+
+    start = np.cbrt(power / quadratic) + np.abs(linear) / quadratic + np.sqrt(np.abs(dry) / quadratic)
+    return np.where(power > 0, _root(newton, start), 0.0)
+
+
+def _root(step: Callable[[Array], Array], start: Array) -> Array:
+    """Return the root that Newton's method finds; ``step`` is the function divided by its derivative."""
+    for _ in range(MAX_ITERATIONS):
+        change = step(start)
+        start = start - change
+        if not np.any(np.abs(change) > 1e-14 * np.abs(start) + 1e-300):
             break
-    return np.where(power > 0, v, 0.0)
+    return start
 
 
-def mean_speed(
-    terminal_m_s: Array,
-    distance_m: Array,
-    *,
-    mass: Array | float,
-    quadratic: Array | float,
-    linear: Array | float,
-) -> Array:
+def mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -> Array:
     """Return the average speed of a run from rest over a distance, m/s.
 
     The thrust is constant, and the robot would finally reach the given terminal speed. Dry friction only
@@ -94,8 +105,8 @@ def mean_speed(
     ----------
     terminal_m_s, distance_m : ndarray
         Terminal speed and distance of each run.
-    mass, quadratic, linear : ndarray or float
-        Mass in kg; drag coefficients in kg/m and kg/s.
+    c : mapping of str to float
+        ``mass`` in kg; drag coefficients ``quadratic`` and ``linear`` in kg/m and kg/s.
 
     Notes
     -----
@@ -104,19 +115,18 @@ def mean_speed(
     distance is ``scale (y - rho log(1 + (1 - exp(-y)) / rho))``, and the time is ``scale (y + log(1 + (1 -
     exp(-y)) / rho)) / v1``. Without linear drag the result is Eq 25.
     """
-    v1 = np.asarray(terminal_m_s, dtype=float)
+    v1, quadratic = np.asarray(terminal_m_s, dtype=float), c["quadratic"]
     moving = v1 > 0
-    rho = 1.0 + linear / (quadratic * np.where(moving, v1, 1.0))
-    scale = mass / (quadratic * (1.0 + rho))
+    rho = 1.0 + c["linear"] / (quadratic * np.where(moving, v1, 1.0))
+    scale = c["mass"] / (quadratic * (1.0 + rho))
+
+    def newton(y: Array) -> Array:
+        gone = -np.expm1(-y)
+        excess = y - rho * np.log1p(gone / rho) - distance_m / scale
+        return excess * (rho + gone) / (gone * (1.0 + rho))
+
     with np.errstate(invalid="ignore"):
-        y = distance_m / scale + rho * np.log1p(1.0 / rho)
-        for _ in range(MAX_ITERATIONS):
-            gone = -np.expm1(-y)
-            excess = y - rho * np.log1p(gone / rho) - distance_m / scale
-            step = excess * (rho + gone) / (gone * (1.0 + rho))
-            y = y - step
-            if not np.any(np.abs(step) > 1e-14 * y):
-                break
+        y = _root(newton, distance_m / scale + rho * np.log1p(1.0 / rho))
         time = scale * (y + np.log1p(-np.expm1(-y) / rho)) / np.where(moving, v1, 1.0)
         return np.where(moving, distance_m / time, 0.0)
 
@@ -197,32 +207,11 @@ class RecoilModel(Model):
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the average speed of each run (see :meth:`Model.simulate`)."""
-        inputs = trial.inputs
-        inertia = self._inertia(values, trial)
-        power = self._power(values, trial, inputs["frequency_hz"], inputs["amplitude_rad"], inertia)
-        terminal = np.cbrt(power / self.drag_area_kg_m)
-        return {SPEED: velocity_ratio(self.b1, 0.0, inputs["distance_m"]) * terminal}
+        return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> RecoilScales:
         """Return the typical scales of the quantities in trials."""
         return RecoilScales(self, trials)
-
-    def _inertia(self, values: Array, trial: Trial) -> float:
-        if trial.cruise.inertia_kg_m2 is not None:
-            return trial.cruise.inertia_kg_m2
-        return float(values[self.index(f"inertia_{trial.cruise.fin}")])
-
-    def _power(
-        self, values: Array, trial: Trial, frequency_hz: Array, amplitude_rad: Array, inertia_kg_m2: float
-    ) -> Array:
-        """Return the propulsive power of each run, W (Eqs 5, 27)."""
-        efficiency, offset, p, q = values[:4]
-        # scale frequency and amplitude by reference values, so that a free exponent does not change the
-        # efficiency
-        f_mid, a_mid = trial.cruise.middle
-        f, a = frequency_hz / f_mid, np.maximum(amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
-        factor = 8 * efficiency * np.pi**2 * inertia_kg_m2
-        return np.asarray(factor * f_mid**3 * f**p * a_mid**2 * a**q)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the average speed of each run with effects (see :meth:`Model.hooked`).
@@ -231,35 +220,32 @@ class RecoilModel(Model):
         The factor on the thrust of a steady beat multiplies the power. A water flow along x displaces the
         robot during the run.
         """
-        if not hooks.moves:
-            return hooks.seen(self.simulate(values, trial), trial.time_s)
-        inputs = trial.inputs
-        stroke = hooks.beaten(
-            Stroke(
-                inputs["frequency_hz"],
-                inputs["amplitude_rad"],
-                np.ones(len(trial.time_s)),
-                self._inertia(values, trial),
-            )
-        )
-        power = stroke.thrust * self._power(
-            values, trial, stroke.frequency_hz, stroke.amplitude_rad, stroke.inertia_kg_m2
-        )
+        inputs, known, distance = trial.inputs, trial.cruise, trial.inputs["distance_m"]
+        inertia = known.inertia_kg_m2
+        if inertia is None:
+            inertia = float(values[self.index(f"inertia_{known.fin}")])
+        steady = Stroke(inputs["frequency_hz"], inputs["amplitude_rad"], np.ones(len(trial.time_s)), inertia)
+        stroke = hooks.beaten(steady)
+        efficiency, offset, p, q = values[:4]
+        # scale frequency and amplitude by reference values, so that a free exponent does not change the
+        # efficiency
+        f_mid, a_mid = known.middle
+        f, a = stroke.frequency_hz / f_mid, np.maximum(stroke.amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
+        # propulsive power of each run, W (Eqs 5, 27)
+        factor = 8 * efficiency * np.pi**2 * stroke.inertia_kg_m2
+        power = stroke.thrust * (factor * f_mid**3 * f**p * a_mid**2 * a**q)
         c = hooks.changed(
             {"quadratic": self.drag_area_kg_m, "linear": 0.0, "dry": 0.0, "mass": self.moving_mass_kg},
             "coefficients",
         )
-        distance = inputs["distance_m"]
         if c["quadratic"] <= 0 or c["mass"] <= 0:
-            return {SPEED: np.full(len(trial.time_s), np.nan)}
+            return self.broken_down(trial)
         if c["linear"] == c["dry"] == 0:
-            terminal = np.cbrt(power / c["quadratic"])
-            speed = velocity_ratio(c["quadratic"] / c["mass"], 0.0, distance) * terminal
-        else:
-            terminal = terminal_speed(power, quadratic=c["quadratic"], linear=c["linear"], dry=c["dry"])
-            speed = mean_speed(
-                terminal, distance, mass=c["mass"], quadratic=c["quadratic"], linear=c["linear"]
+            speed = velocity_ratio(c["quadratic"] / c["mass"], 0.0, distance) * np.cbrt(
+                power / c["quadratic"]
             )
+        else:
+            speed = mean_speed(terminal_speed(power, c), distance, c)
         if hooks.flow:
             time = distance / np.maximum(speed, 1e-9)
             carried = sum(flow(time)[0][:, 0] - flow(np.zeros(1))[0][0, 0] for flow in hooks.flow)
@@ -269,20 +255,20 @@ class RecoilModel(Model):
     def apart(self, trial: Trial) -> list[Trial]:
         """Split the trial of a fin into one trial for each run, with the ids ``fin/1``, ``fin/2``, ..."""
 
-        def run(k: int) -> Trial:
-            def cut(columns: Mapping[str, Any]) -> dict[str, Any]:
-                return {name: v[k : k + 1] if np.ndim(v) else v for name, v in columns.items()}
+        def cut(columns: Mapping[str, Any], k: int) -> dict[str, Any]:
+            return {name: np.broadcast_to(v, len(trial.time_s))[k : k + 1] for name, v in columns.items()}
 
-            return replace(
+        return [
+            replace(
                 trial,
                 id=f"{trial.id}/{k + 1}",
                 time_s=trial.time_s[k : k + 1],
-                measured=cut(trial.measured),
-                inputs=cut(trial.inputs),
-                value_sd=cut(trial.value_sd),
+                measured=cut(trial.measured, k),
+                inputs=cut(trial.inputs, k),
+                value_sd=cut(trial.value_sd, k),
             )
-
-        return [run(k) for k in range(len(trial.time_s))]
+            for k in range(len(trial.time_s))
+        ]
 
 
 class SurgeModel(Model):
@@ -318,21 +304,11 @@ class SurgeModel(Model):
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the surge at the samples of a trial, in closed form (see :meth:`Model.simulate`)."""
-        _, drag, _, _, u0 = values
-        a = self._thrust(values, trial.surge.amplitude_rad, trial.surge.frequency_hz)
-        return {"u_m_s": _closed_form(trial.time_s - trial.surge.start_s, a, drag, u0)}
+        return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> SurgeScales:
         """Return the typical scales of the quantities in trials."""
         return SurgeScales(self, trials)
-
-    def _thrust(self, values: Array, amplitude_rad: float, frequency_hz: float) -> float:
-        thrust, _, n, m, _ = values
-        return float(
-            thrust
-            * (amplitude_rad / self.reference_amplitude_rad) ** n
-            * (frequency_hz / self.reference_frequency_hz) ** m
-        )
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return the surge with effects (see :meth:`Model.hooked`).
@@ -340,20 +316,16 @@ class SurgeModel(Model):
         ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass`` (1).
         All values are per unit of mass. Drag depends on the speed relative to a water flow along x.
         """
-        if not hooks.moves:
-            return hooks.seen(self.simulate(values, trial), trial.time_s)
-        drag, u0 = float(values[1]), float(values[4])
-        surge = trial.surge
-        stroke = hooks.beaten(
-            Stroke(np.array([surge.frequency_hz]), np.array([surge.amplitude_rad]), np.ones(1))
-        )
-        a = float(stroke.thrust[0]) * self._thrust(
-            values, float(stroke.amplitude_rad[0]), float(stroke.frequency_hz[0])
-        )
+        (thrust, drag, n, m, u0), surge = values.tolist(), trial.surge
+        steady = Stroke(np.array([surge.frequency_hz]), np.array([surge.amplitude_rad]), np.ones(1))
+        stroke = hooks.beaten(steady)
+        amplitude = float(stroke.amplitude_rad[0]) / self.reference_amplitude_rad
+        a = thrust * amplitude**n * (float(stroke.frequency_hz[0]) / self.reference_frequency_hz) ** m
         c = hooks.changed({"quadratic": drag, "linear": 0.0, "dry": 0.0, "mass": 1.0}, "coefficients")
         if c["mass"] <= 0:
-            return {"u_m_s": np.full(len(trial.time_s), np.nan)}
-        a, quadratic, linear, dry = (v / c["mass"] for v in (a, c["quadratic"], c["linear"], c["dry"]))
+            return self.broken_down(trial)
+        force = float(stroke.thrust[0]) * a
+        a, quadratic, linear, dry = (v / c["mass"] for v in (force, c["quadratic"], c["linear"], c["dry"]))
         t = trial.time_s - surge.start_s
         if linear == dry == 0 and not hooks.flow:
             speed = _closed_form(t, a, quadratic, u0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import swimid.options as fits
-from swimid.options import Options, Source, StartState, option
+from swimid.options import Options, Source, option
 
 
 class FitPropulsionOptions(
@@ -26,9 +26,5 @@ class FitPropulsionOptions(
 
     drag: Source = option(None, help="Drag file of the rig (fit-drag); needed for a cruise.", recorded=False)
     keep_departures: bool = option(False, help="Keep frequencies that depart from the law in the fit.")
-    start_state: StartState = option(
-        "auto",
-        help="Start of straight free-swim trials. auto: their speed at the first beat is estimated.",
-    )
     fixed: Mapping[str, float] = fits.fixed()
     freed: tuple[str, ...] = fits.freed()

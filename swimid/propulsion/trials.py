@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,6 +34,8 @@ if TYPE_CHECKING:
 #: Error of the stop watch, s (boxfish paper, section 3.4), and relative standard deviation of speeds between
 #: runs.
 TIME_SD_S, SPEED_RSD = 0.1, 0.01
+#: Models of a drag file.
+RIGS = ("falling-weight", "towed", "free-decay")
 #: Minimum number of whole tail beats in a trial.
 MIN_BEATS = 4
 #: Keys of a trials file that have an effect, by experiment. The keys of all drives are included, so that a
@@ -86,11 +87,9 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
     inertias: dict[str, float | None] = {}
     for fin in dict.fromkeys(fins):
         if fin not in robot.fins:
+            hint = suggestion(fin, list(robot.fins), "it has")
             raise InputError(
-                f"the robot '{robot.name}' has no fin '{fin}'",
-                file=path,
-                column="fin",
-                hint=suggestion(fin, list(robot.fins), "it has"),
+                f"the robot '{robot.name}' has no fin '{fin}'", file=path, column="fin", hint=hint
             )
         known, density = robot.fins[fin], robot.fluid.density_kg_m3
         inertias[fin] = known.hydrodynamic_inertia_kg_m2
@@ -115,7 +114,7 @@ def recoil_model(
     path : Path
         File that names the fins, for error messages.
     """
-    file = parameters_format.read(drag, model=("falling-weight", "towed", "free-decay"))
+    file = parameters_format.read(drag, model=RIGS)
     coefficient, added = parameters_format.require(
         file, ("drag_coefficient", "added_mass"), parameters_format.place(drag)
     )
@@ -132,8 +131,7 @@ def recoil_model(
 
 
 def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format.Source) -> Experiment:
-    drag_path = parameters_format.place(source)
-    drag = parameters_format.read(source, model=("falling-weight", "towed", "free-decay"))
+    drag = parameters_format.read(source, model=RIGS)
     table = read_table(path.parent / entries.table if entries._held is None else entries._held)
     model = recoil_model(robot, table.fin, source, path=table.path)
     middle = (float(np.median(table.frequency_hz)), float(np.deg2rad(0.7 * np.median(table.amplitude_deg))))
@@ -148,19 +146,11 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
             "amplitude_rad": np.deg2rad(table.amplitude_deg[rows]),
             "distance_m": distance,
         }
-        trials.append(
-            Trial(
-                id=fin,
-                role="fit",
-                time_s=np.arange(len(speed), dtype=float),
-                measured={SPEED: speed},
-                inputs=inputs,
-                cruise=CruiseInput(fin, inertia, middle),
-                value_sd={SPEED: np.nan_to_num(spread, nan=1.0)},
-            )
-        )
+        trial = Trial(fin, "fit", np.arange(len(speed), dtype=float), {SPEED: speed}, inputs)
+        weights = {SPEED: np.nan_to_num(spread, nan=1.0)}
+        trials.append(replace(trial, cruise=CruiseInput(fin, inertia, middle), value_sd=weights))
     read = [*inputs_of(path, entries, [table.source]), parameters_format.origin(source)]
-    facts = {"drag": drag, "drag_path": drag_path}
+    facts = {"drag": drag, "drag_path": parameters_format.place(source)}
     return Experiment("cruise", robot, model, trials, read, facts=facts)
 
 
@@ -270,9 +260,9 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     InputError
         If the samples are too few for the beat frequency, or if no samples are complete.
     """
-    columns = ["u_m_s"] if "u_m_s" in log else ["x_m", "y_m", "yaw_rad"]
+    columns = [c for c in ("u_m_s",) if c in log] or ["x_m", "y_m", "yaw_rad"]
     there = np.all([np.isfinite(log[c]) for c in columns], axis=0)
-    time = log.time_s[there]
+    time, values = log.time_s[there], [log[c][there] for c in columns]
     if len(time) < 2:
         raise InputError(f"no two samples have all of {', '.join(columns)}", file=log.path)
     count = int((time[-1] - time[0]) / period_s)
@@ -283,25 +273,22 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
             hint="check the unit of t_s and the beat frequency",
         )
     edges = time[0] + period_s * np.arange(count + 1)
-    middles = 0.5 * (edges[1:] + edges[:-1])
 
     def over_beats(values: np.ndarray) -> np.ndarray:
         return np.diff(np.interp(edges, time, values))
 
-    def averages(values: np.ndarray) -> np.ndarray:
-        # integrate to the exact ends of a beat, because one sample more or less would cause an error
-        return over_beats(cumulative_trapezoid(values, time, initial=0.0)) / period_s
-
-    if "u_m_s" in log:
-        speeds = averages(log["u_m_s"][there])
-    else:
-        x, y = (over_beats(log[c][there]) for c in ("x_m", "y_m"))
-        heading = averages(np.unwrap(log["yaw_rad"][there]))
+    averaged = values[-1]
+    if len(values) > 1:
+        averaged = np.unwrap(averaged)
+    # integrate to the exact ends of a beat, because one sample more or less would cause an error
+    speeds = over_beats(cumulative_trapezoid(averaged, time, initial=0.0)) / period_s
+    if len(values) > 1:
+        heading, (x, y) = speeds, (over_beats(place) for place in values[:2])
         speeds = (x * np.cos(heading) + y * np.sin(heading)) / period_s
     gaps = np.diff(time)
     for k in np.flatnonzero(gaps > 3 * np.median(gaps)):
         speeds[(edges[1:] > time[k]) & (edges[:-1] < time[k + 1])] = np.nan
-    return middles, speeds
+    return 0.5 * (edges[1:] + edges[:-1]), speeds
 
 
 # ---------------------------------------------------------------- cruise table
@@ -348,22 +335,23 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
     else:
         names, text = [str(name) for name in source.columns], source.to_csv(index=False)
         held = Held("table", hashlib.sha256(text.encode()).hexdigest())
-    speed = "mean_speed_m_s" if "mean_speed_m_s" in names else "time_s"
+    speed, what = "time_s", "neither time_s nor mean_speed_m_s is there"
+    if "mean_speed_m_s" in names:
+        speed = "mean_speed_m_s"
     for column in ("fin", *NUMBERS, speed):
         if column not in names:
-            what = "this column is missing"
-            if column == "time_s":
-                what = "neither time_s nor mean_speed_m_s is there"
-            raise tabular.missing_column(column, names, path, line, what)
+            reason = {"time_s": what}.get(column, "this column is missing")
+            raise tabular.missing_column(column, names, path, line, reason)
     rows = _rows(text, path, line, names)
     if not rows:
         raise InputError("has a header and no runs", file=path, line=line)
     columns = {name: _numbers(rows, name, path) for name in (*NUMBERS, speed)}
-    distance, given = columns["distance_m"], columns[speed]
-    if np.isnan(given).all():
+    distance, speeds = columns["distance_m"], columns[speed]
+    if np.isnan(speeds).all():
         raise InputError("every run's value is missing", file=path, column=speed)
-    with np.errstate(over="ignore", under="ignore"):
-        speeds = distance / given if speed == "time_s" else given
+    if speed == "time_s":
+        with np.errstate(over="ignore", under="ignore"):
+            speeds = distance / speeds
     none = np.isinf(speeds) | (speeds == 0)
     if none.any():
         row = int(np.argmax(none))
@@ -388,20 +376,15 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
     """Return the line number and the cells of every row that is neither blank nor a comment."""
     rows: list[Row] = []
-    before = header_line or 1
-    lines = io.StringIO(text, newline="").readlines()[before:]
-    reader = csv.reader(lines, skipinitialspace=True, strict=True)
-    try:
-        for cells in reader:
-            line = before + reader.line_num if header_line else None
-            if not any(cell.strip() for cell in cells) or cells[0].startswith("#"):
-                continue
-            if len(cells) != len(names):
-                what = f"has {len(cells)} cells where the header names {len(names)} columns"
-                raise InputError(what, file=path, line=line)
-            rows.append((line, {n: c.strip() for n, c in zip(names, cells, strict=True)}))
-    except csv.Error as error:
-        raise InputError(f"is no table: {error}", file=path, line=before + reader.line_num) from error
+    for number, line in enumerate(text.splitlines(), start=1):
+        if number <= (header_line or 1) or not line.strip(", \t") or line.startswith("#"):
+            continue
+        count = tabular.count_cells(line)
+        if count != len(names):
+            what = f"has {count} cells where the header names {len(names)} columns"
+            raise InputError(what, file=path, line=header_line and number)
+        cells = next(csv.reader([line], skipinitialspace=True))
+        rows.append((header_line and number, {n: c.strip() for n, c in zip(names, cells, strict=True)}))
     return rows
 
 
@@ -410,10 +393,9 @@ def _numbers(rows: list[Row], name: str, path: Path) -> Array:
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]
+        value, what, hint = tabular.number(text), "", None
         if text in tabular.MISSING and name not in NUMBERS:
             continue
-        value = tabular.number(text)
-        what, hint = "", None
         if text in tabular.MISSING:
             what = "has no value"
         elif value is None or not math.isfinite(value):

@@ -1,41 +1,78 @@
 """``fit-drag``: drag, added mass and friction of a rig, by maximum likelihood or the boxfish paper's method.
 
+The checks look for omitted parameters, start states, an outlier trial, a measured force of the wrong sign,
+and parameters that no body can have. Added mass, drag and driving force are compared with the largest values
+that any body of the known size can have, from theory and tables. Terminal speed, period and damping ratios
+are derived with their standard errors.
+
+The reference fit (``stated``) has the parameters that the user chose. Each parameter that it holds for all
+trials is tested in two ways. First the parameter is freed in addition to the others. The test compares its
+estimate with its standard error, which allows for coloured residuals and for trials that disagree. Then it
+replaces the parameters with a similar effect (:data:`swimid.rig.model.ALIKE`). For example, dry friction
+replaces linear damping. This fit has as many unknowns as the reference fit, so that their likelihoods can be
+compared.
+
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
 squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
 and hence the drag coefficient and the added mass. Slope and intercept give the pulley friction (Eq 17). The
 method assumes the same moving mass for all pulling weights. The bias is the error of
 the method on noise-free data that are simulated with its own estimates. The reported standard error includes
 the bias. The output-error fit does not assume an equal moving mass.
+
+References
+----------
+.. [1] R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995),
+   773-795: evidence is strong if twice the logarithm of the Bayes factor is above 6.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
+from swimid.fitting.covariance import HETEROGENEITY, UNIDENTIFIABLE
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.metrics import FitResult
-from swimid.fitting.model import Array, Parameter, chosen
+from swimid.fitting.model import Array, Parameter, Trial, chosen
+from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.parameters import Fit, Fitted, ParameterFile
-from swimid.rig import checks as rig_checks
+from swimid.results.parameters import Estimate, Fit, Fitted, ParameterFile
 from swimid.rig import trials as rig_experiment
-from swimid.rig.model import falling_weight_closed_form
+from swimid.rig.model import ALIKE, COORDINATES, falling_weight_closed_form, terminal_speed
 from swimid.rig.options import FitDragOptions
+from swimid.robots.file import Body, Robot, Theory
 
+#: Start values of a freed parameter, as multiples of its typical scale from the value at which it was held.
+FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
+#: Minimum of twice the logarithm of a likelihood ratio that counts as strong evidence [1]_.
+STRONG = 6.0
+#: Maximum number of parameters that a warning names.
+MAX_NAMED = 3
+#: Maximum p-value, and maximum ratio of the sums of squared residuals with and without start parameters, at
+#: which each trial gets its own start state.
+START_P, START_RATIO = 1e-6, 0.8
+#: Parameters of the start state of a trial, and their descriptions in a warning.
+STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
+#: Maximum ratio of the squared residuals with one more shared parameter to those with a parameter for each
+#: trial. Up to this ratio the shared parameter is preferred.
+SHARED_RATIO = 1.1
+#: Maximum p-value of the slope of the friction over the pulling force that counts as a trend.
+TREND_P = 1e-2
 #: Reason why the two-point method has no result.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
 #: Parameters of the two-point method, in 1 (no unit), kg and N.
@@ -117,7 +154,7 @@ def fit_drag(
         result, facts, checks = _fit_best(experiment, choices, options.start_state, progress)
         pair = None
         try:
-            pair = _two_point(experiment, options.points_m)
+            pair = two_point(experiment.trials, experiment.robot, options.points_m)
         except NoTrustworthyResult:
             if options.method == "two-point":
                 raise
@@ -126,26 +163,21 @@ def fit_drag(
             result,
             robot=experiment.robot.name,
             provenance=origin,
-            derived=rig_checks.derive(experiment, result),
+            derived=derive(experiment, result),
             settings=facts,
         )
-        checks = [
-            *fit_common.checks(result, file),
-            *rig_checks.possible_checks(experiment, result),
-            *checks,
-        ]
+        checks = [*fit_common.checks(result, file), *possible_checks(experiment, result), *checks]
     if result.shared and all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult(
             f"none of {', '.join(result.shared)} can be identified from these trials",
             hint="use longer runs, more different forces, or fix what is known with --fix",
         )
-    if options.method == "two-point":
-        assert pair is not None
-        file = _two_point_file(file, pair)
-    figures, notes = fit_common.figures(result), []
+    figures, notes, methods = fit_common.figures(result), [], _methods(result, experiment.name, None)
     if pair is not None:
         figures.append(_speed_figure(pair))
-        notes.append(_two_point_text(pair))
+        notes.append(pair.text)
+        if options.method == "two-point":
+            file, methods = _two_point_file(file, pair), _methods(result, experiment.name, pair)
     evidence = ev.Evidence(
         command="fit-drag",
         title=f"Rig identification of {experiment.robot.name}: {experiment.name}",
@@ -155,7 +187,7 @@ def fit_drag(
         figures=figures,
         notes=notes,
         notices=ev.notices(notices),
-        methods=_methods(experiment, result, options.method, pair),
+        methods=methods,
         references=list(experiment.robot.sources),
         provenance=origin,
     )
@@ -171,10 +203,10 @@ def _fit_best(
     """Return the best fit over interpretations of the logs and start states, its settings and its checks."""
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
-    no_spring = any(p.name == "stiffness" and not p.free and p.start == 0.0 for p in choices)
+    known = {p.name: p.start for p in choices if not p.free}
     adapted = []
     for p in choices:
-        if p.name == "gravity_stiffness" and p.free and no_spring:
+        if p.name == "gravity_stiffness" and p.free and known.get("stiffness") == 0.0:
             # without a spring, the search starts at the gravity stiffness that follows from the period
             p = replace(p, start=p.scale)
         adapted.append(p)
@@ -183,33 +215,29 @@ def _fit_best(
         name: output_error.fit(experiment.model, trials, parameters=adapted, progress=progress)
         for name, trials in readings.items()
     }
-    name = min(fits, key=lambda key: rig_checks.squared_error(fits[key]))
-    facts = {}
-    if name:
-        facts["encoder_rounding"] = name
-    plain = fits[name]
-    free_start = any(p.free for p in adapted if p.name in rig_checks.STARTS)
-    if experiment.name == "falling-weight" and start_state == "auto" and not free_start:
-        best, facts["start_state"], omitted = rig_checks.fit_start_states(plain)
+    name = min(fits, key=lambda key: squared_error(fits[key]))
+    facts = {"encoder_rounding": name} if name else {}
+    plain = best = fits[name]
+    if experiment.name == "falling-weight" and start_state == "auto" and known.keys() >= STARTS.keys():
+        best, facts["start_state"], omitted = fit_start_states(plain)
     else:
-        best, omitted = plain, rig_checks.find_omitted(plain)
-    checks = [rig_checks.omission_check(best, omitted)]
+        omitted = find_omitted(plain)
+    checks = [omission_check(best, omitted)]
     if experiment.name == "towed":
-        checks.append(rig_checks.sign_check(best))
+        checks.append(sign_check(best))
     result = output_error.with_held_out(best)
-    return result, facts, checks + rig_checks.trial_checks(plain, result)
+    return result, facts, checks + trial_checks(plain, result)
 
 
-def _methods(
-    experiment: Experiment, result: FitResult, method: str, pair: TwoPointResult | None
-) -> list[str]:
+def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[str]:
+    """Return the sentences on the fit, and on the two-point method if its result is given."""
     count = len([t for t in result.trials if t.role == "fit"])
     sentences = [
-        f"{', '.join(result.shared)} were estimated from {count} {experiment.name} trials ({result.samples} "
-        "samples) by output-error maximum likelihood with a single-degree-of-freedom rig model.",
+        f"{', '.join(result.shared)} were estimated from {count} {name} trials ({result.samples} samples) by "
+        "output-error maximum likelihood with a single-degree-of-freedom rig model.",
         fit_common.COVARIANCE,
     ]
-    if method == "two-point" and pair is not None:
+    if pair is not None:
         points = " and ".join(f"{point:.3f} m" for point in pair.points_m)
         sentences.append(f"The two-point method (Eqs 13 to 19 of the boxfish paper) was used at {points}.")
     return sentences
@@ -217,7 +245,7 @@ def _methods(
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
     """Return a table of the estimates of both methods together with values from theory."""
-    theory = rig_checks.theory_estimates(experiment.robot)
+    theory = theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result)
     rows: list[list[Any]] = []
     for name in dict.fromkeys([*NAMES, *(t.parameter for t in theory)]):
@@ -242,16 +270,695 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
     )
 
 
-# ------------------------------------------------------------ two-point method of the boxfish paper
+# ------------------------------------------------------------ omitted parameters
 
 
 @dataclass(frozen=True)
-class Drop:
-    """Falling-weight trial from the time of release on, without missing samples."""
+class Omitted:
+    """A held parameter that the data support.
 
-    pulling_mass_kg: float
-    time_s: Array
-    displacement_m: Array
+    Attributes
+    ----------
+    fit : FitResult
+        Fit with the parameter.
+    replaced : tuple of str
+        Parameters that it replaces; empty if the parameter is freed in addition to the others.
+    evidence : float
+        Twice the logarithm of the likelihood ratio of the fit with the parameter to the reference fit.
+    """
+
+    parameter: Parameter
+    fit: FitResult
+    replaced: tuple[str, ...]
+    evidence: float
+
+    @property
+    def text(self) -> str:
+        """Name and estimate of the parameter as text."""
+        place = f" in the place of {', '.join(self.replaced)}" * bool(self.replaced)
+        return _measured(self.fit, self.parameter.name) + place
+
+    @property
+    def criterion(self) -> float:
+        """BIC minus that of the reference fit, which is about -2 times the logarithm of the Bayes factor."""
+        return math.log(self.fit.samples) * (not self.replaced) - self.evidence
+
+    @property
+    def sentence(self) -> str:
+        """Sentence on the effect of the parameter on the fit, with the options that choose it."""
+        name = self.parameter.name
+        held = "".join(f" --fix {other}=0" for other in self.replaced)
+        acting = next(p for p in self.fit.parameters if p.name == name)
+        choice = f"--free {name}"
+        if not acting.free:
+            choice = f"--fix {name}={acting.start:g}"
+        change = numbers.percent(math.expm1(-self.evidence / self.fit.samples), 2)
+        return f"{self.text} would change the squared residuals by {change}: use {choice}{held}"
+
+
+def find_omitted(stated: FitResult) -> list[Omitted]:
+    """Return the held parameters that the data support, sorted by BIC (lowest first).
+
+    A freed parameter is supported if its p-value is below :data:`SIGNIFICANCE`. A replacement is supported
+    unless its log-likelihood is lower than that of the reference fit by strong evidence (:data:`STRONG`). It
+    must also move an estimate of the reference fit out of its 95 % interval.
+    """
+    held = [p for p in stated.parameters if not p.free and not p.per_trial]
+    found = []
+    for parameter in held:
+        name = parameter.name
+        freed = _fit_from_starts(stated, parameter, chosen(stated.parameters, freed=(name,)))
+        if freed is not None and freed.fit.stderr(name) and freed.fit.status[name] == "estimated":
+            distance, error = abs(freed.fit.value(name) - parameter.start), freed.fit.stderr(name) or 0.0
+            # unlike the standard error, the likelihood ratio does not depend on the parametrisation
+            z = min(distance / error, math.sqrt(max(freed.evidence, 0.0)))
+            sides = 2.0 - (parameter.start in parameter.bounds)
+            p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
+            if p_value < SIGNIFICANCE and freed.evidence > 0.0:
+                found.append(freed)
+        other = _fit_replacement(stated, parameter)
+        if (
+            other is not None
+            and other.evidence > -STRONG
+            and other.fit.status.get(name, "fixed") in ("estimated", "fixed")
+            and find_moved(stated, other.fit)
+        ):
+            found.append(other)
+    return sorted(found, key=lambda omitted: omitted.criterion)
+
+
+def fit_freed(stated: FitResult, name: str) -> FitResult | None:
+    """Return the best fit with one more free parameter, from several start values; None if all fail."""
+    held = [p for p in stated.parameters if p.name == name and not p.free]
+    freed = [_fit_from_starts(stated, p, chosen(stated.parameters, freed=(name,))) for p in held]
+    return next((omitted.fit for omitted in freed if omitted is not None), None)
+
+
+def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
+    """Return the fit in which a parameter replaces those with a similar effect.
+
+    A parameter is not tested if only the user, and not the model, holds it.
+    """
+    alike = next((names for names in ALIKE if held.name in names), ())
+    others = [
+        p for p in stated.parameters if p.name in alike and p is not held and (p.free or p.start != 0.0)
+    ]
+    by_default = any(p.name == held.name and not p.free for p in stated.model.parameters)
+    bounded = not all(p.lower <= 0.0 <= p.upper for p in others)
+    if not others or not by_default or held.start != 0.0 or bounded:
+        return None
+    fixed = dict.fromkeys([p.name for p in others], 0.0)
+    parameters = chosen(stated.parameters, fixed=fixed, freed=(held.name,))
+    if not any(p.free for p in others):
+        whole = {held.name: sum(p.start for p in others)}
+        parameters = chosen(stated.parameters, fixed=fixed | whole)
+    return _fit_from_starts(stated, held, parameters, tuple(fixed))
+
+
+def _fit_from_starts(
+    stated: FitResult, held: Parameter, parameters: tuple[Parameter, ...], replaced: tuple[str, ...] = ()
+) -> Omitted | None:
+    """Return the best fit with the given parameters, from several start values of the parameter ``held``."""
+    free = any(p.name == held.name and p.free for p in parameters)
+    here = {p.name: stated.value(p.name) for p in parameters if p.free and p.name in stated.labels}
+    fits, steps = [], FREED_STARTS
+    if not free:
+        steps = (0.0,)
+    for step in steps:
+        start = held.start + step * held.scale
+        if not held.lower <= start <= held.upper:
+            continue
+        if free:
+            here[held.name] = start
+        begun = [replace(p, start=here.get(p.name, p.start)) for p in parameters]
+        # ignore a search that fails, because another start value may succeed
+        with suppress(NoTrustworthyResult), recorded():
+            fits.append(output_error.fit(stated.model, stated.trials, parameters=begun, tested=False))
+    if not fits:
+        return None
+    best = replace(min(fits, key=lambda fit: fit.cost), parameters=parameters)
+    return Omitted(held, best, replaced, compute_evidence(stated, best))
+
+
+def compute_evidence(stated: FitResult, fit: FitResult) -> float:
+    """Return twice the logarithm of the likelihood ratio of a fit to the reference fit."""
+    return stated.samples * math.log(max(stated.cost, 1e-300) / max(fit.cost, 1e-300))
+
+
+def find_moved(stated: FitResult, other: FitResult) -> list[str]:
+    """Return the shared parameters whose 95 % interval in one fit excludes the estimate of another fit."""
+    found = []
+    for label in [one for one in stated.shared if stated.status[one] != "unidentifiable"]:
+        error = stated.stderr(label)
+        if error is None or abs(other.value(label) - stated.value(label)) > 1.96 * error:
+            found.append(label)
+    return found
+
+
+def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
+    """Check that the data support no held parameter; warn of the parameters that the data support."""
+    name = "no parameter left out"
+    limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
+    if not omitted:
+        held = ", ".join(p.name for p in stated.parameters if not p.free and not p.per_trial)
+        return ev.check(name, "none", True, limit, f"tested, each in a fit of its own: {held or 'none'}")
+    warn("SWM024", "; ".join(o.sentence for o in omitted[:MAX_NAMED]))
+    best = omitted[0]
+    moved = find_moved(stated, best.fit)
+    text = f"with it {', '.join(moved)} would lie outside the stated interval" * bool(moved)
+    check = ev.check(name, best.text, False, limit, text, reason=f"the trials speak for {best.text}")
+    if moved and -best.criterion > STRONG:
+        check.verdict = "fail"
+    return check
+
+
+# ------------------------------------------------------------ differences between trials
+
+
+def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
+    """Return a fit with a start state of each trial, if the data clearly support it; else the given fit.
+
+    The given fit is also returned if a friction of each trial lowers the residuals more than the start
+    states, or if an omitted parameter lowers them about as much.
+
+    Parameters
+    ----------
+    plain : FitResult
+        Fit with all trials starting at rest, and without per-trial parameters.
+
+    Returns
+    -------
+    result : FitResult
+    start_state : str
+        Name of the parameter of the start state that is estimated; ``rest`` if there is none.
+    omitted : list of Omitted
+        Omitted parameters of the result.
+    """
+    freed = {name: fit_freed(plain, name) for name in STARTS}
+    fits = {name: fit for name, fit in freed.items() if fit is not None and _is_significant(plain, fit)}
+    omitted = find_omitted(plain)
+    reason = min(fits, key=lambda name: squared_error(fits[name]), default="rest")
+    if not fits:
+        return plain, reason, omitted
+    best = fits[reason]
+    others = [SHARED_RATIO * squared_error(best) > squared_error(o.fit) for o in omitted[:1]]
+    friction = fit_freed(plain, "friction_deviation")
+    if any(others) or (friction is not None and squared_error(friction) < squared_error(best)):
+        return plain, "rest", omitted
+    values = ", ".join(
+        f"{label[len(reason) + 1 : -1]} {value:+.3g}"
+        for label, value in zip(best.labels, best.estimate, strict=True)
+        if label.startswith(f"{reason}[")
+    )
+    warn(
+        "SWM017",
+        f"the trials start {STARTS[reason]}; {reason} is estimated for each ({values} "
+        f"{best.parameter(reason).unit}). Use --start-state rest to insist on rest at the first sample",
+    )
+    # test again, because the start states may have absorbed a part of the omitted effect
+    return best, reason, find_omitted(best)
+
+
+def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
+    """Return a check if the friction differs between trials, and one if a trial contradicts the others.
+
+    Both are tested only if the residuals of the plain fit are coloured or trials disagree.
+    """
+    coloured = any(len(noise.autoregression) for noise in plain.noise.values())
+    if plain.scatter_p >= HETEROGENEITY and not coloured:
+        return []
+    from swimid.fitting import between_trials
+
+    checks = _friction_check(plain)
+    odd = between_trials.find_outlier_trial(plain)
+    if odd is None:
+        return checks
+    without = "; ".join(_measured(odd.others, label) for label in odd.others.shared)
+    size = f"{odd.trial}: {numbers.number(odd.error_ratio, 2)} times the others' error"
+    limit = f"below {between_trials.MIN_ERROR_RATIO:g} times, or p ≥ {between_trials.OUTLIER_P_VALUE:g}"
+    text = (
+        f"without it: {without}. Check its entry in the trials file (pulling mass, force, unit), or leave it "
+        "out of the fit with role: validate"
+    )
+    reason = f"{odd.trial} contradicts the other trials"
+    check = ("SWM071", "no trial contradicts the others", size, False, limit, text, reason)
+    return [*checks, fit_common.warned_check(*check, failed=bool(find_moved(result, odd.others)))]
+
+
+def _measured(fit: FitResult, label: str) -> str:
+    """Return the name, the estimate and the standard error of a parameter as text."""
+    return f"{label} {numbers.measured(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
+
+
+def _friction_check(plain: FitResult) -> list[ev.Check]:
+    """Return a check that fails if the friction follows the pulling force, and warns if it differs at random.
+
+    The frictions are linearised at the fit. They show that trials differ, but not by how much.
+    """
+    from swimid.fitting import between_trials
+
+    if "pulley_friction" not in plain.labels:
+        return []
+    own = between_trials.estimate_own_values(plain, "friction_deviation", "pulley_friction")
+    if len(own.trials) < between_trials.MIN_TRIALS:
+        return []
+    code, how, p_value = "SWM014", "differs from trial to trial", between_trials.estimate_spread(own).p_value
+    if p_value >= HETEROGENEITY:
+        return []
+    pulls = {t.id: t.rig.pull for t in plain.trials}
+    trend = between_trials.estimate_trend(own, np.array([pulls[name] for name in own.trials]))
+    follows = trend.p_value < TREND_P
+    if follows:
+        code, how, p_value = "SWM070", "follows the pulling mass", trend.p_value
+    value, limit = f"{how} ({ev.p_text(p_value)})", f"p ≥ {HETEROGENEITY:g}; for a trend p ≥ {TREND_P:g}"
+    text = "standard errors do not allow for it: find the cause with swimid diagnose TRIALS --params FILE"
+    check = (code, "same friction in all trials", value, False, limit, text, f"the pulley friction {value}")
+    return [fit_common.warned_check(*check, failed=follows)]
+
+
+def _is_significant(plain: FitResult, rival: FitResult) -> bool:
+    """Return whether an F-test that allows for coloured noise prefers a fit with more unknowns."""
+    extra = len(rival.labels) - len(plain.labels)
+    before, after = squared_error(plain), squared_error(rival)
+    if after <= 0 or before <= after or after > START_RATIO * before:
+        return False
+    colour = 1.0
+    for noise in rival.noise.values():
+        if len(noise.autoregression):
+            series = np.concatenate([s.weighted for s in rival.series if s.role == "fit"])
+            fitted = fit_autoregression(series, order=len(noise.autoregression))
+            colour = max(colour, fitted.long_run_variance / float(np.nanvar(series)))
+    statistic = (before - after) / (after / max(rival.samples - len(rival.labels), 1)) / colour
+    return bool(special.chdtrc(extra, statistic) < START_P)
+
+
+def squared_error(result: FitResult) -> float:
+    """Return the sum of squared residuals of the fitted trials."""
+    return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
+
+
+# ------------------------------------------------------------ measured force
+
+
+def sign_check(result: FitResult) -> ev.Check:
+    """Check that no trial fits better if the sign of the measured force is changed."""
+    name, limit = "sign of force_N", "no trial agrees better with -force_N"
+    fitted = [t for t in result.trials if t.role == "fit"]
+    channel = next(s.channel for s in result.series if s.role == "fit")
+    # simulate with the start values, because a fit to a force of the wrong sign makes the body so heavy that
+    # no force moves it
+    start = np.array([p.start for p in result.model.parameters])
+
+    def mean_square(trial: Trial) -> float:
+        simulated = result.model.simulate(start, trial)[channel]
+        return float(np.nanmean((trial.measured[channel] - simulated) ** 2))
+
+    turned = {}
+    for trial in fitted:
+        other = replace(trial, inputs={**trial.inputs, "force_N": -trial.inputs["force_N"]})
+        if channel in trial.measured and mean_square(other) < mean_square(trial):
+            turned[trial.id] = other
+    found = None
+    if turned:
+        trials = [turned.get(t.id, t) for t in result.trials]
+        with suppress(NoTrustworthyResult), recorded():
+            found = output_error.fit(result.model, trials, parameters=result.parameters, tested=False)
+    if found is None or compute_evidence(result, found) <= STRONG:
+        return ev.check(name, "as stated", True, limit)
+    where = ", ".join(sorted(turned))
+    if len(turned) == len(fitted):
+        where = "all trials"
+    change = math.expm1(-0.5 * compute_evidence(result, found) / result.samples)
+    reason = f"with force_N times -1 in {where} the error of {channel} falls by {-100 * change:.3g} %"
+    text = (
+        "force_N must be the force on the body, positive along x_m: turn its sign in the log, or with "
+        "factor: -1 in the mapping of an import"
+    )
+    check = ("SWM110", name, f"wrong in {where}", False, limit, text, reason)
+    return fit_common.warned_check(*check, failed=True)
+
+
+# ------------------------------------------------------------ derived quantities
+
+
+#: Added-mass coefficients of square prisms that move along their length (DNV-RP-C205, appendix D). Each row
+#: has the ratio of length to side, and the added mass divided by the mass of the displaced water.
+PRISM = np.array(
+    [[1.0, 0.68], [2.0, 0.36], [3.0, 0.24], [4.0, 0.19], [5.0, 0.15], [6.0, 0.13], [7.0, 0.11], [10.0, 0.08]]
+)
+#: Maximum length of a body, in diameters of a circle with the frontal area of the body.
+MAX_SLENDERNESS = 10.0
+#: Minimum and maximum density of water (fresh to salt, kg/m3), and kinematic viscosity of water at 20 degrees
+#: Celsius (m2/s).
+WATER_KG_M3, WATER_VISCOSITY_M2_S = (950.0, 1050.0), 1.0e-6
+#: Step of the finite differences of the delta method, in standard errors of the parameter.
+DELTA_STEP = 1e-4
+#: Function of the coefficients of the equation of motion; NaN if the quantity does not exist.
+Quantity = Callable[[Mapping[str, float]], float]
+
+
+def derive(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
+    """Return the terminal speed of each falling-weight trial, or the period and damping ratios of a decay.
+
+    A decay has two damping ratios. One includes all damping, at the amplitude of the largest first swing. The
+    other includes linear damping only, and is the limit for small swings.
+    """
+    first = result.trials[0]
+    quantities: dict[str, Estimate | None] = {}
+    if experiment.name == "falling-weight":
+        for trial in result.trials:
+            terminal = partial(terminal_speed, force=trial.rig.pull)
+            quantities[f"terminal_speed[{trial.id}]"] = propagate(result, trial, terminal, "m/s")
+    if experiment.name == "free-decay":
+        amplitude = max(_first_amplitude(result, t) for t in result.trials)
+        unit = COORDINATES[result.model.channels[0].name][0]
+        ratio = partial(_damping_ratio, amplitude=amplitude)
+        quantities["natural_period_s"] = propagate(result, first, lambda c: 2 * math.pi / _rate(c), "s")
+        quantities["damping_ratio_linear"] = propagate(result, first, _damping_ratio, "1")
+        quantities["first_swing"] = Estimate(value=amplitude, unit=unit, status="fixed")
+        quantities["damping_ratio_first_swing"] = propagate(result, first, ratio, "1")
+    return {name: e for name, e in quantities.items() if e is not None}
+
+
+def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
+    """Return the value and the standard error of a function of a trial's coefficients (delta method).
+
+    The status is ``fixed`` if the function depends on no estimated parameter, and ``at-bound`` if it depends
+    on a parameter at its bound. It is ``unidentifiable`` if the standard error is above half the value. The
+    result is None if the function has no finite value.
+    """
+
+    def at(values: Array) -> float:
+        return quantity(result.model.coefficients(values, trial.rig))  # type: ignore[attr-defined]
+
+    values = result.values(trial.id)
+    centre = at(values)
+    if not math.isfinite(centre):
+        return None
+    estimate = Estimate(value=centre, unit=unit, status="fixed")
+    gradient, unknown, bound = np.zeros(len(result.labels)), False, False
+    for j, label in enumerate(result.labels):
+        parameter, error, status = result.parameter(label), result.stderr(label), result.status[label]
+        if label not in (parameter.name, f"{parameter.name}[{trial.id}]"):
+            continue
+        k = result.model.index(parameter.name)
+        moved, step = values.copy(), DELTA_STEP * (error or parameter.scale)
+        moved[k] += step
+        if moved[k] > parameter.upper:
+            moved[k] = values[k] - step
+        gradient[j] = (at(moved) - centre) / (moved[k] - values[k])
+        if gradient[j] == 0:
+            continue
+        bound |= status == "at-bound"
+        # the value 0 at a lower bound of 0 needs no error: the errors of the other parameters allow for it
+        vanishes = status == "at-bound" and parameter.lower == 0.0 >= values[k]
+        unknown |= error is None and not vanishes
+    known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
+    variance = float(gradient[known] @ result.covariance[np.ix_(known, known)] @ gradient[known])
+    if unknown or not (math.isfinite(variance) and variance >= 0):
+        estimate.status = "unidentifiable"
+    elif known.any():
+        estimate.status, estimate.stderr = "estimated", math.sqrt(variance)
+    if estimate.stderr is None and bound:
+        estimate.status = "at-bound"
+    elif unit != "1" and (estimate.stderr or 0.0) > UNIDENTIFIABLE * abs(centre):
+        estimate.status = "unidentifiable"
+    return estimate
+
+
+def _rate(c: Mapping[str, float]) -> float:
+    """Return the natural angular frequency of small swings, rad/s; NaN without a restoring force."""
+    return math.sqrt(max(c["stiffness"] + c["gravity"], 0.0) / c["inertia"]) or math.nan
+
+
+def _damping_ratio(c: Mapping[str, float], amplitude: float = 0.0) -> float:
+    """Return the damping ratio with which linear damping alone would lose the same energy in a swing.
+
+    Linear, quadratic and dry damping are linearised at the given amplitude (Chakrabarti, "Empirical
+    calculation of roll damping for ships and barges", Ocean Engineering 2001). At the amplitude 0 only linear
+    damping is included.
+    """
+    whole, speed = c["linear"], _rate(c) * amplitude
+    if speed > 0:
+        whole += 8.0 / (3.0 * math.pi) * c["quadratic"] * speed + 4.0 / math.pi * c["dry"] / speed
+    return whole / (2.0 * c["inertia"] * _rate(c))
+
+
+def _first_amplitude(result: FitResult, trial: Trial) -> float:
+    """Return the maximum displacement of the fitted decay from its rest position."""
+    series = next(s for s in result.series if s.trial == trial.id)
+    values = series.simulated[np.isfinite(series.simulated)]
+    rest = result.values(trial.id)[result.model.index("rest_position")]
+    return float(np.max(np.abs(values - rest), initial=0.0))
+
+
+# ------------------------------------------------------------ possible bodies
+
+
+def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]:
+    """Check that added mass, drag, swing and driving force are physically possible.
+
+    The limits follow from body mass, frontal area and size only. If a limit depended on the stated force, a
+    wrong force could pass the check.
+    """
+    checks = []
+    for name, most, basis, inputs in _limits(experiment, result):
+        value, error, unit = result.value(name), result.stderr(name), result.parameter(name).unit
+        size, limit = numbers.measured(value, error or None, unit), numbers.number(most, 2, unit)
+        words, text = name.replace("_", " "), f"look at {inputs} and their units, and at what the model lacks"
+        reason = f"{words} {size} is more than {basis} can have ({limit})"
+        check = ("SWM072", f"{words} possible", size, not value > most, f"≤ {limit}", text, reason)
+        checks.append(fit_common.warned_check(*check, failed=value - 1.96 * (error or 0.0) > most))
+    coordinate = result.model.channels[0].name
+    if coordinate in ("roll_rad", "pitch_rad"):
+        angles = {t.id: t.measured[coordinate] for t in experiment.trials}
+        swings = {n: float(np.nanmax(np.abs(a - np.nanmedian(a)))) for n, a in angles.items()}
+        name = max(swings, key=lambda trial: swings[trial])
+        size, limit = f"{numbers.number(swings[name], 3, 'rad')} in {name}", f"≤ {math.pi:.3g} rad"
+        text = "a body that swings farther in roll or pitch turns over: are these degrees?"
+        reason = f"the body swings by {size}, which no body does"
+        check = ("SWM072", "swing possible", size, swings[name] <= math.pi, limit, text, reason)
+        checks.append(fit_common.warned_check(*check, failed=True))
+    forces = _force_ratios(experiment)
+    if forces:
+        _, force, most, name = max(forces)
+        size, limit = f"{numbers.number(force, 3, 'N')} in {name}", f"≤ {numbers.number(most, 3, 'N')}"
+        text = "look at its unit and the mass; only a drive of another kind is stronger"
+        reason = f"the driving force of {size} is more than a body of its mass and size weighs or lifts"
+        check = ("SWM072", "driving force possible", size, force <= most, limit, text, reason)
+        checks.append(fit_common.warned_check(*check))
+    return checks
+
+
+#: Name of an estimate, its maximum, the body that has this maximum, and the inputs to check if it is
+#: exceeded.
+Limit = tuple[str, float, str, str]
+
+
+def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
+    """Yield the limits of the added mass or the added moment of inertia, and of the drag coefficient."""
+    density, box = experiment.robot.fluid.density_kg_m3, _box(experiment.robot.body)
+    known = {name for name, status in result.status.items() if status != "unidentifiable"}
+    along = result.model.channels[0].name == "x_m"
+    areas = [2.0 * t.rig.area_factor / density for t in result.trials]
+    inputs = "masses, forces"
+    if "added_inertia" in known and box:
+        yield "added_inertia", max_added_inertia(*box, density), "a body in its box", inputs
+    if "added_mass" in known and box:
+        yield "added_mass", max_added_mass_in_box(*box, density, along=along), "a body in its box", inputs
+    elif "added_mass" in known:
+        displaced, area = max(_max_displaced(experiment, t) for t in result.trials), max(areas) * along
+        if displaced > 0:
+            basis = "a body of its mass" + " and size" * bool(area)
+            yield "added_mass", max_added_mass(displaced, area or None, density), basis, inputs
+    if "drag_coefficient" not in known:
+        return
+    sized = [(t, a) for t, a in zip(result.trials, areas, strict=True) if t.role == "fit" and a]
+    speeds = [result.model.simulate(result.values(t.id), t)["u_m_s"] for t, _ in sized]
+    tops = [float(np.nanmax(np.abs(u), initial=0.0)) for u in speeds]
+    reached = [reynolds(top, a, density) for top, (_, a) in zip(tops, sized, strict=True)]
+    most = max_drag_coefficient(max(reached, default=math.nan))
+    if math.isfinite(most):
+        basis = f"a body of any shape at a Reynolds number of {numbers.number(max(reached), 2)}"
+        yield "drag_coefficient", most, basis, "forces, areas, lengths"
+
+
+def _force_ratios(experiment: Experiment) -> list[tuple[float, float, float, str]]:
+    """Return the driving force of each drop without a pulley over its maximum, both (N), and the trial.
+
+    The maximum is the weight of the body or its net buoyancy.
+    """
+    forces = []
+    for trial in experiment.trials:
+        rig, water = trial.rig, _water_in_body(experiment, trial)
+        if (
+            experiment.name == "falling-weight"
+            and not rig.pulley
+            and math.isfinite(water)
+            and rig.inertia > 0
+        ):
+            most = experiment.robot.fluid.gravity_m_s2 * max(rig.inertia, water - rig.inertia)
+            forces.append((rig.pull / most, rig.pull, most, trial.id))
+    return forces
+
+
+def _max_displaced(experiment: Experiment, trial: Trial) -> float:
+    """Return the maximum mass of water that the body of a trial can displace, kg."""
+    rig, weight = trial.rig, trial.rig.pull / experiment.robot.fluid.gravity_m_s2
+    if rig.pulley:
+        return rig.inertia - weight - experiment.robot.rig.pulley_inertia_kg
+    # a rising body displaces more than its own mass, by its net buoyancy, but not more than its size allows
+    return max(rig.inertia, min(rig.inertia + weight, _water_in_body(experiment, trial)))
+
+
+def _box(body: Body) -> tuple[float, float, float] | None:
+    """Return the length, width and height of a body, m; None if one is unknown."""
+    if body.length_m and body.width_m and body.height_m:
+        return body.length_m, body.width_m, body.height_m
+    return None
+
+
+def _water_in_body(experiment: Experiment, trial: Trial) -> float:
+    """Return the mass of water in the largest body of the known size, kg; infinite if the size is unknown.
+
+    Without a box, the body is as long as a body of its frontal area can be (:data:`MAX_SLENDERNESS`).
+    """
+    box, density = _box(experiment.robot.body), experiment.robot.fluid.density_kg_m3
+    area = 2.0 * trial.rig.area_factor / density
+    if box is None:
+        box = (area, MAX_SLENDERNESS, 2.0 * math.sqrt(area / math.pi))
+    return density * math.prod(box) or math.inf
+
+
+# ------------------------------------------------------------ theory and tables
+
+
+def prism_added_mass(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
+    """Return the added mass of a box that moves along its length, kg.
+
+    Notes
+    -----
+    Tabulated coefficients of square prisms (DNV-RP-C205, appendix D) are interpolated at the length of the
+    box divided by the side of a square with the same frontal area. The coefficient multiplies the mass of the
+    displaced water.
+
+    >>> round(prism_added_mass(1.0, 1.0, 1.0, 1000.0))
+    680
+    """
+    side = np.sqrt(width_m * height_m)
+    coefficient = float(np.interp(length_m / side, PRISM[:, 0], PRISM[:, 1]))
+    return coefficient * density_kg_m3 * length_m * width_m * height_m
+
+
+def max_added_mass_in_box(
+    length_m: float, width_m: float, height_m: float, density_kg_m3: float, *, along: bool
+) -> float:
+    """Return the maximum added mass of a body that fits into a box, kg.
+
+    Parameters
+    ----------
+    along : bool
+        Whether the body moves along its length. Otherwise it may move in any direction.
+
+    Notes
+    -----
+    The flow around a moving body has the minimum kinetic energy of all possible flows (Kelvin). In one
+    possible flow the surrounding water moves with the body. The added mass of a body is therefore at most the
+    added mass of a larger body around it, plus all water between the two bodies. For motion along the length
+    the larger body is the box. For motion in any direction it is the sphere around the box.
+
+    >>> max_added_mass_in_box(1.0, 1.0, 1.0, 1000.0, along=True)
+    1680.0
+    """
+    if along:
+        displaced = density_kg_m3 * length_m * width_m * height_m
+        return prism_added_mass(length_m, width_m, height_m, density_kg_m3) + displaced
+    diagonal = float(np.sqrt(length_m**2 + width_m**2 + height_m**2))
+    return 1.5 * density_kg_m3 * float(np.pi) / 6.0 * diagonal**3
+
+
+def max_added_inertia(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
+    """Return the maximum added inertia, kg m2, of a body that rotates about a point in its bounding box.
+
+    Notes
+    -----
+    The limit is derived as in :func:`max_added_mass_in_box`. It is the moment of inertia of a sphere of water
+    whose radius is the diagonal of the box.
+
+    >>> round(max_added_inertia(1.0, 1.0, 1.0, 1000.0))
+    26119
+    """
+    radius = float(np.sqrt(length_m**2 + width_m**2 + height_m**2))
+    return 0.4 * density_kg_m3 * 4.0 / 3.0 * float(np.pi) * radius**5
+
+
+def max_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_kg_m3: float) -> float:
+    """Return the maximum added mass of a convex body that moves perpendicular to its frontal area, kg.
+
+    Parameters
+    ----------
+    displaced_kg : float
+        Mass of the displaced water, or an upper bound of this mass.
+    frontal_area_m2 : float or None
+
+    Notes
+    -----
+    A convex body fills at least a third of the prism around it, as a pyramid does. The added mass of a prism
+    along its length is at most 0.8 of the mass of water in a cube of the same frontal area (DNV-RP-C205,
+    appendix D). The rest follows as in :func:`max_added_mass_in_box`. Without a frontal area the limit is ten
+    times the displaced water. This is more than the added mass of a disc that is ten times as wide as thick.
+
+    >>> round(max_added_mass(1.0, 0.01, 1000.0), 3)
+    3.8
+    """
+    if frontal_area_m2 is None:
+        return 10.0 * displaced_kg
+    return 3.0 * displaced_kg + 0.8 * density_kg_m3 * frontal_area_m2**1.5
+
+
+def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> float:
+    """Return the Reynolds number with the diameter of the frontal area; NaN if the fluid is not water.
+
+    >>> round(reynolds(1.0, np.pi / 4, 1000.0))
+    1000000
+    """
+    low, high = WATER_KG_M3
+    if not low <= density_kg_m3 <= high:
+        return float("nan")
+    return speed_m_s * 2.0 * float(np.sqrt(frontal_area_m2 / np.pi)) / WATER_VISCOSITY_M2_S
+
+
+def max_drag_coefficient(reynolds_number: float) -> float:
+    """Return the maximum drag coefficient of any body, based on its frontal area.
+
+    The result is NaN if the Reynolds number is not positive.
+
+    Notes
+    -----
+    Discs and plates across the flow have drag coefficients of 1.17 to 2, an open half cylinder has 2.3, and
+    no body has 3 (Hoerner, Fluid-Dynamic Drag, 1965, chapter 3). In slow flow viscosity adds 24/Re for a
+    sphere, 20.4/Re for a disc and 64/Re for a prolate spheroid that is ten times as long as wide (Happel and
+    Brenner, Low Reynolds Number Hydrodynamics, section 5-11).
+
+    >>> max_drag_coefficient(1e4), max_drag_coefficient(1.0)
+    (3.0072, 75.0)
+    """
+    return 3.0 + 72.0 / reynolds_number if reynolds_number > 0 else float("nan")
+
+
+def theory_estimates(robot: Robot) -> list[Theory]:
+    """Return the theoretical estimates of the robot file, and the added mass of a prism of its size."""
+    quoted = list(robot.theory)
+    box = _box(robot.body)
+    if box is not None:
+        value = prism_added_mass(*box, robot.fluid.density_kg_m3)
+        quoted.append(
+            Theory(parameter="added_mass", value=value, unit="kg", basis="square prism", source="DNV-RP-C205")
+        )
+    return quoted
+
+
+# ------------------------------------------------------------ two-point method of the boxfish paper
 
 
 @dataclass(frozen=True)
@@ -266,8 +973,8 @@ class TwoPointResult:
         The two displacements.
     pulling_mass_kg : ndarray, shape (k,)
     speed_squared, speed_squared_sd : ndarray, shape (2, k), m2/s2
-    slopes, intercepts : ndarray, shape (2,)
-        Lines of squared speed over pulling mass at each displacement: alpha and beta of Eq 13.
+    lines : ndarray, shape (2, 2)
+        Slope and intercept of squared speed over pulling mass at each displacement: alpha and beta of Eq 13.
     """
 
     values: dict[str, float]
@@ -277,13 +984,20 @@ class TwoPointResult:
     pulling_mass_kg: Array
     speed_squared: Array
     speed_squared_sd: Array
-    slopes: Array
-    intercepts: Array
+    lines: Array
 
     @property
     def is_valid(self) -> bool:
         """Whether the speeds lie on rising lines, so that the standard errors are finite."""
         return all(map(math.isfinite, self.stderr.values()))
+
+    @property
+    def text(self) -> str:
+        """Result as a sentence."""
+        if not self.is_valid:
+            return f"The two-point method has no answer: {NO_ANSWER}."
+        parts = [f"{n} {numbers.measured(value, self.stderr[n])}" for n, value in self.values.items()]
+        return f"The two-point method gives {', '.join(parts)}."
 
 
 def speed_at(
@@ -314,22 +1028,15 @@ def speed_at(
 
 
 def two_point(
-    drops: Sequence[Drop],
-    *,
-    mass_kg: float,
-    frontal_area_m2: float,
-    density_kg_m3: float,
-    gravity_m_s2: float,
-    points_m: tuple[float, float] | None = None,
+    trials: Sequence[Trial], robot: Robot, points_m: tuple[float, float] | None = None
 ) -> TwoPointResult:
     """Estimate drag coefficient, added mass and pulley friction from speeds at two displacements.
 
     Parameters
     ----------
-    drops : sequence of Drop
-        Falling-weight trials with at least three different pulling masses.
-    mass_kg : float
-        Inertia of body and pulley, without the pulling mass.
+    trials : sequence of Trial
+        Falling-weight trials without missing samples. Those with a pulley and the role ``fit`` are used; they
+        must have at least three different pulling masses.
     points_m : (x1, x2), optional
         The two displacements. The default is :data:`POINT_SHARES` of the displacement that all drops reached.
         The paper used 0.293 and 0.584 m.
@@ -337,43 +1044,49 @@ def two_point(
     Raises
     ------
     NoTrustworthyResult
-        If there are too few drops, if a displacement is outside the data, or if the speeds do not follow a
-        drag law.
+        If the body is not known, if there are too few drops, if a displacement is outside the data, or if the
+        speeds do not follow a drag law.
     """
-    masses = np.array([d.pulling_mass_kg for d in drops])
+    body, density, gravity = robot.body, robot.fluid.density_kg_m3, robot.fluid.gravity_m_s2
+    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
+        raise NoTrustworthyResult("the two-point method needs the robot's inertial mass and frontal area")
+    area, mass = body.frontal_area_m2, body.inertial_mass_kg + robot.rig.pulley_inertia_kg
+    drops = [t for t in trials if t.rig.pulley and t.role == "fit"]
+    masses = np.array([t.rig.pull / gravity for t in drops])
+    times = [t.time_s - t.rig.begin_s for t in drops]
+    measured_m = [t.measured["x_m"] - t.rig.x0 for t in drops]
     if len(np.unique(masses)) < MIN_MASSES:
         raise NoTrustworthyResult(
             f"the two-point method needs at least {MIN_MASSES} different pulling masses"
         )
-    reach = min(float(d.displacement_m.max()) for d in drops)
+    reach = min(float(x.max()) for x in measured_m)
     points = points_m or (POINT_SHARES[0] * reach, POINT_SHARES[1] * reach)
     if not 0 < points[0] < points[1]:
         raise NoTrustworthyResult(f"the two displacements must rise from zero: {points[0]:g} {points[1]:g}")
 
     def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
         """Return the speeds at the points and their standard errors, each shape (2, k)."""
-        pairs = list(zip(drops, displacements, strict=True))
+        pairs = list(zip(times, displacements, strict=True))
         width = points[0] * HALF_WIDTH
-        fits = np.array([[speed_at(d.time_s, x, point, width) for d, x in pairs] for point in points])
+        fits = np.array([[speed_at(t, x, point, width) for t, x in pairs] for point in points])
         return fits[:, :, 0], fits[:, :, 1]
 
-    def solve(squared: Array) -> tuple[Array, Array, Array]:
-        slopes, intercepts = np.array([np.polyfit(masses, v, 1) for v in squared]).T
+    def solve(squared: Array) -> tuple[Array, Array]:
+        lines = np.array([np.polyfit(masses, v, 1) for v in squared])
+        slopes, intercepts = lines.T
         a1 = solve_a1(slopes[0] / slopes[1], points)
         # tanh^2 phi(x) = 1 - exp(-2 a1 x), from Eq 14
         saturation = -np.expm1(-2 * a1 * np.array(points))
-        drag = float(np.mean(2 * gravity_m_s2 * saturation / (density_kg_m3 * frontal_area_m2 * slopes)))
-        moving = mass_kg + float(masses.mean())
-        added = density_kg_m3 * drag * frontal_area_m2 / (2 * a1) - moving
-        friction = float(np.mean(-gravity_m_s2 * intercepts / slopes))
-        return np.array([drag, added, friction]), slopes, intercepts
+        drag = float(np.mean(2 * gravity * saturation / (density * area * slopes)))
+        added = density * drag * area / (2 * a1) - mass - float(masses.mean())
+        return np.array([drag, added, float(np.mean(-gravity * intercepts / slopes))]), lines
 
-    measured, measured_sd = speeds([d.displacement_m for d in drops])
+    measured, measured_sd = speeds(measured_m)
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
-    answer, slopes, intercepts = solve(squared)
+    answer, lines = solve(squared)
 
     # random error, from the residuals of the squared speeds about their lines
-    scatter = squared - (slopes[:, None] * masses + intercepts[:, None])
+    scatter = squared - np.array([np.polyval(line, masses) for line in lines])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
     spread = np.maximum(squared_sd, pooled)
     variance = np.zeros(3)
@@ -387,19 +1100,18 @@ def two_point(
             break
 
     drag, added, friction = answer
-    area_factor = 0.5 * density_kg_m3 * frontal_area_m2 * drag
     perfect = [
         falling_weight_closed_form(
-            d.time_s, 0.0, mass_kg + added + weight, area_factor, weight * gravity_m_s2 - friction
+            t, 0.0, mass + added + weight, 0.5 * density * area * drag, weight * gravity - friction
         )[0]
-        for d, weight in zip(drops, masses, strict=True)
+        for t, weight in zip(times, masses, strict=True)
     ]
     bias = solve(speeds(perfect)[0] ** 2)[0] - answer
     values, stderr, bias_of = (
         dict(zip(NAMES, v.tolist(), strict=True)) for v in (answer, np.hypot(np.sqrt(variance), bias), bias)
     )
     at_points = (float(points[0]), float(points[1]))
-    return TwoPointResult(values, stderr, bias_of, at_points, masses, squared, squared_sd, slopes, intercepts)
+    return TwoPointResult(values, stderr, bias_of, at_points, masses, squared, squared_sd, lines)
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
@@ -429,26 +1141,6 @@ def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
     return float(optimize.brentq(mismatch, 1e-9 / x1, 50 / x1))
 
 
-def _two_point(experiment: Experiment, points_m: tuple[float, float] | None) -> TwoPointResult:
-    """Apply the two-point method to an experiment; raise an error if the method cannot be used."""
-    body, fluid = experiment.robot.body, experiment.robot.fluid
-    pulled = [t for t in experiment.trials if t.rig.pulley and t.role == "fit"]
-    if body.inertial_mass_kg is None or body.frontal_area_m2 is None:
-        raise NoTrustworthyResult("the two-point method needs the robot's inertial mass and frontal area")
-    drops = [
-        Drop(t.rig.pull / fluid.gravity_m_s2, t.time_s - t.rig.begin_s, t.measured["x_m"] - t.rig.x0)
-        for t in pulled
-    ]
-    return two_point(
-        drops,
-        mass_kg=body.inertial_mass_kg + experiment.robot.rig.pulley_inertia_kg,
-        frontal_area_m2=body.frontal_area_m2,
-        density_kg_m3=fluid.density_kg_m3,
-        gravity_m_s2=fluid.gravity_m_s2,
-        points_m=points_m,
-    )
-
-
 def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
     """Return a parameter file in which the estimates are those of the two-point method.
 
@@ -473,21 +1165,13 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
     )
 
 
-def _two_point_text(pair: TwoPointResult) -> str:
-    """Return the result of the two-point method as a sentence."""
-    if not pair.is_valid:
-        return f"The two-point method has no answer: {NO_ANSWER}."
-    parts = [f"{n} {numbers.measured(value, pair.stderr[n])}" for n, value in pair.values.items()]
-    return f"The two-point method gives {', '.join(parts)}."
-
-
 def _speed_figure(pair: TwoPointResult) -> ev.Figure:
     order = np.argsort(pair.pulling_mass_kg)
     mass = pair.pulling_mass_kg[order]
     traces = []
     for i, point in enumerate(pair.points_m):
         squared, error = pair.speed_squared[i][order], 1.96 * pair.speed_squared_sd[i][order]
-        line, label = pair.slopes[i] * mass + pair.intercepts[i], f"at {point:.3f} m"
+        line, label = np.polyval(pair.lines[i], mass), f"at {point:.3f} m"
         traces.append(ev.Trace(x=1e3 * mass, y=squared, y_error=error, style="points", label=label, group=i))
         traces.append(ev.Trace(x=1e3 * mass, y=line, group=i))
     title = "Squared speed against pulling mass"

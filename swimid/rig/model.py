@@ -186,68 +186,38 @@ class RigModel(Model):
             "cubic": self._value(values, "cubic_stiffness"),
         }
 
-    def _equation(self, values: Array, trial: Trial) -> dict[str, float]:
-        """Return the coefficients, the constant force, the drift of the force and the initial state."""
-        return {
-            **self.coefficients(values, trial.rig),
-            "force": self._value(values, "force_offset") + trial.rig.pull,
-            "drift": self._value(values, "force_drift"),
-            "x0": trial.rig.x0 + self._value(values, "start_offset"),
-            "v0": self._value(values, "initial_speed"),
-        }
-
-    def _release(self, values: Array, trial: Trial) -> float:
-        return trial.rig.begin_s + self._value(values, "clock_offset")
-
-    def _step(self, time_s: Array) -> float:
-        # the step must not depend on the parameters, so that finite differences are smooth
-        longest = float(time_s[-1] - time_s[0]) / MAX_STEPS
-        return self.max_step * max(1.0, longest / DEFAULT_STEP)
-
-    def _broken(self, trial: Trial) -> dict[str, Array]:
-        broken = np.full(len(trial.time_s), np.nan)
-        return {self.coordinate: broken, self.speed: broken}
-
-    def _moved(
-        self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks = NONE
-    ) -> dict[str, Array]:
-        """Return displacement and speed for the values that :meth:`_equation` returns."""
+    def _moved(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
+        """Return displacement and speed for the coefficients and the initial state of :meth:`hooked`."""
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
-            return self._broken(trial)
-        measured, known = trial.inputs.get("force_N"), c["force"]
+            return self.broken_down(trial)
+        time, measured, known = trial.time_s, trial.inputs.get("force_N"), c["force"]
         forced = bool(hooks.force or hooks.flow)
         simple = c["linear"] == c["stiffness"] == c["gravity"] == c["cubic"] == c["v0"] == 0
         closed = simple and known >= 0 and c["quadratic"] >= 0
         if measured is None and closed and not forced:
-            x, v = falling_weight_closed_form(
-                trial.time_s, release, c["inertia"], c["quadratic"], known - c["dry"]
-            )
+            x, v = falling_weight_closed_form(time, release, c["inertia"], c["quadratic"], known - c["dry"])
             return {self.coordinate: x + c["x0"], self.speed: v}
         force = np.array([known])
         if measured is not None:
-            force = measured + known + c["drift"] * (trial.time_s - trial.rig.begin_s)
+            force = measured + known + c["drift"] * (time - trial.rig.begin_s)
+        # the step must not depend on the parameters, so that finite differences are smooth
+        step = self.max_step * max(1.0, float(time[-1] - time[0]) / MAX_STEPS / DEFAULT_STEP)
+        water = extra = None
+        if forced:
+            ends = step_ends(time, release, step)
+            water = np.zeros(len(ends))
+            for flow in hooks.flow:
+                water = water + flow(ends)[1][:, 0]
+            acting = [(f.constants, f.function) for f in hooks.force]
+            idle = [(np.zeros(1), no_force)] * (MOST_FORCES - len(acting))
+            extra = (np.zeros((3, 3)), len(acting), *acting, *idle)
         equation = tuple(c[name] for name in EQUATION)
-        step = self._step(trial.time_s)
-        if not forced:
-            x, v = integrate(trial.time_s, release, step, force, c["x0"], c["v0"], equation)
-            return {self.coordinate: x, self.speed: v}
-        ends = step_ends(trial.time_s, release, step)
-        water = np.zeros(len(ends))
-        for flow in hooks.flow:
-            water = water + flow(ends)[1][:, 0]
-        acting = [(f.function, f.constants) for f in hooks.force]
-        idle = [(no_force, np.zeros(1))] * (MOST_FORCES - len(acting))
-        forces = (part for pair in acting + idle for part in pair)
-        x, v = integrate_forced(
-            trial.time_s, release, step, force, water, c["x0"], c["v0"], equation, len(acting), *forces
-        )
+        x, v = integrate(time, release, step, force, c["x0"], c["v0"], equation, water, extra)
         return {self.coordinate: x, self.speed: v}
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return displacement and speed at the samples of a trial (see :meth:`Model.simulate`)."""
-        if not np.isfinite(values).all():
-            return self._broken(trial)
-        return self._moved(self._equation(values, trial), trial, self._release(values, trial))
+        return self.hooked(values, trial, NONE)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return displacement and speed with effects (see :meth:`Model.hooked`).
@@ -266,11 +236,19 @@ class RigModel(Model):
             inputs = {name: np.interp(time, trial.time_s, data) for name, data in trial.inputs.items()}
             late = replace(trial, time_s=time, inputs=inputs)
         if not np.isfinite(values).all():
-            return self._broken(trial)
+            return self.broken_down(trial)
         if len(hooks.force) > MOST_FORCES:
             raise ValueError(f"{len(hooks.force)} forces act at once, at most {MOST_FORCES} may")
-        c = hooks.changed(self._equation(values, trial), "coefficients")
-        return hooks.seen(self._moved(c, late, self._release(values, trial), hooks), trial.time_s)
+        equation = {
+            **self.coefficients(values, trial.rig),
+            "force": self._value(values, "force_offset") + trial.rig.pull,
+            "drift": self._value(values, "force_drift"),
+            "x0": trial.rig.x0 + self._value(values, "start_offset"),
+            "v0": self._value(values, "initial_speed"),
+        }
+        release = trial.rig.begin_s + self._value(values, "clock_offset")
+        moved = self._moved(hooks.changed(equation, "coefficients"), late, release, hooks)
+        return hooks.seen(moved, trial.time_s)
 
     def refined(self) -> RigModel:
         """Return the model with half the integration step."""
@@ -398,7 +376,9 @@ def free_decay(
         force, mass, kind, loss = "N m", "kg m^2", "inertia", "damping"
     rate = math.sqrt(guess / inertia)
     damping, speed = 0.01 * inertia * rate, amplitude * rate
-    quadratic, known = damping / speed, stiffness is not None
+    quadratic, known, spring = damping / speed, stiffness is not None, stiffness
+    if spring is None:
+        spring = guess - gravity
     restoring = f"{force}/{unit}"
     cubic = guess / (6.0 * amplitude**2)
     meaning = "m g l of a restoring moment m g l sin(angle)"
@@ -407,16 +387,9 @@ def free_decay(
         _parameter(f"added_{kind}", mass, 0.0, 0.3 * inertia, f"added {kind}", free=known),
         _parameter(f"quadratic_{loss}", f"{force} s^2/{unit}^2", quadratic, quadratic, "quadratic damping"),
         _parameter(f"linear_{loss}", f"{force} s/{unit}", damping, damping, "linear damping"),
-        _parameter(
-            "stiffness",
-            restoring,
-            guess - gravity if stiffness is None else stiffness,
-            guess,
-            "stiffness of a linear spring",
-            free=not known,
-        ),
+        _parameter("stiffness", restoring, spring, guess, "stiffness of a linear spring", free=not known),
         _signed("cubic_stiffness", f"{restoring}^3", cubic, "cubic restoring stiffness", free=False),
-        *([pendulum] if coordinate in ("roll_rad", "pitch_rad") else []),
+        *[pendulum] * (coordinate in ("roll_rad", "pitch_rad")),
         _parameter(
             "dry_friction", force, 0.0, 0.01 * guess * amplitude, "dry friction", free=False, kinked=True
         ),
@@ -557,7 +530,46 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True)
-def _run(time, start, max_step, force, c, x0, v0, water, extra):  # type: ignore[no-untyped-def]
+def integrate(  # type: ignore[no-untyped-def]
+    time, start, max_step, force, x0, v0, c, water=None, extra=None
+):
+    """Integrate the equation of motion with the fourth-order Runge-Kutta method and fixed steps.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), s
+        Increasing sample times. Samples before ``start`` have the initial state.
+    start : float, s
+        Time of release.
+    max_step : float, s
+        Maximum step. Each interval between samples is divided into equal steps. The steps do not depend on
+        the parameters, so that finite differences are smooth.
+    force : ndarray, shape (n,) or (1,)
+        Applied force at the samples, between which it is interpolated linearly, or one constant value.
+    x0, v0 : float
+        Initial position and speed.
+    c : tuple of float
+        Coefficients of the equation of motion, in the order of :data:`EQUATION`.
+
+    water : ndarray, shape (steps + 1,), m/s, or None
+        Velocity of the water at :func:`step_ends`, between which it is interpolated linearly.
+    extra : tuple or None
+        Working memory of shape (3, 3), number of forces that act on the body, and :data:`MOST_FORCES` pairs
+        of constants and compiled function of a force (:class:`swimid.fitting.model.Force`). It is None in
+        still water without further forces.
+
+    Returns
+    -------
+    x, v : ndarray, shape (n,)
+        Displacements and speeds at the sample times.
+
+    Notes
+    -----
+    The sign of dry friction is constant within a step. A step in which the speed changes sign is divided at
+    the reversal. At the reversal the body sticks as long as the net force is below the friction. The times of
+    reversal and of breakaway are exact. If they were rounded to the steps, the motion would be a
+    discontinuous function of the friction.
+    """
     n = len(time)
     positions, speeds = np.empty(n), np.empty(n)
     x, v, now = x0, v0, start
@@ -585,62 +597,6 @@ def _run(time, start, max_step, force, c, x0, v0, water, extra):  # type: ignore
             now = time[i]
         positions[i], speeds[i] = x, v
     return positions, speeds
-
-
-@numba.njit(cache=True, nogil=True)
-def integrate(time, start, max_step, force, x0, v0, c):  # type: ignore[no-untyped-def]
-    """Integrate the equation of motion with the fourth-order Runge-Kutta method and fixed steps.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,), s
-        Increasing sample times. Samples before ``start`` have the initial state.
-    start : float, s
-        Time of release.
-    max_step : float, s
-        Maximum step. Each interval between samples is divided into equal steps. The steps do not depend on
-        the parameters, so that finite differences are smooth.
-    force : ndarray, shape (n,) or (1,)
-        Applied force at the samples, between which it is interpolated linearly, or one constant value.
-    x0, v0 : float
-        Initial position and speed.
-    c : tuple of float
-        Coefficients of the equation of motion, in the order of :data:`EQUATION`.
-
-    Returns
-    -------
-    x, v : ndarray, shape (n,)
-        Displacements and speeds at the sample times.
-
-    Notes
-    -----
-    The sign of dry friction is constant within a step. A step in which the speed changes sign is divided at
-    the reversal. At the reversal the body sticks as long as the net force is below the friction. The times of
-    reversal and of breakaway are exact. If they were rounded to the steps, the motion would be a
-    discontinuous function of the friction.
-    """
-    return _run(time, start, max_step, force, c, x0, v0, None, None)
-
-
-@numba.njit(cache=True, nogil=True)
-def integrate_forced(  # type: ignore[no-untyped-def]
-    time, start, max_step, force, water, x0, v0, c, acting, f1, c1, f2, c2, f3, c3, f4, c4
-):
-    """Integrate the equation of motion in moving water, and with forces that depend on the motion.
-
-    Parameters that are not listed are those of :func:`integrate`.
-
-    Parameters
-    ----------
-    water : ndarray, shape (steps + 1,), m/s
-        Velocity of the water at :func:`step_ends`, between which it is interpolated linearly.
-    acting : int
-        Number of forces that act on the body.
-    f1, c1, f2, c2, f3, c3, f4, c4
-        Compiled functions of the forces (:class:`swimid.fitting.model.Force`) and their constants.
-    """
-    extra = (np.zeros((3, 3)), acting, (c1, f1), (c2, f2), (c3, f3), (c4, f4))
-    return _run(time, start, max_step, force, c, x0, v0, water, extra)
 
 
 @numba.njit(cache=True, nogil=True)

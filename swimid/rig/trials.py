@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.files.provenance import Input
 from swimid.fitting.drives import RigInput
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, Trial, chosen
@@ -33,14 +34,14 @@ MIN_SAMPLES = 5
 #: Maximum initial position, as a fraction of the drop distance, at which a drop is taken to start at the
 #: origin.
 ORIGIN_RTOL = 0.02
-_INERTIA = "trials.inertial_mass_kg"
+MASS = "inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
 #: Keys of a trials file that have an effect, by experiment.
 USES = {
     "falling-weight": trials_format.EVERYWHERE
-    | {"trials.pulling_mass_kg", "trials.driving_force_N", _INERTIA, *_DRAG},
-    "towed": trials_format.EVERYWHERE | {_INERTIA, *_DRAG},
-    "free-decay": trials_format.EVERYWHERE | {_INERTIA},
+    | {"trials.pulling_mass_kg", "trials.driving_force_N", f"trials.{MASS}", *_DRAG},
+    "towed": trials_format.EVERYWHERE | {f"trials.{MASS}", *_DRAG},
+    "free-decay": trials_format.EVERYWHERE | {f"trials.{MASS}"},
 }
 
 
@@ -78,28 +79,27 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
         raise InputError(
             f"the trial '{entry.id}' has no inertial mass",
             file=path,
-            column="inertial_mass_kg",
+            column=MASS,
             hint=f"give it in the trial, or as body.inertial_mass_kg of the robot '{robot.name}'",
         )
     return mass
 
 
-def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float | None]:
-    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; None for each trial if no frontal area is known."""
-    factors: list[float | None] = []
+def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float]:
+    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; 0 for each trial if no frontal area is known."""
+    factors: list[float] = []
     for entry in entries:
-        area = entry.frontal_area_m2 or robot.body.frontal_area_m2
-        density = entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3
-        factors.append(None if area is None else 0.5 * density * area)
-        if area is None and entry.fluid_density_kg_m3 is not None:
+        area = entry.frontal_area_m2 or robot.body.frontal_area_m2 or 0.0
+        factors.append(0.5 * (entry.fluid_density_kg_m3 or robot.fluid.density_kg_m3) * area)
+        if not area and entry.fluid_density_kg_m3 is not None:
             raise InputError(
                 f"the density of the fluid in '{entry.id}' has no effect without a frontal area",
                 file=path,
                 column="fluid_density_kg_m3",
                 hint="give frontal_area_m2 in the trial or in the robot file",
             )
-    if any(factors) and None in factors:
-        missing = entries[factors.index(None)].id
+    if any(factors) and not all(factors):
+        missing = entries[factors.index(0.0)].id
         raise InputError(
             f"some trials have a frontal area and '{missing}' has none", file=path, column="frontal_area_m2"
         )
@@ -111,31 +111,14 @@ def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list
 
 def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experiment:
     factors = _area_factors(entries.trials, robot, path)
-    records, known, logs = [], [], []
-    for entry, factor in zip(entries.trials, factors, strict=True):
-        log = read_log(entry, path.parent, required=("x_m",))
-        logs.append(log.source)
-        there = np.isfinite(log["x_m"])
-        time, position = log.time_s[there], log["x_m"][there]
-        if len(time) < MIN_SAMPLES:
-            raise InputError(
-                f"has {len(time)} displacement samples; a fit needs at least {MIN_SAMPLES}",
-                file=log.path,
-                column="x_m",
-            )
-        time, position = _without_standstill(log, time, position)
-        if position[-1] <= position[0]:
-            raise InputError(
-                "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
-            )
-        records.append(read_encoder(time, position, robot.rig.encoder_resolution_m))
-        known.append(_drop(path, entry, robot, factor, time, position, records[-1]))
+    drops = [_drop(e, path, robot, factor) for e, factor in zip(entries.trials, factors, strict=True)]
+    logs, known, records = zip(*drops, strict=True)
     model = rig.falling_weight(
         mass_kg=float(np.median([k.inertia for k in known])) or 1.0,
         force_N=float(np.median([k.pull for k in known])),
-        area_known=factors[0] is not None,
+        area_known=factors[0] > 0,
         pulley=any(k.pulley for k in known),
-        speed_m_s=_typical([np.ptp(r.position) / np.ptp(r.time_s) for r in records]),
+        speed_m_s=float(np.median([np.ptp(r.position) / np.ptp(r.time_s) for r in records])) or 0.1,
     )
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
@@ -143,79 +126,79 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         # the release lies within one trial duration of the start of the log
         bounds={"clock_offset": (-span, span)},
         # if a drop starts outside the origin, its start position has the noise of the first sample
-        freed=("start_offset",) if any(k.x0 != 0 for k in known) else (),
+        freed=("start_offset",) * any(k.x0 != 0 for k in known),
     )
 
     def trials(rounding: str) -> list[Trial]:
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
-            position = true_position(record, rounding)
+            clicks = record.kind == "clicks"
             # the row that defines the origin is not a measurement
-            first = int(record.kind == "clicks" and record.position[0] == 0)
-            made.append(
-                Trial(
-                    id=entry.id,
-                    role=entry.role,
-                    time_s=record.time_s[first:],
-                    measured={"x_m": position[first:]},
-                    rig=one,
-                    value_sd={"x_m": record.position_sd} if record.position_sd else {},
-                    time_sd_s=record.time_sd_s,
-                    stamps_uncertain=record.kind == "clicks",
-                )
-            )
+            rows = slice(int(clicks and record.position[0] == 0), None)
+            position = {"x_m": true_position(record, rounding)[rows]}
+            trial = Trial(entry.id, entry.role, record.time_s[rows], position, rig=one)
+            if record.position_sd:
+                trial = replace(trial, value_sd={"x_m": record.position_sd})
+            made.append(replace(trial, time_sd_s=record.time_sd_s, stamps_uncertain=clicks))
         return made
 
     variants = {}
     if any(r.kind == "sampled" for r in records):
         variants = {name: trials(name) for name in ROUNDINGS}
-    return Experiment(
-        name="falling-weight",
-        robot=robot,
-        model=model,
-        trials=trials("floor"),
-        inputs=inputs_of(path, entries, logs),
-        variants=variants,
-        facts={"pulling_mass_kg": {e.id: e.pulling_mass_kg for e in entries.trials}},
-    )
+    inputs = inputs_of(path, entries, logs)
+    return Experiment("falling-weight", robot, model, trials("floor"), inputs, variants)
 
 
-def _without_standstill(log: Log, time: Array, position: Array) -> tuple[Array, Array]:
-    """Remove the end of a drop in which the body stands still because it has reached the wall."""
+def _without_standstill(log: Log) -> tuple[Array, Array]:
+    """Return time and displacement without the end in which the body stands still at the wall.
+
+    Raises
+    ------
+    InputError
+        If there are too few samples, or if the displacement does not grow.
+    """
+    there = np.isfinite(log["x_m"])
+    time, position = log.time_s[there], log["x_m"][there]
+    if len(time) < MIN_SAMPLES:
+        raise InputError(
+            f"has {len(time)} displacement samples; a fit needs at least {MIN_SAMPLES}",
+            file=log.path,
+            column="x_m",
+        )
     span = float(position.max() - position.min())
     noise = float(np.median(np.abs(np.diff(position, 2))))
     arrived = position.max() - max(0.01 * span, 6.0 * noise)
     before = np.flatnonzero(position < arrived)
-    if not len(before) or len(position) - before[-1] < 6:
-        return time, position
-    last = int(before[-1]) + 1
     reference = np.flatnonzero(position < position.min() + 0.7 * (arrived - position.min()))
-    if not len(reference) or time[last] <= time[reference[-1]]:
-        return time, position
-    speed = (position[last] - position[reference[-1]]) / (time[last] - time[reference[-1]])
-    needed = 0.0
-    if speed > 0:
-        needed = (position.max() - arrived) / speed
-    if time[-1] - time[last] < max(5.0 * needed, 0.05 * (time[last] - time[0])):
-        return time, position
-    warn(
-        "SWM018",
-        f"{log.path.name}: the body stands still from {time[last]:.3g} s on; the {time[-1] - time[last]:.3g} "
-        "s after that are left out (set another end with end_s in the trials file)",
-    )
-    return time[:last], position[:last]
+    if len(before) and len(reference) and len(position) - before[-1] >= 6:
+        last, far = int(before[-1]) + 1, int(reference[-1])
+        # time in which a body that moves on covers the rest of the distance
+        needed = 0.0
+        if time[last] > time[far] and position[last] > position[far]:
+            speed = (position[last] - position[far]) / (time[last] - time[far])
+            needed = (position.max() - arrived) / speed
+        still = time[-1] - time[last]
+        if time[last] > time[far] and still >= max(5.0 * needed, 0.05 * (time[last] - time[0])):
+            warn(
+                "SWM018",
+                f"{log.path.name}: the body stands still from {time[last]:.3g} s on; the {still:.3g} s after "
+                "that are left out (set another end with end_s in the trials file)",
+            )
+            time, position = time[:last], position[:last]
+    if position[-1] <= position[0]:
+        raise InputError(
+            "the displacement does not grow; x_m must point along the pull", file=log.path, column="x_m"
+        )
+    return time, position
 
 
 def _drop(
-    path: Path,
-    entry: FallingWeightTrial,
-    robot: Robot,
-    factor: float | None,
-    time: Array,
-    position: Array,
-    record: Displacement,
-) -> RigInput:
-    """Return the mass, the force and the time of release of a drop."""
+    entry: FallingWeightTrial, path: Path, robot: Robot, factor: float
+) -> tuple[Input, RigInput, Displacement]:
+    """Return the log of a drop, its mass, force and time of release, and its displacement."""
+    log = read_log(entry, path.parent, required=("x_m",))
+    time, position = _without_standstill(log)
+    record = read_encoder(time, position, robot.rig.encoder_resolution_m)
     mass = _mass(entry, robot, path)
     pulley = entry.pulling_mass_kg is not None
     if entry.pulling_mass_kg is not None:
@@ -246,9 +229,8 @@ def _drop(
         release -= 1.4 * float(quickest)
     if from_origin:
         x0 = 0.0
-    return RigInput(
-        inertia=mass, force=force, pulley=pulley, area_factor=factor or 0.0, release_s=release, x0=x0
-    )
+    known = RigInput(mass, force=force, pulley=pulley, area_factor=factor, release_s=release, x0=x0)
+    return log.source, known, record
 
 
 # ------------------------------------------------------------ towed
@@ -256,11 +238,12 @@ def _drop(
 
 def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
     factors = _area_factors(entries.trials, robot, path)
-    trials, logs, forces = [], [], []
+    trials, logs, forces, speeds = [], [], [], []
     for entry, factor in zip(entries.trials, factors, strict=True):
         log = read_log(entry, path.parent, required=("force_N",), optional=("x_m", "u_m_s"))
         logs.append(log.source)
-        if "x_m" not in log and "u_m_s" not in log:
+        measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
+        if not measured:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
         force = log["force_N"]
         if np.isnan(force).any():
@@ -270,35 +253,24 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
                 line=log.line(int(np.argmax(np.isnan(force)))),
                 column="force_N",
             )
-        measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
-        first = 0.0
-        if "x_m" in measured:
-            first = float(measured["x_m"][np.isfinite(measured["x_m"])][0])
+        x = measured.get("x_m", np.zeros(1))
+        if "u_m_s" in measured:
+            speeds.append(float(np.nanmean(np.abs(measured["u_m_s"]))))
+        else:
+            speeds.append(float((np.nanmax(x) - np.nanmin(x)) / np.ptp(log.time_s)))
         forces.append(float(np.sqrt(np.mean(force**2))))
-        mass, begin = _mass(entry, robot, path), float(log.time_s[0])
-        known = RigInput(mass, area_factor=factor or 0.0, release_s=begin, x0=first)
+        mass, begin, first = _mass(entry, robot, path), float(log.time_s[0]), float(x[np.isfinite(x)][0])
+        known = RigInput(mass, area_factor=factor, release_s=begin, x0=first)
         trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, known))
     model = rig.towed(
         mass_kg=float(np.median([t.rig.inertia for t in trials])),
         force_N=max(float(np.median(forces)), 1e-9),
-        area_known=factors[0] is not None,
-        speed_m_s=_typical([_mean_speed(t) for t in trials]),
+        area_known=factors[0] > 0,
+        speed_m_s=float(np.median(speeds)) or 0.1,
     )
     if not any("x_m" in t.measured for t in trials):
         model.parameters = chosen(model.parameters, fixed={"start_offset": 0.0})
     return Experiment("towed", robot, model, trials, inputs_of(path, entries, logs))
-
-
-def _mean_speed(trial: Trial) -> float:
-    if "u_m_s" in trial.measured:
-        return float(np.nanmean(np.abs(trial.measured["u_m_s"])))
-    x = trial.measured["x_m"]
-    return float((np.nanmax(x) - np.nanmin(x)) / np.ptp(trial.time_s))
-
-
-def _typical(speeds: Sequence[float]) -> float:
-    """Return the median of speeds, m/s; 0.1 m/s if the median is zero."""
-    return float(np.median(speeds)) or 0.1
 
 
 # ------------------------------------------------------------ free decay
@@ -309,9 +281,6 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
     name = coordinate or _coordinate(logs)
     rotation = rig.COORDINATES[name][2]
     axis = name.removesuffix("_rad")
-    stiffness_key = "stiffness_N_m"
-    if rotation:
-        stiffness_key = f"{axis}_stiffness_N_m_rad"
     trials, periods, amplitudes = [], [], []
     for entry, log in zip(entries.trials, logs, strict=True):
         if name not in log:
@@ -323,11 +292,12 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         known = RigInput(inertia, release_s=float(time[0]), x0=float(values[0]))
         trials.append(Trial(entry.id, entry.role, time, {name: values}, rig=known))
     inertia = trials[0].rig.inertia
-    stiffness = getattr(robot.rig, stiffness_key, None)
+    stiffness = robot.rig.stiffness_N_m
+    if rotation:
+        stiffness = getattr(robot.rig, f"{axis}_stiffness_N_m_rad", None)
     gravity = getattr(robot.rig, f"{axis}_gravity_stiffness_N_m_rad", None)
     if gravity is not None and stiffness is None:
         stiffness = 0.0
-    guess = inertia * (2 * math.pi / float(np.median(periods))) ** 2
     if stiffness is None:
         warn(
             "SWM019",
@@ -338,7 +308,7 @@ def _free_decay(path: Path, entries: FreeDecay, robot: Robot, coordinate: str | 
         name,
         inertia=inertia,
         stiffness=stiffness,
-        guess=guess,
+        guess=inertia * (2 * math.pi / float(np.median(periods))) ** 2,
         amplitude=float(np.median(amplitudes)),
         gravity=gravity or 0.0,
     )
@@ -358,18 +328,16 @@ def _coordinate(logs: list[Log]) -> str:
 
 
 def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
+    """Return the known mass or moment of inertia of a free decay; 1 if a moment of inertia is unknown."""
+    if not rotation and _mass(entry, robot, path) == 0:
+        raise InputError("a free decay needs an inertial mass above zero", file=path, column=MASS)
     if not rotation:
-        mass = _mass(entry, robot, path)
-        if mass == 0:
-            raise InputError(
-                "a free decay needs an inertial mass above zero", file=path, column="inertial_mass_kg"
-            )
-        return mass
+        return _mass(entry, robot, path)
     if entry.inertial_mass_kg is not None:
         raise InputError(
             f"the mass of '{entry.id}' has no effect on a free decay in {axis}",
             file=path,
-            column="inertial_mass_kg",
+            column=MASS,
             hint=f"the inertia is {axis}_inertia_kg_m2 of the robot file",
         )
     inertia = getattr(robot.body, f"{axis}_inertia_kg_m2")
@@ -379,8 +347,7 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
             f"the robot '{robot.name}' has no {axis}_inertia_kg_m2: all parameters are per unit of "
             "total inertia",
         )
-        return 1.0
-    return float(inertia)
+    return float(inertia or 1.0)
 
 
 def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Array]:
@@ -434,8 +401,7 @@ def _period(time: Array, crossings: Array) -> float:
     regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
     count = max(int(np.argmin([*regular, False])), 1)
     # use whole periods, because the two half swings differ in duration if the level is not the rest position
-    if count > 1:
-        count -= count % 2
+    count = max(count - count % 2, 1)
     return 2.0 * float(np.sum(halves[:count])) / count
 
 
@@ -453,19 +419,16 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     largest = float(heights.max())
     slack = max(EXTREME_RTOL * largest, 3.0 * math.sqrt(2.0) * noise)
     first = int(np.argmax(heights >= largest - slack))
-    begin = 0
-    if first:
-        begin = int(crossings[first - 1])
+    begin, end = ([0, *crossings.tolist()][first + k] for k in (0, 1))
     period = _period(time, crossings[first:])
     amplitude = 0.5 * float(heights[first])
-    end = int(crossings[first])
-    part, extreme = values[begin:end], float(extremes[first])
+    part, since = values[begin:end], time[begin:end] - time[begin]
     margin = max(EXTREME_RTOL * amplitude, 3.0 * noise)
-    near = np.flatnonzero(np.abs(part - extreme) <= margin)
-    held = time[begin + near[-1]] - time[begin + near[0]] > HELD_PERIODS * period
-    still = np.flatnonzero(np.abs(part - part[0]) > margin)
-    waits = first == 0 and len(still) > 0 and time[begin + still[0]] - time[begin] > HELD_PERIODS * period
-    late = time[begin + near[0]] - time[begin] > 0.5 * period
+    near = np.flatnonzero(np.abs(part - extremes[first]) <= margin)
+    held = since[near[-1]] - since[near[0]] > HELD_PERIODS * period
+    moving = since[np.abs(part - part[0]) > margin]
+    waits = first == 0 and len(moving) > 0 and moving[0] > HELD_PERIODS * period
+    late = since[near[0]] > 0.5 * period
     if held:
         level = float(np.median(part[near]))
         spread = 1.4826 * float(np.median(np.abs(part[near] - level)))
@@ -503,13 +466,15 @@ class Displacement:
         that the displacement is exact and the time has an error. ``sampled``: the rows are the count of the
         encoder at regular times.
     time_s, position : ndarray, shape (n,)
-        Samples of the record. If ``events`` is true, these are the times at which a sampled count changed.
+        Samples of the record. If ``rounded`` is 0 or 1, these are the times at which a sampled count changed.
     resolution : float or None
         Step of the encoder, in the unit of the displacement; None without an encoder.
     time_sd_s : float or ndarray, shape (n,)
         Standard deviation of the times, due to the sampling interval.
     position_sd : float
         Standard deviation of the positions, due to the step of the encoder.
+    rounded : int or None
+        Number of the case in :data:`ROUNDINGS`; None if the positions are not those of a sampled count.
     """
 
     kind: Literal["continuous", "clicks", "sampled"]
@@ -518,7 +483,7 @@ class Displacement:
     resolution: float | None = None
     time_sd_s: float | Array = 0.0
     position_sd: float = 0.0
-    events: bool = False
+    rounded: int | None = None
 
 
 #: Roundings of an encoder count. Each has the true position minus the count, in steps, in three cases: when
@@ -552,9 +517,10 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
         # the time of the change is uniformly distributed between the two samples
-        return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, events=True)
+        falls = int(middle[-1] < middle[0])
+        return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, falls)
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
-        return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0))
+        return Displacement("sampled", time_s, position, step, 0.0, step / np.sqrt(12.0), 2)
     return plain
 
 
@@ -566,15 +532,13 @@ def third_difference_sd(values: Array) -> float:
     """
     rough = np.abs(np.diff(values, 3))
     # normal noise has the median absolute value 0.6745 sd, and its third difference has 20 times the variance
-    return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0))) if len(rough) else 0.0
+    if not len(rough):
+        return 0.0
+    return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0)))
 
 
 def true_position(record: Displacement, rounding: str) -> Array:
     """Return the true positions of a record, shape (n,), for one of the :data:`ROUNDINGS` of its counts."""
-    if record.kind != "sampled" or record.resolution is None:
+    if record.rounded is None or record.resolution is None:
         return record.position
-    rising, falling, shown = ROUNDINGS[rounding]
-    shift = shown
-    if record.events:
-        shift = falling if record.position[-1] < record.position[0] else rising
-    return record.position + shift * record.resolution
+    return record.position + ROUNDINGS[rounding][record.rounded] * record.resolution

@@ -439,7 +439,7 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
 
 
 def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
-    model = ArxModel.from_file(file, path)
+    model = ArxModel(file, path)
     metadata = _metadata(options, options.robot or file.robot or "unknown", experiment="arma")
     if options.input is not None:
         wanted: tuple[str, ...] = ()

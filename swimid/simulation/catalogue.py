@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swimid.blackbox import trials as arma
+from swimid.blackbox import model as arma
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Parameter
