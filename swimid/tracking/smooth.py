@@ -61,70 +61,74 @@ class Smoothed:
     innovation: Array
 
 
-# The matrices have two or three rows. Array expressions and linear algebra routines take ten times as long to
-# compile as these loops, and run no faster.
+# The matrices have two or three rows. Array expressions take ten times as long to compile as these loops, and
+# run more slowly.
 
 
 @njit(cache=True)
-def _step(dt, q, order, transition, noise):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Fill the transition matrix and the noise covariance of a chain of integrators in a step of ``dt`` s.
+def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Return the transition matrix and the noise covariance of each step of a chain of integrators.
 
     Noise of power q drives the highest derivative. Entry (i, j) of the transition is dt^(j - i) / (j - i)!.
     """
     factorial = (1.0, 1.0, 2.0)
-    for i in range(order):
-        for j in range(i, order):
-            transition[i, j] = dt ** (j - i) / factorial[j - i]
-        for j in range(order):
-            a, b = order - 1 - i, order - 1 - j
-            power = a + b + 1
-            noise[i, j] = q * dt**power / (factorial[a] * factorial[b] * power)
+    transitions, noises = np.zeros((len(times) - 1, order, order)), np.zeros((len(times) - 1, order, order))
+    for k in range(len(times) - 1):
+        dt = times[k + 1] - times[k]
+        for i in range(order):
+            for j in range(i, order):
+                transitions[k, i, j] = dt ** (j - i) / factorial[j - i]
+            for j in range(order):
+                a, b = order - 1 - i, order - 1 - j
+                noises[k, i, j] = q * dt ** (a + b + 1) / (factorial[a] * factorial[b] * (a + b + 1))
+    return transitions, noises
 
 
 @njit(cache=True)
-def _product(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Write the product a b into ``result``."""
-    n = len(a)
-    for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += a[i, k] * b[k, j]
-            result[i, j] = total
-
-
-@njit(cache=True)
-def _sandwich(a, b, work, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _add_sandwich(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Add a b a' to ``result``."""
     n = len(a)
-    _product(a, b, work)
     for i in range(n):
         for j in range(n):
             for k in range(n):
-                result[i, j] += work[i, k] * a[j, k]
+                for m in range(n):
+                    result[i, j] += a[i, k] * b[k, m] * a[j, m]
 
 
 @njit(cache=True)
-def _solve(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Replace b by a^-1 b for a positive definite a, which is overwritten."""
-    n = len(a)
-    for i in range(n):
-        for j in range(i + 1, n):
-            factor = a[j, i] / a[i, i]
-            for k in range(n):
-                a[j, k] -= factor * a[i, k]
-                b[j, k] -= factor * b[i, k]
-    for i in range(n - 1, -1, -1):
-        for k in range(n):
-            for j in range(i + 1, n):
-                b[i, k] -= a[i, j] * b[j, k]
-            b[i, k] /= a[i, i]
+def _forward(values, variances, transitions, noises, means, covariances, innovations):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Fill the filtered states from the first state on, and the innovations with their variances."""
+    for k in range(len(values)):
+        mean, covariance = means[k], covariances[k]
+        if k > 0:
+            covariance[:] = noises[k - 1]
+            for i in range(len(mean)):
+                for j in range(len(mean)):
+                    mean[i] += transitions[k - 1, i, j] * means[k - 1, j]
+            _add_sandwich(transitions[k - 1], covariances[k - 1], covariance)
+        if values[k] == values[k]:
+            innovations[0, k] = values[k] - mean[0]
+            innovations[1, k] = covariance[0, 0] + variances[k]
+            gain = covariance[:, 0] / innovations[1, k]
+            for i in range(len(mean)):
+                mean[i] += gain[i] * innovations[0, k]
+                for j in range(len(mean)):
+                    covariance[i, j] -= gain[i] * gain[j] * innovations[1, k]
 
 
 @njit(cache=True)
-def kalman(  # pragma: no cover - compiled loops
+def _backward(gains, means, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Add the smoothed state after each step to the state before it, from the last step on."""
+    for k in range(len(gains) - 1, -1, -1):
+        for i in range(means.shape[1]):
+            for j in range(means.shape[1]):
+                means[k, i] += gains[k, i, j] * means[k + 1, j]
+        _add_sandwich(gains[k], covariances[k + 1], covariances[k])
+
+
+def kalman(
     times: Array, values: Array, variances: Array, q: float, order: int, start: Array
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Apply the Kalman filter to one coordinate.
 
     Parameters
@@ -143,88 +147,27 @@ def kalman(  # pragma: no cover - compiled loops
     -------
     means, covariances : ndarray, shapes (n, order), (n, order, order)
         Filtered states.
-    innovations, innovation_variances : ndarray, shape (n,)
-        NaN without a measurement.
+    innovations : ndarray, shape (2, n)
+        Innovations and their variances, NaN without a measurement.
     """
-    transition, noise = np.zeros((order, order)), np.zeros((order, order))
-    work, keep = np.zeros((order, order)), np.zeros((order, order))
-    gain, moved = np.zeros(order), np.zeros(order)
-    n = len(times)
-    means, covariances = np.zeros((n, order)), np.zeros((n, order, order))
-    innovations, spreads = np.full(n, np.nan), np.full(n, np.nan)
-    mean, covariance = means[0], covariances[0]
-    for k in range(n):
-        if values[k] == values[k]:
-            mean[0] = values[k]
-            break
-    covariance[:] = start
-    for k in range(n):
-        if k > 0:
-            _step(times[k] - times[k - 1], q, order, transition, noise)
-            mean, covariance = means[k], covariances[k]
-            covariance[:] = noise
-            for i in range(order):
-                for j in range(order):
-                    mean[i] += transition[i, j] * means[k - 1, j]
-            _sandwich(transition, covariances[k - 1], work, covariance)
-        if values[k] != values[k]:
-            continue
-        expected = covariance[0, 0] + variances[k]
-        innovations[k] = values[k] - mean[0]
-        spreads[k] = expected
-        for i in range(order):
-            gain[i] = covariance[i, 0] / expected
-        # the Joseph form stays positive definite for a diffuse start
-        for i in range(order):
-            mean[i] += gain[i] * innovations[k]
-            for j in range(order):
-                keep[i, j] = (i == j) - gain[i] * (j == 0)
-        _product(keep, covariance, work)
-        for i in range(order):
-            for j in range(order):
-                moved[j] = variances[k] * gain[i] * gain[j]
-                for m in range(order):
-                    moved[j] += work[i, m] * keep[j, m]
-            covariance[i] = moved
-    return means, covariances, innovations, spreads
+    means, covariances = np.zeros((len(times), order)), np.zeros((len(times), order, order))
+    means[0, 0], covariances[0] = values[np.isfinite(values)][0], start
+    innovations = np.full((2, len(times)), np.nan)
+    _forward(values, variances, *_steps(times, q, order), means, covariances, innovations)
+    return means, covariances, innovations
 
 
-@njit(cache=True)
-def rts(  # pragma: no cover - compiled
-    times: Array, means: Array, covariances: Array, q: float, order: int
-) -> tuple[Array, Array]:
+def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
     """Smooth the output of :func:`kalman` by the method of Rauch, Tung and Striebel."""
+    transitions, noises = _steps(times, q, order)
+    moved = transitions @ covariances[:-1]
+    gains = np.linalg.solve(moved @ transitions.mT + noises, moved).mT
+    keep = np.eye(order) - gains @ transitions
     smooth, spread = means.copy(), covariances.copy()
-    transition, noise = np.zeros((order, order)), np.zeros((order, order))
-    work, keep, after = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
-    predicted, gain, turned = np.zeros((order, order)), np.zeros((order, order)), np.zeros((order, order))
-    for k in range(len(times) - 2, -1, -1):
-        _step(times[k + 1] - times[k], q, order, transition, noise)
-        for i in range(order):
-            for j in range(order):
-                predicted[i, j] = noise[i, j]
-                after[i, j] = spread[k + 1, i, j] + noise[i, j]
-        _sandwich(transition, spread[k], work, predicted)
-        _product(transition, spread[k], gain)
-        _solve(predicted, gain)
-        for i in range(order):
-            error = smooth[k + 1, i]
-            for j in range(order):
-                turned[i, j] = gain[j, i]
-                error -= transition[i, j] * smooth[k, j]
-            work[0, i] = error
-        for i in range(order):
-            for j in range(order):
-                smooth[k, i] += turned[i, j] * work[0, j]
-        # a sum of covariances is accurate for a diffuse start, and a difference is not
-        _product(turned, transition, keep)
-        for i in range(order):
-            for j in range(order):
-                keep[i, j] = (i == j) - keep[i, j]
-        predicted[:] = spread[k]
-        spread[k] = 0.0
-        _sandwich(keep, predicted, work, spread[k])
-        _sandwich(turned, after, work, spread[k])
+    smooth[:-1] = np.einsum("kij,kj->ki", keep, means[:-1])
+    # a sum of covariances is accurate for a diffuse start, and a difference is not
+    spread[:-1] = keep @ covariances[:-1] @ keep.mT + gains @ noises @ gains.mT
+    _backward(gains, smooth, spread)
     return smooth, spread
 
 
@@ -245,7 +188,7 @@ def _likelihood(
     squares, logs, count = 0.0, 0.0, 0
     q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
     for times, values, weights in pieces:
-        _, _, innovations, expected = kalman(times, values, weights, q, order, start)
+        _, _, (innovations, expected) = kalman(times, values, weights, q, order, start)
         seen = np.flatnonzero(~np.isnan(innovations))[order:]
         squares += float(np.sum(innovations[seen] ** 2 / expected[seen]))
         logs += float(np.sum(np.log(expected[seen])))
@@ -277,9 +220,9 @@ def _smooth_piece(
     """Return means, covariances and normalised innovations of one coordinate of a segment."""
     variance, power, order = noise
     start = _start(order, variance, step)
-    means, covariances, innovations, expected = kalman(times, values, variance * weights, power, order, start)
+    means, covariances, (off, expected) = kalman(times, values, variance * weights, power, order, start)
     means, covariances = rts(times, means, covariances, power, order)
-    normalised = innovations / np.sqrt(expected)
+    normalised = off / np.sqrt(expected)
     normalised[np.flatnonzero(~np.isnan(normalised))[:order]] = np.nan
     return means, covariances, normalised
 
@@ -374,11 +317,14 @@ def smooth(
         sds = np.sqrt(np.maximum(covariances.diagonal(axis1=1, axis2=2), 0))
         out["position_sd"][i, a:b], out["velocity_sd"][i, a:b] = sds[:, 0], sds[:, 1]
         out["innovation"][i, a:b] = innovation
+    factors: dict[tuple[int, int], float] = {}
     for (i, row), (a, b) in product(enumerate(values), segments):
         for first, last in a + runs(np.isnan(row[a:b])):
-            factor = _gap_factor(times, row, weights, out["position"][i], int(last - first), noise)
-            out["position_sd"][i, first:last] *= factor
-            out["velocity_sd"][i, first:last] *= factor
+            key = i, int(last - first)
+            if key not in factors:
+                factors[key] = _gap_factor(times, row, weights, out["position"][i], key[1], noise)
+            out["position_sd"][i, first:last] *= factors[key]
+            out["velocity_sd"][i, first:last] *= factors[key]
     return Smoothed(
         **out, measurement_sd=float(np.sqrt(variance)), process_noise=float(noise[1]), order=order
     )
@@ -387,6 +333,4 @@ def smooth(
 def warm_up() -> None:
     """Compile the functions of this module."""
     times, ones = np.arange(3.0), np.ones(3)
-    for order in (2, 3):
-        means, covariances = kalman(times, ones, ones, 1.0, order, np.eye(order))[:2]
-        rts(times, means, covariances, 1.0, order)
+    _smooth_piece(times, ones, ones, (1.0, 1.0, 2), 1.0)
