@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from swimid.tracking import smooth as module
+from swimid.tracking import pose as module
 
 pytestmark = pytest.mark.kernels
 

@@ -39,7 +39,7 @@ KERNELS = (
     "swimid.blackbox.recursive",
     "swimid.fitting.metrics",
     "swimid.tracking.detect",
-    "swimid.tracking.smooth",
+    "swimid.tracking.pose",
 )
 
 

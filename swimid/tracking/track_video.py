@@ -29,10 +29,9 @@ from swimid.tracking import pose, quality, reader
 from swimid.tracking import setup as setup_format
 from swimid.tracking.detect import LOST, describe_colours
 from swimid.tracking.options import TrackVideoOptions
-from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose
+from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose, Smoothed
 from swimid.tracking.reader import MEASURED, Frame, Video, reduced, write_text
 from swimid.tracking.setup import Setup
-from swimid.tracking.smooth import Smoothed
 from swimid.tracking.tracker import Run, follow
 
 Array = NDArray[np.float64]
