@@ -1,7 +1,7 @@
 """From a film to a log of poses: tracking of coloured markers, with the uncertainty of the poses.
 
 ``reader`` yields frames with their time stamps. ``detect`` measures one marker by its colour in a small
-window. ``tracker`` follows all markers through the film, and ``silhouette`` follows a whole body. ``pose``
+window. ``tracker`` follows all markers through the film. ``pose``
 converts pixels to metres and computes the columns of the log. It uses the Kalman smoother of ``smooth``,
 which estimates the noise from the measurements. ``quality`` contains the checks. The command ``track_video``
 writes the log, its evidence and a film with the track drawn in. The command ``track_setup`` drafts a

@@ -136,8 +136,7 @@ def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]
             f"no coloured marker moves in {samples.video.path.name}. "
             f"{detect.describe_colours(samples.frames[::6])}",
             hint="put a saturated sticker on the robot and keep the film in colour; pick a marker that "
-            "hardly moves, or is white, grey or black, by hand (--marker name@x,y); follow a whole body with "
-            "--background",
+            "hardly moves, or is white, grey or black, by hand (--marker name@x,y)",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
     passed = [c for c in judged if c is not None and c.reason]
@@ -325,7 +324,7 @@ def pick_markers(
             patches.append((name, patch))
     found = [_marker(hsv, name, [mask for kind, mask in patches if kind == name], place) for name in kinds]
     for marker in found:
-        mine = ColourModel(marker.hsv or HsvRange()).mask(hsv)
+        mine = ColourModel(marker.hsv).mask(hsv)
         for other, mask in patches:
             if other != marker.name and np.mean(mine[mask > 0] > 0) > 0.5:
                 raise InputError(

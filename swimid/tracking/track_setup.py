@@ -128,8 +128,6 @@ def track_setup(
     rejected: list[Candidate] = []
     if options.picks:
         run = _from_picks(video, options, common, progress)
-    elif options.background:
-        run = _from_background(video, common, progress)
     else:
         run, rejected = _from_film(video, common, progress)
     setup = _with_areas(run)
@@ -267,21 +265,6 @@ def _from_picks(video: Path, options: TrackSetupOptions, common: dict[str, Any],
         separation = quality.distance_change(run.track, *run.setup.roles)
         if separation is None or separation > quality.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
-    return run
-
-
-def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> Run:
-    """Return a trial of the body that differs from the empty scene.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        Nothing differs from the empty scene in most frames.
-    """
-    run = _try(video, _setup([Marker(name="body", method="background")], common), progress)
-    if run.track.found[0].mean() < quality.MIN_SHARE:
-        hint = "the scene is the film's median: the body must leave its place for more than half of it"
-        raise NoTrustworthyResult(f"nothing in {video.name} differs from the empty scene", hint=hint)
     return run
 
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -27,10 +26,7 @@ from swimid.progress import Step
 from swimid.tracking import detect, pose, quality
 from swimid.tracking.detect import GROWN, LOST, NOT_SEEN, WINDOW, Blob, ColourModel, Patch, RawTrack, Row
 from swimid.tracking.reader import Frame, FrameKeeper, Video
-from swimid.tracking.setup import Box, HsvRange, Marker, Setup
-
-if TYPE_CHECKING:
-    from swimid.tracking.silhouette import Silhouette
+from swimid.tracking.setup import Box, Marker, Setup
 
 #: Number of frames stored for the report.
 REPORT_FRAMES = 6
@@ -368,7 +364,7 @@ class Follower:
         self.groups = [
             Group(
                 marker=marker,
-                model=ColourModel(marker.hsv or HsvRange()),
+                model=ColourModel(marker.hsv),
                 area_px=marker.area_px or (12.0, 0.05 * width * height),
                 targets=[Target(name) for name in marker.names],
             )
@@ -732,14 +728,7 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
         pose.camera_matrix(setup.camera, video.width, video.height, file)
-    follower: Follower | Silhouette
-    if setup.markers[0].method == "background":
-        from swimid.tracking import silhouette
-
-        scene = silhouette.empty_scene(path)
-        follower = silhouette.Silhouette(setup, scene, video.width, video.height)
-    else:
-        follower = Follower(setup, video.width, video.height)
+    follower = Follower(setup, video.width, video.height)
     keeper, last = FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
     for index, (time, frame) in enumerate(video.frames()):
         if not time > last:
