@@ -165,8 +165,7 @@ def test_a_marker_of_any_shade_can_be_picked(tmp_path, colour, water):
     video = clutter.write(tmp_path / "shade.mp4", pool)
     result = run("setup", video, "-o", tmp_path / "setup.yaml", "--marker", "mark@30,60")
     assert "mark: found in 100.0 %" in result.output
-    output = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "SWM046" not in output.output  # grey has no hue that could drift
+    run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     assert (log.found == 1).mean() > 0.98
     assert (log.mark_x_px - (30 + 85 * log.t_s)).abs().max() < 0.6

@@ -23,8 +23,6 @@ from swimid.tracking.setup import HsvRange
 ADAPTATION = 0.12
 #: Maximum drift of the colour model from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
-#: Threshold of the drift of the colour model, in the same units. A larger drift causes a warning.
-NOTABLE_DRIFT = np.array([3.0, 20.0, 30.0])
 #: Extension of the range of saturation and value (of 255). Pixels in the extended range belong to the marker
 #: if they touch pixels in the original range.
 SLACK = 20.0
@@ -65,7 +63,6 @@ class ColourModel:
         self._any = np.array([width >= _TURN, *((self._lower <= 0) & (self._upper >= 255))])
         self._first: NDArray[np.float64] | None = None
         self.drift = np.zeros(3)
-        self.largest_drift = np.zeros(3)
         self._refresh()
 
     def mask(self, hsv: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -109,13 +106,11 @@ class ColourModel:
     def restart(self) -> None:
         """Reset the model to the colours of the setup, after another object was taken for the marker."""
         self._first = None
-        self.largest_drift = np.zeros(3)
         self._move(np.zeros(3))
 
     def _move(self, drift: NDArray[np.float64]) -> None:
         changed = np.any(np.round(drift) != np.round(self.drift))
         self.drift = drift
-        self.largest_drift = np.where(np.abs(drift) > np.abs(self.largest_drift), drift, self.largest_drift)
         if changed:
             self._refresh()
 
@@ -139,11 +134,6 @@ class ColourModel:
             arcs = [(first, 179.0), (0.0, last)]
         ends = [([np.ceil(a), *np.floor(low)], [np.floor(b), *np.ceil(high)]) for a, b in arcs]
         return [(np.array(first, np.uint8), np.array(last, np.uint8)) for first, last in ends]
-
-    @property
-    def drifted(self) -> bool:
-        """Whether the colour changed enough for a warning."""
-        return bool(np.any(np.abs(self.largest_drift) > NOTABLE_DRIFT))
 
 
 def _within(hsv: NDArray[np.uint8], bounds: _Bounds) -> NDArray[np.uint8]:
@@ -462,9 +452,10 @@ def warm_up() -> None:
     _weighted_centre(np.zeros((4, 4, 3), np.uint8), mask, mask, mask, 1)
 
 
-#: One detection: x, y, area, confidence, status, and whether the edge of the picture cuts the marker.
+#: One detection: x, y, area, confidence, status, whether the edge of the picture cuts the marker, and mean
+#: hue, saturation and value.
 Row = tuple[float, ...]
-NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False)
+NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -484,15 +475,10 @@ class RawTrack:
         Index into :data:`STATUS`.
     at_edge : ndarray of bool, shape (m, n)
         Whether the edge of the picture cuts the marker.
-    drift : dict of str to ndarray, shape (3,)
-        Maximum drift of the colour of each kind of marker: hue (2 deg), saturation, value (of 255).
     rivals : dict of str to int
         Maximum number of other objects of the same colour in one frame, for each kind of marker.
     mistaken : dict of str to (int, float)
         Number of detections of another object that was first taken for the marker, and its area in px.
-    change : ndarray, shape (n,), optional
-        Mean difference from the previous frame in the neighbourhood of a marker, grey levels. It is the
-        maximum over all markers, and NaN if none was seen in the previous frame.
     """
 
     times: NDArray[np.float64]
@@ -503,18 +489,15 @@ class RawTrack:
     confidence: NDArray[np.float64]
     status: NDArray[np.int64]
     at_edge: NDArray[np.bool_]
-    drift: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     rivals: dict[str, int] = field(default_factory=dict)
     mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
-    change: NDArray[np.float64] | None = None
 
     @classmethod
-    def of_rows(cls, times: Any, names: list[str], rows: list[list[Row]], **more: Any) -> RawTrack:
-        """Return a track from one row for each marker in each frame; ``more`` are further attributes."""
-        table = np.array([[row[:6] for row in frame] for frame in rows]).reshape(-1, len(names), 6)
-        x, y, area, confidence, status, at_edge = table.transpose(2, 1, 0).copy()
+    def of_table(cls, times: Any, names: list[str], table: NDArray[np.float64], *more: Any) -> RawTrack:
+        """Return a track from the rows of all markers, shape (m, n, 9); ``more`` are further attributes."""
+        x, y, area, confidence, status, at_edge = table[..., :6].transpose(2, 0, 1)
         found = (status.astype(int), at_edge.astype(bool))
-        return cls(np.array(times), names, x, y, area, confidence, *found, **more)
+        return cls(np.array(times), names, x, y, area, confidence, *found, *more)
 
     @property
     def seen(self) -> NDArray[np.bool_]:

@@ -455,13 +455,9 @@ def _calibration(pose: Pose) -> Iterator[Check]:
 
 
 def _looks(track: RawTrack) -> Iterator[Check]:
-    """Check whether another object was taken for a marker first, and whether a colour drifted."""
+    """Check whether another object was taken for a marker first."""
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
         value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
         reason = f"marker '{name}' was first confused with another object: {value}, which stayed longer"
         yield _judged("SWM064", f"Object followed as {name}", value, "one object", False, reason)
-    for name, drift in track.drift.items():
-        value = f"hue {2 * drift[0]:+.0f} deg, saturation {drift[1] / 255:+.2f}, value {drift[2] / 255:+.2f}"
-        warn("SWM046", f"the colour of marker '{name}' drifted ({value}); the colour model followed it")
-        yield check(f"Colour of {name}", f"drifted by {value}", None)
