@@ -28,7 +28,7 @@ import numpy as np
 
 from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
-from swimid.tracking.reader import Video
+from swimid.tracking.frames import Video
 from swimid.tracking.tracker import Follower
 from tests.generators import pool_video
 from tests.generators.pool_video import Scene

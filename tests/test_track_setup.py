@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 from swimid.cli.main import track
 from swimid.results import evidence
-from swimid.tracking import quality
 from swimid.tracking import setup as setup_format
+from swimid.tracking.frames import scene_shifts
 from tests.generators import clutter_video as clutter
 from tests.generators.clutter_video import BLACK, GREY, RED, WHITE, YELLOW, Pool
 
@@ -105,7 +105,7 @@ def test_a_robot_near_the_camera_is_not_the_scene():
     discs = ((RED, 50), (YELLOW, -50), (WHITE, 0))
     things = (clutter.rule(near, 150, 60, clutter.DARK), *(clutter.disc(near, 9, c, a) for c, a in discs))
     frames = clutter.frames(Pool(things, noise=1.0, flicker=0.0, duration_s=1.5))
-    assert np.isnan(quality.scene_shifts(frames[::10])[1:]).all()
+    assert np.isnan(scene_shifts(frames[::10])[1:]).all()
 
 
 def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):

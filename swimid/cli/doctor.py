@@ -38,7 +38,7 @@ KERNELS = (
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",
     "swimid.fitting.metrics",
-    "swimid.tracking.detect",
+    "swimid.tracking.frames",
     "swimid.tracking.pose",
 )
 

@@ -32,10 +32,8 @@ from swimid.errors import InputError, NoTrustworthyResult
 from swimid.logs.log import runs
 from swimid.logs.sampling import Held, find_held
 from swimid.notices import warn
-from swimid.tracking.detect import CUT, LOST, STATUS, RawTrack
+from swimid.tracking.frames import CUT, LOST, STATUS, Array, RawTrack
 from swimid.tracking.setup import Camera, Setup
-
-Array = NDArray[np.float64]
 
 #: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes. The ratios
 #: differ because sizes are rounded to even pixels.

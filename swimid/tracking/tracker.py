@@ -22,9 +22,8 @@ from swimid.errors import InputError
 from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.progress import Step
-from swimid.tracking import detect, pose, quality
-from swimid.tracking.detect import GROWN, LOST, NOT_SEEN, WINDOW, Blob, ColourModel, Patch, RawTrack, Row
-from swimid.tracking.reader import Frame, FrameKeeper, Video
+from swimid.tracking import frames, pose
+from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, Patch, RawTrack, Row, Video
 from swimid.tracking.setup import Box, Marker, Setup
 
 #: Number of frames stored for the report.
@@ -156,7 +155,7 @@ class Target:
         self.area += fast * (blob.area - self.area)
         self.radius += fast * (blob.radius - self.radius)
         self.usual_area += slow * (blob.area - self.usual_area)
-        self.colour = self.colour + slow * detect.colour_difference(blob.hsv, self.colour)
+        self.colour = self.colour + slow * frames.colour_difference(blob.hsv, self.colour)
         self.whole += 1
 
 
@@ -203,7 +202,7 @@ class Group:
             return False
         if not gone_s or target.colour is None:
             return True
-        return bool(detect.has_colour(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
+        return bool(frames.has_colour(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
 
     def merit(self, blob: Blob) -> float:
         """Return a score of a blob as a marker of which only the colour is known."""
@@ -349,14 +348,14 @@ class Follower:
         if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
             return [], None
         window = frame[y0:y1, x0:x1]
-        mask = detect.marker_mask(detect.thinned(window, step), group.model)
+        mask = frames.marker_mask(frames.thinned(window, step), group.model)
         inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
-        found = detect.find_patches(mask, group.area_px, step=step, inside=inside)
+        found = frames.find_patches(mask, group.area_px, step=step, inside=inside)
         blobs = []
         for patch in found:
             if patch.clipped:
                 continue
-            blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self._size)
+            blob = frames.measure(window, patch, step=step, origin=(x0, y0), picture=self._size)
             if blob is None or self._is_ignored(blob.x, blob.y) or is_among(blob, group.scenery):
                 continue
             blobs.append(blob)
@@ -378,8 +377,8 @@ class Follower:
         return blobs
 
     def _search_coarse(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
-        mask = detect.marker_mask(detect.thinned(frame, step), group.model)
-        coarse = detect.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
+        mask = frames.marker_mask(frames.thinned(frame, step), group.model)
+        coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
 
         def order(patch: Patch) -> float:
             """Return a sort key by the expected area; without one, the largest allowed area comes first."""
@@ -391,7 +390,7 @@ class Follower:
         places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
         blobs: list[Blob] = []
         for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
-            half = 0.5 * size + 2 * step + detect.MARGIN
+            half = 0.5 * size + 2 * step + frames.MARGIN
             found, _ = self._search_window(group, frame, x, y, half, mask_step(size / 12))
             blobs += [blob for blob in found if is_new(blob, blobs)]
         return blobs
@@ -451,7 +450,7 @@ class Follower:
         """Return the blobs in the window of a target, which grows until one blob is like the target."""
         cx, cy = target.predict(time)
         half = 1.3 * target.radius + target.search_range(time - target.time) + 4
-        for status in (WINDOW, GROWN, GROWN):
+        for status in (frames.WINDOW, frames.GROWN, frames.GROWN):
             blobs, cut = self._search_window(group, frame, cx, cy, half, mask_step(target.radius / 6))
             if any(group.is_alike(target, blob) for blob in blobs):
                 for blob in blobs:
@@ -606,7 +605,7 @@ def drop_false_detections(rows: NDArray[np.float64]) -> None:
     usual = np.median(hsv[whole], axis=0)
     turn = 2 * np.pi * hsv[whole, 0] / 180
     usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
-    alike = detect.has_colour(hsv.T.copy(), usual, RETURN_HUE, RETURN_SATURATION)
+    alike = frames.has_colour(hsv.T.copy(), usual, RETURN_HUE, RETURN_SATURATION)
     area, confidence = (rows[:, 2:4] / np.median(rows[whole, 2:4], axis=0)).T
     parts = runs(seen)
     befores = parts[:, 0] - np.r_[0, parts[:-1, 1]]
@@ -655,7 +654,7 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     boxes = list(still.values())
     setup = setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]})
     second = _follow_once(path, setup, step, file)
-    if any(quality.measure_range(second.track, name)[1] < 3.0 for name in still):
+    if any(second.track.measure_range(name)[1] < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{side:.0f}' for side in box)}]" for box in boxes)
     text = f"an object of the marker's colour never moves and was left out (box {listed})"
@@ -668,7 +667,7 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     if setup.camera is not None:
         pose.camera_matrix(setup.camera, video.width, video.height, file)
     follower = Follower(setup, video.width, video.height)
-    keeper, last = FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
+    keeper, last = frames.FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
     for index, (time, frame) in enumerate(video.frames()):
         if not time > last:
             text = "has no time stamp, or none later than that of the frame before"
@@ -678,9 +677,9 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
         follower.step(time, frame)
         keeper.take(index, frame)
         step()
-    frames = list(keeper.kept.items())
-    chosen = np.unique(np.linspace(0, len(frames) - 1, REPORT_FRAMES).round().astype(int))
-    return Run(follower.track(), video, setup, dict(frames[k] for k in chosen))
+    kept = list(keeper.kept.items())
+    chosen = np.unique(np.linspace(0, len(kept) - 1, REPORT_FRAMES).round().astype(int))
+    return Run(follower.track(), video, setup, dict(kept[k] for k in chosen))
 
 
 def _motionless(run: Run) -> dict[str, Box]:
@@ -690,7 +689,7 @@ def _motionless(run: Run) -> dict[str, Box]:
         name, track = marker.name, run.track
         if marker.number > 1 or name not in track.rivals:
             continue
-        if quality.measure_range(track, name)[1] >= quality.MIN_RADII:
+        if track.measure_range(name)[1] >= frames.MIN_RADII:
             continue
         x, y, area = (float(np.nanmedian(v[track.row(name)])) for v in (track.x, track.y, track.area))
         half = 0.7 * math.sqrt(area) + 3
