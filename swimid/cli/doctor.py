@@ -38,7 +38,6 @@ KERNELS = (
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",
     "swimid.fitting.metrics",
-    "swimid.tracking.frames",
     "swimid.tracking.pose",
 )
 

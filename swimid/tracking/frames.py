@@ -15,12 +15,11 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 # FFmpeg would print remarks on damaged frames between the messages of swimid.
@@ -527,64 +526,6 @@ class Patch:
         return x + step * self.left, y + step * self.top, x + step * self.right, y + step * self.bottom
 
 
-@njit(cache=True)
-def _weighted_centre(bgr, inner, near, far, step):  # type: ignore[no-untyped-def]  # noqa: C901 # pragma: no cover
-    """Return centre, contrast, standard deviation of the background, and mean colour of a marker.
-
-    ``inner`` is the filled core (weight 1), ``near`` the dilated patch, and all pixels outside ``far`` are
-    background. One pixel of these masks covers ``step`` x ``step`` pixels of the picture. The colour of each
-    pixel is projected on the line from the mean background colour (0) to the mean core colour (1). The
-    projection a gives the weight clip((a - 1/4) / (1/2), 0, 1) of the pixel.
-    """
-    core, back, square = np.zeros(3), np.zeros(3), np.zeros(3)
-    n_core = n_back = 0
-    for mi in range(inner.shape[0]):
-        for mj in range(inner.shape[1]):
-            if inner[mi, mj]:
-                for i in range(mi * step, (mi + 1) * step):
-                    for j in range(mj * step, (mj + 1) * step):
-                        for c in range(3):
-                            core[c] += bgr[i, j, c]
-                n_core += step * step
-            elif far[mi, mj] == 0:
-                for i in range(mi * step, (mi + 1) * step):
-                    for j in range(mj * step, (mj + 1) * step):
-                        for c in range(3):
-                            value = float(bgr[i, j, c])
-                            back[c] += value
-                            square[c] += value * value
-                n_back += step * step
-    if n_core == 0 or n_back == 0:
-        return np.nan, np.nan, 0.0, 0.0, core
-    core /= n_core
-    back /= n_back
-    axis = core - back
-    length2 = np.sum(axis * axis)
-    if length2 <= 0.0:
-        return np.nan, np.nan, 0.0, 0.0, core
-    # standard deviation of the background along the axis, if channels are independent
-    spread = np.sum(np.maximum(square / n_back - back * back, 0.0) * axis * axis) / length2
-    offset = np.sum(back * axis)
-    total = 0.0
-    sum_x = 0.0
-    sum_y = 0.0
-    for mi in range(inner.shape[0]):
-        for mj in range(inner.shape[1]):
-            if near[mi, mj] == 0:
-                continue
-            solid = inner[mi, mj] != 0
-            for i in range(mi * step, (mi + 1) * step):
-                for j in range(mj * step, (mj + 1) * step):
-                    weight = 1.0
-                    if not solid:
-                        along = bgr[i, j, 0] * axis[0] + bgr[i, j, 1] * axis[1] + bgr[i, j, 2] * axis[2]
-                        weight = min(max(2.0 * (along - offset) / length2 - 0.5, 0.0), 1.0)
-                    total += weight
-                    sum_x += weight * j
-                    sum_y += weight * i
-    return sum_x / total, sum_y / total, np.sqrt(length2), np.sqrt(spread), core
-
-
 def marker_mask(window: Frame, model: ColourModel) -> Frame:
     """Return 255 for the pixels of a marker in a window, which is smoothed first against chroma noise."""
     return model.mask(cv2.cvtColor(cv2.blur(window, (3, 3)), cv2.COLOR_BGR2HSV))
@@ -680,10 +621,23 @@ def measure(
     near = cv2.dilate(hull, rim)
     far = cv2.dilate(near, rim)
     part = window[step * y0 : step * y1, step * x0 : step * x1]
-    column, row, contrast, scatter, colour = _weighted_centre(part, core, near, far, step)
-    min_contrast = max(MIN_CONTRAST, MIN_CONTRAST_RATIO * min(scatter, MAX_SCATTER))
-    if not math.isfinite(column) or contrast < min_contrast:
+    if step > 1:
+        size = part.shape[1::-1]
+        core, near, far = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (core, near, far))
+    back, deviation = (values[:, 0] for values in cv2.meanStdDev(part, mask=cv2.bitwise_not(far)))
+    colour = np.array(cv2.mean(part, core)[:3])
+    axis = colour - back
+    contrast = math.sqrt(axis @ axis)
+    # standard deviation of the background along the axis, if channels are independent
+    scatter = math.sqrt((deviation * axis) @ (deviation * axis)) / max(contrast, 1e-12)
+    if contrast < max(MIN_CONTRAST, MIN_CONTRAST_RATIO * min(scatter, MAX_SCATTER)) or far.all():
         return None
+    # weight by the position of a pixel's colour on the line from the mean background (0) to the mean core (1)
+    scale = 2 * axis / contrast**2
+    weight = cv2.transform(part.astype(np.float32), np.array([[*scale, -(scale @ back) - 0.5]]))
+    weight = np.where(core > 0, 1.0, np.clip(weight, 0, 1) * (near > 0))
+    m = cv2.moments(weight)
+    column, row = m["m10"] / m["m00"], m["m01"] / m["m00"]
     left, top, right, bottom = patch.box(origin, step)
     # incomplete blocks at the right and lower side of the picture are not in the mask
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
@@ -702,16 +656,14 @@ def measure(
     )
 
 
-def warm_up() -> None:
-    """Compile the functions of this module."""
-    mask = np.full((4, 4), 255, np.uint8)
-    _weighted_centre(np.zeros((4, 4, 3), np.uint8), mask, mask, mask, 1)
-
-
 #: One detection: x, y, area, confidence, status, whether the edge of the picture cuts the marker, and mean
 #: hue, saturation and value.
 Row = tuple[float, ...]
 NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
+
+
+#: Attributes of a track with a row for each marker.
+TRACKED = ("x", "y", "area", "confidence", "status", "at_edge")
 
 
 @dataclass(frozen=True)
@@ -751,9 +703,14 @@ class RawTrack:
     @classmethod
     def of_table(cls, times: Any, names: list[str], table: Array, *more: Any) -> RawTrack:
         """Return a track from the rows of all markers, shape (m, n, 9); ``more`` are further attributes."""
-        x, y, area, confidence, status, at_edge = table[..., :6].transpose(2, 0, 1)
-        found = (status.astype(int), at_edge.astype(bool))
-        return cls(np.array(times), names, x, y, area, confidence, *found, *more)
+        *values, status, at_edge = table[..., :6].transpose(2, 0, 1)
+        return cls(np.array(times), names, *values, status.astype(int), at_edge.astype(bool), *more)
+
+    def of(self, names: list[str]) -> RawTrack:
+        """Return the track of some markers, in the order of ``names``."""
+        rows = [self.row(name) for name in names]
+        arrays = {key: getattr(self, key)[rows] for key in TRACKED}
+        return replace(self, names=names, **arrays)
 
     @property
     def seen(self) -> NDArray[np.bool_]:

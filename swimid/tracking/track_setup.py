@@ -7,7 +7,7 @@ the patch about a pixel, and the range of colours that separates the patch from 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,8 @@ from swimid.tracking.options import TrackSetupOptions
 from swimid.tracking.setup import FORMAT, HsvRange, Marker, Setup
 from swimid.tracking.tracker import Run, follow
 
-#: Maximum number of candidates for the first marker, and maximum number of trials of each. Every trial reads
-#: the film once.
-MAX_TRIALS = 3
+#: Maximum number of candidates that are followed through the film.
+MAX_TRIALS = 4
 #: Number of pictures on the contact sheet, and their width, px.
 N_TILES, TILE_WIDTH = 4, 640
 #: Number of frames that are evaluated, and width to which they are reduced, px.
@@ -45,22 +44,20 @@ MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
 MOVING = 0.3
 #: Minimum score of a proposed marker, and maximum number of hues that are examined.
 MIN_SCORE, MAX_HUES = 0.02, 8
-#: Minimum score of a second marker relative to the first, and maximum relative deviation of the distance
-#: between the two. The latter is large because an inclined camera changes distances. The trial run shows
-#: whether the pair is rigid.
-SECOND_SHARE, SECOND_SPREAD = 0.25, 0.3
-#: Ranges of colours that are tried about a pixel, as fractions of the widest range. The range at which the
-#: patch grows least is used. Matas, J. et al. (2002), Robust wide baseline stereo from maximally stable
-#: extremal regions, BMVC. doi:10.5244/C.16.36
-SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
-#: Half-widths of the widest range of colours: hue (deg), saturation, value.
-WIDEST = (20.0, 0.3, 0.3)
+#: Minimum score of a second marker relative to the first.
+SECOND_SHARE = 0.25
+#: Maximum differences from the colour of a pixel that are tried for its patch, grey levels. The difference at
+#: which the patch grows least is used. Matas, J. et al. (2002), Robust wide baseline stereo from maximally
+#: stable extremal regions, BMVC. doi:10.5244/C.16.36
+TOLERANCES = (8, 12, 18, 27, 40)
 #: Minimum area of a patch, px; maximum area without a warning, and maximum area of a marker, both as
 #: fractions of the picture.
 MIN_PATCH_PX, LARGE, LARGEST = 5, 0.05, 0.5
 #: Maximum fraction of the surroundings of a marker that may have colours in its range.
 MAX_SHARE_AROUND = 0.1
 BACKGROUND = "put the whole marker on a background of another colour or brightness"
+#: Compare with the start pixel, and write 255 into the mask.
+FILL = 8 | cv2.FLOODFILL_FIXED_RANGE | cv2.FLOODFILL_MASK_ONLY | 255 << 8
 _SQUARE = np.ones((3, 3), np.uint8)
 _HEAD = "# Drafted by swimid track setup from {}; correct it if needed. All keys: docs/tracking.md\n"
 #: Comment with the keys that a draft does not have.
@@ -210,9 +207,10 @@ def _try(video: Path, setup: Setup, progress: Progress) -> Run:
 
 
 def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
-    """Return a trial of the best moving candidate, with a second marker if possible, and the other colours.
+    """Return the best candidate of a trial, with a second marker if possible, and the other colours.
 
-    The second marker must have a constant distance from the first one.
+    All candidates are followed at once. The second marker is the one whose distance from the first is most
+    constant.
     """
     with progress(f"looking at {video.name}") as step:
         samples = sample(video, step=step)
@@ -220,66 +218,45 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     shift = samples.factor * frames.scene_shifts(samples.frames)
     consequence = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
     frames.check_camera(shift, samples.video.width, consequence)
-    reasons: dict[int, str] = {}
-    for k, first in enumerate(found[:MAX_TRIALS]):
-        for second in [*partners(first, found[k + 1 :])[: MAX_TRIALS - 1], None]:
-            pair = [one for one in (first, second) if one is not None]
-            run = _try(video, _pair_setup(pair, common), progress)
-            faults = _faults(run, pair, interpolate_shifts(shift, samples.indices, len(run.track.times)))
-            reasons |= {id(pair[i]): text for i, text in faults.items()}
-            if not faults:
-                head, tail = run.setup.roles[0], run.setup.tail
-                if tail is not None and (run.track.head_first(head, tail) or 0.0) < 0.5:
-                    run = replace(run, setup=run.setup.model_copy(update={"head": tail, "tail": head}))
-                rest = [c for c in found if c not in pair]
-                weaker = f"less like a marker than {pair[0].name}, or at no constant distance from it"
-                rejected += [replace(c, reason=reasons.get(id(c), weaker)) for c in rest]
-                return run, rejected
-            if any(pair[i] is first for i in faults):
-                break
-    rejected = [replace(c, reason=reasons[id(c)]) for c in found if id(c) in reasons] + rejected
-    raise NoTrustworthyResult(
-        f"no marker of {video.name} can be followed and moves. {listed(rejected)}"
-        f"{frames.describe_colours(samples.frames[::6])}",
-        hint="pick the markers by hand: --marker name@x,y with --frame",
-    )
-
-
-def _pair_setup(pair: list[Candidate], common: dict[str, Any]) -> Setup:
-    """Return a setup of one or two candidates, each named by its hue."""
-    names = [candidate.name for candidate in pair]
-    if len(set(names)) < len(names):
-        names[1] += "-b"
-    markers = [
-        Marker(name=name, hsv=candidate.colours, area_px=candidate.area_px)
-        for name, candidate in zip(names, pair, strict=True)
-    ]
-    return _setup(markers, common)
-
-
-def _faults(run: Run, pair: list[Candidate], scene: Array | None) -> dict[int, str]:
-    """Return the reasons why candidates of a trial are not markers, by their index in ``pair``.
-
-    ``scene``, shape (2, n), is the shift of the scene in each frame, px.
-    """
-    track = run.track
-    faults: dict[int, str] = {}
-    for i, (name, candidate) in enumerate(zip(track.names, pair, strict=True)):
+    tried = {}
+    for candidate in found[:MAX_TRIALS]:
+        same = sum(other.name == candidate.name for other in tried.values())
+        tried[candidate.name + same * "-b"] = candidate
+    markers = [Marker(name=name, hsv=c.colours, area_px=c.area_px) for name, c in tried.items()]
+    run = _try(video, _setup(markers, common), progress)
+    track, reasons = run.track, {}
+    scene = interpolate_shifts(shift, samples.indices, len(track.times))
+    for name, candidate in tried.items():
         min_share = max(frames.MIN_SHARE, 0.3 * candidate.presence)
-        _, faults[i] = marker_fault(track, name, min_share, scene)
-    faults = {i: fault for i, fault in faults.items() if fault}
-    if faults or len(pair) == 1:
-        return faults
-    first, second = track.names
-    weaker = int(pair[0].score >= pair[1].score)
-    separation = distance_change(track, first, second)
-    other = track.names[1 - weaker]
-    if separation is None:
-        faults[weaker] = f"is hardly seen together with {other}"
-    elif separation > frames.MAX_DISTANCE_SD[1]:
-        change = f"{100 * separation:.0f} %"
-        faults[weaker] = f"its distance to {other} changes by {change}: they are on no rigid part"
-    return faults
+        reasons[name] = marker_fault(track, name, min_share, scene)[1]
+    first, *others = [name for name, reason in reasons.items() if not reason] or [""]
+    if not first:
+        rejected = [replace(c, reason=reasons[name]) for name, c in tried.items()] + rejected
+        raise NoTrustworthyResult(
+            f"no marker of {video.name} can be followed and moves. {listed(rejected)}"
+            f"{frames.describe_colours(samples.frames[::6])}",
+            hint="pick the markers by hand: --marker name@x,y with --frame",
+        )
+    changes = {}
+    for name in others:
+        change = distance_change(track, first, name)
+        if change is None:
+            reasons[name] = f"is hardly seen together with {first}"
+        elif change > frames.MAX_DISTANCE_SD[1]:
+            text = f"its distance to {first} changes by {100 * change:.0f} %"
+            reasons[name] = f"{text}: they are on no rigid part"
+        elif tried[name].score >= SECOND_SHARE * tried[first].score:
+            changes[name] = change
+    names = [first, *sorted(changes, key=lambda name: changes[name])[:1]]
+    if len(names) > 1 and (track.head_first(*names) or 0.0) < 0.5:
+        names.reverse()
+    weaker = f"less like a marker than {first}"
+    left = {name: c for name, c in tried.items() if name not in names}
+    rejected += [replace(c, reason=reasons[name] or weaker) for name, c in left.items()]
+    rejected += [replace(c, reason=weaker) for c in found[MAX_TRIALS:]]
+    setup = _setup([marker for name in names for marker in markers if marker.name == name], common)
+    setup = setup.model_copy(update={"ignore_px": run.setup.ignore_px})
+    return replace(run, track=track.of(names), setup=setup), rejected
 
 
 def _from_picks(video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress) -> Run:
@@ -362,7 +339,7 @@ class Samples:
     factor: float
     #: Median of the frames, in which moving objects are absent.
     background: Frame
-    #: Frames of the frames, 255 for pixels that differ from the background.
+    #: Masks of the frames, 255 for pixels that differ from the background.
     moving: list[NDArray[np.uint8]]
 
 
@@ -376,8 +353,8 @@ class Candidate:
     colours: HsvRange
     #: Score as a marker, from 0 to 1.
     score: float = 0.0
-    #: Centre of the largest patch in each evaluated frame, shape (n, 2); NaN without a patch.
-    place: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    #: Fraction of the evaluated frames in which the candidate is seen.
+    presence: float = 0.0
     #: Minimum and maximum area of the patch, px.
     area_px: tuple[float, float] = (0.0, 0.0)
     #: Reason why the candidate is not a marker; empty if it may be a marker.
@@ -385,11 +362,6 @@ class Candidate:
 
     def __str__(self) -> str:
         return f"{self.name} (hue {self.hue_deg:g} deg): {self.reason}"
-
-    @property
-    def presence(self) -> float:
-        """Fraction of the evaluated frames in which the candidate is seen."""
-        return float(np.mean(np.isfinite(self.place[:, 0])))
 
 
 def sample(path: Path, *, step: Step) -> Samples:
@@ -540,7 +512,7 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | N
         return Candidate(name, hue, colours, reason=reason)
     low, high = np.percentile(sizes, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
-    return Candidate(name, hue, colours, float(score), places, sized)
+    return Candidate(name, hue, colours, float(score), presence, sized)
 
 
 def _patches(
@@ -565,24 +537,6 @@ def _patches(
             fill = min(area / (0.785 * max(width, height) ** 2), 1.0)
             found.append((float(area), float(centres[label][0]), float(centres[label][1]), float(fill)))
     return sorted(found, reverse=True)
-
-
-def partners(first: Candidate, others: list[Candidate]) -> list[Candidate]:
-    """Return possible second markers on the same rigid part, the most constant distance first."""
-    found: list[tuple[float, Candidate]] = []
-    for other in others:
-        if other is first or other.score < SECOND_SHARE * first.score:
-            continue
-        both = np.isfinite(first.place[:, 0]) & np.isfinite(other.place[:, 0])
-        if both.sum() < max(4, 0.5 * np.isfinite(first.place[:, 0]).sum()):
-            continue
-        distance = np.hypot(*(first.place[both] - other.place[both]).T)
-        middle = float(np.median(distance))
-        spread = 1.4826 * float(np.median(np.abs(distance - middle)))
-        sizes = first.area_px[1] / other.area_px[1]
-        if middle > 3 and spread < SECOND_SPREAD * middle and 0.1 < sizes < 10:
-            found.append((spread / middle, other))
-    return [other for _, other in sorted(found, key=lambda item: item[0])]
 
 
 def pick_markers(
@@ -638,12 +592,12 @@ def _patch(frame: Frame, hsv: Frame, option: str, pixel: tuple[float, float], pl
     if not (0 <= x < columns and 0 <= y < rows):
         raise InputError(f"{option} is outside the picture of {columns} x {rows} pixels", **place)
     i, j = int(y), int(x)
-    grey = int(frames.chroma(frame)[i, j]) < frames.MIN_CHROMA
+    smooth = cv2.blur(frame, (3, 3))
     patches: list[Frame] = []
-    for share in SHARES:
-        mask = ColourModel(_about(hsv[i, j], share, grey)).mask(hsv)
-        _, labels = cv2.connectedComponents(mask, connectivity=8)
-        patch = np.where((labels == labels[i, j]) & (mask > 0), 255, 0).astype(np.uint8)
+    for tolerance in TOLERANCES:
+        mask, limit = np.zeros((rows + 2, columns + 2), np.uint8), (tolerance,) * 3
+        cv2.floodFill(smooth, mask, (j, i), 0, limit, limit, FILL)
+        patch = mask[1:-1, 1:-1]
         if MIN_PATCH_PX <= np.count_nonzero(patch) <= LARGEST * patch.size:
             patches.append(patch)
     standing = [patch for patch in patches if _range_of(hsv, patch) is not None]
@@ -658,22 +612,6 @@ def _patch(frame: Frame, hsv: Frame, option: str, pixel: tuple[float, float], pl
         return standing[0]
     growth = [np.count_nonzero(after) / np.count_nonzero(before) for before, after in pairwise(standing)]
     return standing[growth.index(min(growth)) + 1]
-
-
-def _about(pixel: Frame, share: float, grey: bool) -> HsvRange:
-    """Return the range of colours about the colour of a pixel; for a grey pixel it includes all hues."""
-    hue, saturation, value = 2.0 * pixel[0], pixel[1] / 255, pixel[2] / 255
-    wide_hue, wide_saturation, wide_value = (share * width for width in WIDEST)
-    value_span = (max(value - wide_value, 0.0), min(value + wide_value, 1.0))
-    if grey:
-        # saturation is frames.chroma divided by value: noise alone makes it large on dark pixels
-        most = max(saturation + wide_saturation, frames.MIN_CHROMA / (255 * max(value, 0.02)))
-        return HsvRange(saturation=(0.0, min(most, 1.0)), value=value_span)
-    return HsvRange(
-        hue_deg=((hue - wide_hue) % 360, (hue + wide_hue) % 360),
-        saturation=(max(saturation - wide_saturation, 0.08), min(saturation + 2 * wide_saturation, 1.0)),
-        value=value_span,
-    )
 
 
 def _marker(hsv: Frame, name: str, masks: list[Frame], place: dict[str, Any]) -> Marker:
