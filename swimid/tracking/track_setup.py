@@ -209,8 +209,8 @@ def _try(video: Path, setup: Setup, progress: Progress) -> Run:
 def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
     """Return the best candidate of a trial, with a second marker if possible, and the other colours.
 
-    All candidates are followed at once. The second marker is the one whose distance from the first is most
-    constant.
+    All candidates are followed at once. The second marker is the best one at a constant distance from the
+    first.
     """
     with progress(f"looking at {video.name}") as step:
         samples = sample(video, step=step)
@@ -237,7 +237,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
             f"{frames.describe_colours(samples.frames[::6])}",
             hint="pick the markers by hand: --marker name@x,y with --frame",
         )
-    changes = {}
+    names = [first]
     for name in others:
         change = distance_change(track, first, name)
         if change is None:
@@ -245,9 +245,8 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
         elif change > frames.MAX_DISTANCE_SD[1]:
             text = f"its distance to {first} changes by {100 * change:.0f} %"
             reasons[name] = f"{text}: they are on no rigid part"
-        elif tried[name].score >= SECOND_SHARE * tried[first].score:
-            changes[name] = change
-    names = [first, *sorted(changes, key=lambda name: changes[name])[:1]]
+        elif len(names) < 2 and tried[name].score >= SECOND_SHARE * tried[first].score:
+            names.append(name)
     if len(names) > 1 and (track.head_first(*names) or 0.0) < 0.5:
         names.reverse()
     weaker = f"less like a marker than {first}"
