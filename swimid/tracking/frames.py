@@ -316,9 +316,7 @@ class ColourModel:
         self._centre = np.array([(low + width / 2) % _TURN, *middle])
         self._lower, self._upper = 255 * np.array([colours.saturation, colours.value]).T
         self._any = np.array([width >= _TURN, *((self._lower <= 0) & (self._upper >= 255))])
-        self._first: Array | None = None
-        self.drift = np.zeros(3)
-        self._refresh()
+        self.restart()
 
     def mask(self, hsv: Frame) -> Frame:
         """Return 255 for pixels of an OpenCV HSV picture that belong to the marker, shape (rows, columns).
@@ -360,16 +358,11 @@ class ColourModel:
 
     def restart(self) -> None:
         """Reset the model to the colours of the setup, after another object was taken for the marker."""
-        self._first = None
+        self._first: Array | None = None
         self._move(np.zeros(3))
 
     def _move(self, drift: Array) -> None:
-        changed = np.any(np.round(drift) != np.round(self.drift))
         self.drift = drift
-        if changed:
-            self._refresh()
-
-    def _refresh(self) -> None:
         self._strong = self._arcs(0.0, 0.0)
         self._weak = self._arcs(0.25 * self._half_width + 3.0, SLACK)
 
@@ -512,18 +505,16 @@ class Patch:
     contour: NDArray[np.int32]
     #: Area in pixels of the picture.
     area: float
-    #: Bounding box in pixels of the mask. Right and bottom are exclusive.
-    left: int
-    top: int
-    right: int
-    bottom: int
+    #: Left, top, right and bottom side of the bounding box in pixels of the mask. Right and bottom are
+    #: exclusive.
+    sides: tuple[int, int, int, int]
     #: Whether the border of the window cuts the patch.
     clipped: bool
 
     def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:
         """Return the box in px of the picture, for the ``origin`` and the pixel size ``step`` of the mask."""
-        x, y = origin
-        return x + step * self.left, y + step * self.top, x + step * self.right, y + step * self.bottom
+        left, top, right, bottom = (step * side for side in self.sides)
+        return origin[0] + left, origin[1] + top, origin[0] + right, origin[1] + bottom
 
 
 def marker_mask(window: Frame, model: ColourModel) -> Frame:
@@ -563,24 +554,19 @@ def find_patches(
         touches such a side is ``clipped``.
     """
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    rows, columns = mask.shape
-    square = step * step
-    sides = np.array(inside)
     found = []
     for contour in contours:
-        outline = len(contour)
-        # an outline of n pixels encloses less than n^2 / 8 + n pixels
-        if square * (0.125 * outline * outline + outline) < 0.5 * area_px[0]:
-            continue
         # Pick's theorem gives the pixels inside and on the outline, including holes
-        area = square * (cv2.contourArea(contour) + 0.5 * min(outline, 2) + 0.5 * outline)
+        outline = len(contour)
+        area = step**2 * (cv2.contourArea(contour) + 0.5 * min(outline, 2) + 0.5 * outline)
         if area < 0.5 * area_px[0]:
             continue
         left, top, width, height = cv2.boundingRect(contour)
-        right, bottom = left + width, top + height
-        clipped = bool(sides[[left == 0, top == 0, right == columns, bottom == rows]].any())
+        sides = (left, top, left + width, top + height)
+        touched = (left == 0, top == 0, sides[2] == mask.shape[1], sides[3] == mask.shape[0])
+        clipped = any(touch and side for touch, side in zip(touched, inside, strict=True))
         if clipped or area_px[0] <= area <= area_px[1]:
-            found.append(Patch(contour, area, left, top, right, bottom, clipped))
+            found.append(Patch(contour, area, sides, clipped))
     return found
 
 
@@ -603,18 +589,15 @@ def measure(
         Width and height of the picture, px.
     """
     rows, columns = window.shape[0], window.shape[1]
-    margin, rim = -(-MARGIN // step), _KERNEL5
-    if step >= 3:
-        margin, rim = 4, _KERNEL3
-    x0, y0 = max(patch.left - margin, 0), max(patch.top - margin, 0)
-    x1 = min(patch.right + margin, (columns - step // 2) // step)
-    y1 = min(patch.bottom + margin, (rows - step // 2) // step)
+    left, top, right, bottom = patch.sides
+    margin, rim = max(MARGIN // step, 4), (_KERNEL5, _KERNEL3)[step >= 3]
+    x0, y0 = max(left - margin, 0), max(top - margin, 0)
+    x1 = min(right + margin, (columns - step // 2) // step)
+    y1 = min(bottom + margin, (rows - step // 2) // step)
     hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
     # the core of the convex hull has weight 1, so that reflections leave no hole
-    kernel = _KERNEL3
-    if min(patch.right - patch.left, patch.bottom - patch.top) >= 10:
-        kernel = _KERNEL5
+    kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
     core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     if not core.any():
         core = hull
@@ -638,7 +621,7 @@ def measure(
     weight = np.where(core > 0, 1.0, np.clip(weight, 0, 1) * (near > 0))
     m = cv2.moments(weight)
     column, row = m["m10"] / m["m00"], m["m01"] / m["m00"]
-    left, top, right, bottom = patch.box(origin, step)
+    left, top, right, bottom = box = patch.box(origin, step)
     # incomplete blocks at the right and lower side of the picture are not in the mask
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
@@ -648,7 +631,7 @@ def measure(
         x=origin[0] + step * x0 + column,
         y=origin[1] + step * y0 + row,
         area=patch.area,
-        box=(left, top, right, bottom),
+        box=box,
         contrast=contrast,
         confidence=confidence,
         hsv=mean_hsv(colour),

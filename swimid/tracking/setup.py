@@ -180,7 +180,7 @@ class Setup(Document):
 
     @model_validator(mode="after")
     def _places_fit(self) -> Setup:
-        if all(marker.at_m is None for marker in self.markers):
+        if self.robot is None and all(marker.at_m is None for marker in self.markers):
             return self
         if self.tail is None or self.scale is None:
             raise ValueError("at_m of the markers (or robot) needs a head, a tail and a scale")
@@ -279,8 +279,6 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
     robot = robot_format.read(name, path.parent)
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
         raise refuse(f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows another")
-    if setup.tail is None:
-        raise refuse("robot gives the places of head and tail; there is no tail")
     places = robot.marker_places(setup.plane)
     for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
