@@ -121,7 +121,7 @@ def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
     result = run("setup", video, "-o", tmp_path / "setup.yaml")
     assert "head red; no tail" in result.output
     assert "passed over: yellow" in result.output
-    assert "# Passed over: yellow" in (tmp_path / "setup.yaml").read_text()
+    assert "# passed over: yellow" in (tmp_path / "setup.yaml").read_text()
     run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     assert (log.red_x_px - (40 + 93 * log.t_s)).abs().median() < 1.5

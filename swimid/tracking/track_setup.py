@@ -55,6 +55,8 @@ TOLERANCES = (8, 12, 18, 27, 40)
 MIN_PATCH_PX, LARGE, LARGEST = 5, 0.05, 0.5
 #: Maximum fraction of the surroundings of a marker that may have colours in its range.
 MAX_SHARE_AROUND = 0.1
+#: Maximum difference of the pixels of one marker from its hue, on the scale of OpenCV.
+NEAR_HUE = 12
 BACKGROUND = "put the whole marker on a background of another colour or brightness"
 #: Compare with the start pixel, and write 255 into the mask.
 FILL = 8 | cv2.FLOODFILL_FIXED_RANGE | cv2.FLOODFILL_MASK_ONLY | 255 << 8
@@ -168,9 +170,9 @@ def track_setup(
     ahead = None
     if setup.tail is not None:
         ahead = run.track.head_first(*setup.roles)
-    lines = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
-    lines += [f"passed over: {one}" for one in rejected]
-    lines.append(f"head {setup.head}, tail {setup.tail}")
+    notes = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
+    notes += [f"passed over: {one}" for one in rejected]
+    lines = [*notes, f"head {setup.head}, tail {setup.tail}"]
     if setup.tail is None:
         lines[-1] = f"head {setup.head}; no tail, so no yaw"
     if ahead is not None:
@@ -190,8 +192,10 @@ def track_setup(
         "found_share": shares,
         "passed_over": [{"colour": p.name, "hue_deg": p.hue_deg, "reason": p.reason} for p in rejected],
     }
-    text, sheet = _text(setup, shares, rejected, video.name), _sheet(run)
-    return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=sheet).saved(output)
+    comments = "".join(f"# {note}\n" for note in notes)
+    keys = yamlio.dumps(setup.model_dump(mode="json", exclude_none=True))
+    text = "".join([_HEAD.format(video.name), comments, keys, _MORE])
+    return SetupDraft("track setup", "\n".join(lines), data, document=text, sheet=_sheet(run)).saved(output)
 
 
 def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
@@ -293,14 +297,6 @@ def _with_areas(run: Run) -> Setup:
             marker = marker.model_copy(update={"area_px": area})
         markers.append(marker)
     return run.setup.model_copy(update={"markers": markers})
-
-
-def _text(setup: Setup, shares: dict[str, float], rejected: list[Candidate], video: str) -> str:
-    """Return the setup as commented YAML, with the fraction of frames in which each marker is found."""
-    notes = [f"# {name}: found in {100 * share:.1f} % of the frames\n" for name, share in shares.items()]
-    notes += [f"# Passed over: {one}\n" for one in rejected]
-    data = setup.model_dump(mode="json", exclude_none=True)
-    return "".join([_HEAD.format(video), *notes, yamlio.dumps(data), _MORE])
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:
@@ -405,8 +401,8 @@ def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]
             "hardly moves, or is white, grey or black, by hand (--marker name@x,y)",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
-    passed = [c for c in judged if c is not None and c.reason]
-    good = sorted((c for c in judged if c is not None and not c.reason), key=lambda c: -c.score)
+    passed = [c for c in judged if c.reason]
+    good = sorted((c for c in judged if not c.reason), key=lambda c: -c.score)
     if not good:
         raise NoTrustworthyResult(
             f"nothing in {samples.video.path.name} looks like a marker: a compact patch of one colour that "
@@ -434,12 +430,10 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
     return sorted(top, key=lambda h: -smooth[h])[:MAX_HUES]
 
 
-def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange | None:
+def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange:
     """Return the range about a hue with nearly all pixels of similar hue, widened for changing light."""
-    offset = (hsv[:, 0].astype(float) - peak + 90) % 180 - 90
-    near = np.abs(offset) <= 12
-    if near.sum() < 10:
-        return None
+    offset = frames.hue_difference(hsv[:, 0].astype(float), peak)
+    near = np.abs(offset) <= NEAR_HUE
     cluster = hsv[near].astype(float)
     # the pixels of pure colour are the marker, and the other pixels are its blurred rim
     purity = cluster[:, 1] * cluster[:, 2]
@@ -463,55 +457,42 @@ def two_digits(value: float) -> float:
     return float(round(value, 2))
 
 
-def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate | None:
-    """Score the patches of one colour in all frames as a marker; return None for very few pixels."""
-    colours = colour_range(hsv, peak)
-    if colours is None:
-        return None
-    model = ColourModel(colours)
-    least = max(5.0, 2e-5 * samples.frames[0].shape[0] * samples.frames[0].shape[1])
-    places = np.full((len(samples.frames), 2), np.nan)
-    areas, compact, purity = [], [], []
-    in_range = moving_in_range = 0.0
+def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
+    """Score the patches of one colour in all frames as a marker."""
+    colours, hue, count = colour_range(hsv, peak), _degrees(peak), len(samples.frames)
+    name, model = frames.hue_name(hue), ColourModel(colours)
+    least = max(5.0, 2e-5 * samples.background[..., 0].size)
+    found = []
+    in_range = moving_in_range = 0
     scenery = marker_mask(samples.background, model)
-    for k, (frame, moving) in enumerate(zip(samples.frames, samples.moving, strict=True)):
+    for frame, moving in zip(samples.frames, samples.moving, strict=True):
         mask = marker_mask(frame, model)
-        in_range += float(np.count_nonzero(mask))
-        moving_in_range += float(np.count_nonzero(mask & moving))
-        patches = _patches(mask, moving, scenery, least)
-        if not patches:
-            continue
-        area, x, y, fill = patches[0]
-        places[k] = samples.factor * (np.array([x, y]) + 0.5) - 0.5
-        areas.append(area)
-        compact.append(fill)
-        chroma = frames.chroma(frame)
-        purity.append(float(np.mean(chroma[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2])))
-    hue = _degrees(peak)
-    name = frames.hue_name(hue)
-    if len(areas) < max(3, 0.05 * len(samples.frames)):
-        reason = f"does not move (but for {len(areas)} of {len(samples.frames)} samples)"
+        in_range += np.count_nonzero(mask)
+        moving_in_range += np.count_nonzero(mask & moving)
+        for area, x, y, fill in _patches(mask, moving, scenery, least)[:1]:
+            middle = frames.chroma(frame)[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2]
+            found.append((area, x, y, fill, np.mean(middle)))
+    if len(found) < max(3, 0.05 * count):
+        reason = f"does not move (but for {len(found)} of {count} samples)"
         return Candidate(name, hue, colours, reason=reason)
-    sizes = samples.factor**2 * np.array(areas)
-    spread = 1.4826 * float(np.median(np.abs(np.log(sizes / np.median(sizes)))))
-    presence = len(areas) / len(samples.frames)
-    alone = moving_in_range / max(in_range, 1.0)
-    way = float(np.max(np.nanpercentile(places, 95, axis=0) - np.nanpercentile(places, 5, axis=0)))
-    moved = min(way / (2.0 * math.sqrt(float(np.median(sizes)))), 1.0)
+    areas, *place, compact, purity = np.array(found).T
+    spread = 1.4826 * float(np.median(np.abs(np.log(areas / np.median(areas)))))
+    way = float(np.max(np.ptp(np.percentile(place, [5, 95], axis=1), axis=0)))
     score = (
-        presence
+        len(found)
+        / count
         * float(np.median(compact))
         * math.exp(-spread)
         * math.sqrt(min(float(np.median(purity)) / 100, 1.0))
-        * math.sqrt(alone)
-        * moved
+        * math.sqrt(moving_in_range / max(in_range, 1))
+        * min(way / (2.0 * math.sqrt(float(np.median(areas)))), 1.0)
     )
     if score < MIN_SCORE:
         reason = f"hardly like a marker (score {score:.3f}: scattered, uneven or hardly moving)"
         return Candidate(name, hue, colours, reason=reason)
-    low, high = np.percentile(sizes, [5, 95])
+    low, high = samples.factor**2 * np.percentile(areas, [5, 95])
     sized = (float(math.floor(0.3 * low)), float(math.ceil(3 * high)))
-    return Candidate(name, hue, colours, float(score), presence, sized)
+    return Candidate(name, hue, colours, score, len(found) / count, sized)
 
 
 def _patches(
@@ -648,9 +629,8 @@ def _colours(inside: Frame) -> HsvRange:
     if chroma >= frames.MIN_CHROMA:
         turn = np.exp(1j * np.pi * inside[:, 0] / 90)
         middle = round(float(np.angle(turn.mean()) * 90 / np.pi)) % 180
-        found = colour_range(inside, middle)
-        if found is not None:
-            return found
+        if np.sum(np.abs(frames.hue_difference(inside[:, 0].astype(float), middle)) <= NEAR_HUE) >= 10:
+            return colour_range(inside, middle)
     low, high = np.percentile(value, [3, 97]) / 255
     most = max(1.35 * np.percentile(saturation, 97) / 255, frames.MIN_CHROMA / (255 * max(low, 0.02)))
     return HsvRange(

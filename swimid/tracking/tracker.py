@@ -23,7 +23,7 @@ from swimid.logs.log import runs
 from swimid.notices import warn
 from swimid.progress import Step
 from swimid.tracking import frames, pose
-from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, Patch, RawTrack, Row, Video
+from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Box, Marker, Setup
 
 #: Number of frames stored for the report.
@@ -380,13 +380,9 @@ class Follower:
         mask = frames.marker_mask(frames.thinned(frame, step), group.model)
         coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
 
-        def order(patch: Patch) -> float:
-            """Return a sort key by the expected area; without one, the largest allowed area comes first."""
-            if area:
-                return abs(math.log(patch.area / area))
-            return -patch.area if patch.area <= group.area_px[1] / COARSE_AREA_SHARE else patch.area
-
-        boxes = [patch.box((0, 0), step) for patch in sorted(coarse, key=order)]
+        expected = area or group.area_px[1] / COARSE_AREA_SHARE
+        coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
+        boxes = [patch.box((0, 0), step) for patch in coarse]
         places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
         blobs: list[Blob] = []
         for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
