@@ -252,12 +252,12 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
 
     If the names contain several numbers, the only one that changes is used.
     """
-    table = np.array([_numbers(f.name) or [0] for f in files], dtype=object)
-    counting = [k for k in range(table.shape[1]) if len(set(table[:, k])) > 1]
+    columns = np.array([_numbers(f.name) for f in files], dtype=object).T
+    counting = [list(column) for column in columns if len(set(column)) > 1]
     order = list(range(len(files)))
     if len(counting) != 1:
         return order
-    numbers = [int(n) for n in table[:, counting[0]]]
+    numbers = counting[0]
     steps = [b - a for a, b in itertools.pairwise(numbers)]
     usual = max(Counter(steps).most_common(1)[0][0], 1)
     if any(step < 1 or step % usual for step in steps):
@@ -571,7 +571,7 @@ def find_patches(
 
 
 def measure(
-    window: Frame, patch: Patch, *, step: int, origin: tuple[int, int], picture: tuple[int, int]
+    window: Frame, patch: Patch, step: int, origin: tuple[int, int], picture: tuple[int, int]
 ) -> Blob | None:
     """Return a patch of a window as a :class:`Blob`, or None if its contrast to the background is too low.
 

@@ -702,7 +702,9 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     held = _held_pictures(track, rows)
     clock, clock_sd = _picture_times(times, held)
     measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0) & ~held.repeated
-    segment, segments = _segments(times, measured, setup.max_gap_s)
+    segments, segment = _segments(times, measured, setup.max_gap_s), np.zeros(len(times), dtype=np.int64)
+    for number, (start, end) in enumerate(segments, start=1):
+        segment[start:end] = number
     if not segments:
         raise NoTrustworthyResult(
             f"the markers are seen together in {int(measured.sum())} frames, never in {MIN_SEGMENT} "
@@ -841,23 +843,13 @@ def _turned(vector: Array, angle: Array) -> Array:
     return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
 
 
-def _segments(
-    times: Array, measured: NDArray[np.bool_], max_gap_s: float
-) -> tuple[NDArray[np.int64], list[tuple[int, int]]]:
-    """Return the number of the segment of each frame, and start and end (exclusive) of each segment."""
-    number = np.zeros(len(times), dtype=np.int64)
-    seen = np.flatnonzero(measured)
-    if len(seen) < MIN_SEGMENT:
-        return number, []
-    step = float(np.median(np.diff(times)))
+def _segments(times: Array, measured: NDArray[np.bool_], max_gap_s: float) -> list[tuple[int, int]]:
+    """Return start and end (exclusive) of each segment."""
+    seen, step = np.flatnonzero(measured), float(np.median(np.diff(times)))
     # the gap between neighbours that are one step apart is zero
     split = np.flatnonzero(np.diff(times[seen]) - step > max_gap_s + 1e-9)
-    segments = []
-    for part in np.split(seen, split + 1):
-        if len(part) >= MIN_SEGMENT:
-            segments.append((int(part[0]), int(part[-1]) + 1))
-            number[part[0] : part[-1] + 1] = len(segments)
-    return number, segments
+    parts = [part for part in np.split(seen, split + 1) if len(part) >= MIN_SEGMENT]
+    return [(int(part[0]), int(part[-1]) + 1) for part in parts]
 
 
 def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:

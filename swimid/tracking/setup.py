@@ -171,6 +171,8 @@ class Setup(Document):
             raise ValueError(f"tail '{self.tail}' needs another marker as head")
         if self.head is None and len(self.markers) > 1:
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
+        if self.plane == "vertical" and self.tail is None and len(self.markers) > 1:
+            raise ValueError("plane: vertical with several markers needs a tail for the pitch")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(f"facing: {self.facing} goes with plane: vertical")
         for box in self.ignore_px:
@@ -256,9 +258,6 @@ def read(path: str | Path) -> Setup:
 
 def _complete(data: Mapping[str, Any], path: Path) -> Setup:
     setup = yamlio.validate(data, Setup, path)
-    if setup.plane == "vertical" and setup.tail is None and len(setup.markers) > 1:
-        text = "plane: vertical with several markers needs a tail for the pitch"
-        raise InputError(text, file=path, column="tail")
     if setup.robot is None:
         return setup
     filled = yamlio.plain(data)

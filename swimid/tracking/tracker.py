@@ -351,14 +351,10 @@ class Follower:
         mask = frames.marker_mask(frames.thinned(window, step), group.model)
         inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
         found = frames.find_patches(mask, group.area_px, step=step, inside=inside)
-        blobs = []
-        for patch in found:
-            if patch.clipped:
-                continue
-            blob = frames.measure(window, patch, step=step, origin=(x0, y0), picture=self._size)
-            if blob is None or self._is_ignored(blob.x, blob.y) or is_among(blob, group.scenery):
-                continue
-            blobs.append(blob)
+        whole = [patch for patch in found if not patch.clipped]
+        measured = [frames.measure(window, patch, step, (x0, y0), self._size) for patch in whole]
+        seen = [blob for blob in measured if blob is not None and not self._is_ignored(blob.x, blob.y)]
+        blobs = [blob for blob in seen if not is_among(blob, group.scenery)]
         if step > 1 and any(blob.at_edge for blob in blobs):
             # on a coarse mask a marker that ends just before the edge looks cut
             return self._search_window(group, frame, cx, cy, half)
@@ -379,7 +375,6 @@ class Follower:
     def _search_coarse(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
         mask = frames.marker_mask(frames.thinned(frame, step), group.model)
         coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
-
         expected = area or group.area_px[1] / COARSE_AREA_SHARE
         coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
         boxes = [patch.box((0, 0), step) for patch in coarse]
@@ -644,10 +639,15 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     its marker moves. ``file`` names the setup in messages.
     """
     first = _follow_once(path, setup, step, file)
-    still = _motionless(first)
+    track, boxes = first.track, []
+    alone = [marker.name for marker in setup.markers if marker.number == 1 and marker.name in track.rivals]
+    still = [name for name in alone if track.measure_range(name)[1] < frames.MIN_RADII]
     if not still:
         return first
-    boxes = list(still.values())
+    for row in map(track.row, still):
+        x, y, area = (float(np.nanmedian(values[row])) for values in (track.x, track.y, track.area))
+        half = 0.7 * math.sqrt(area) + 3
+        boxes.append((round(x - half), round(y - half), round(x + half), round(y + half)))
     setup = setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]})
     second = _follow_once(path, setup, step, file)
     if any(second.track.measure_range(name)[1] < 3.0 for name in still):
@@ -676,18 +676,3 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     kept = list(keeper.kept.items())
     chosen = np.unique(np.linspace(0, len(kept) - 1, REPORT_FRAMES).round().astype(int))
     return Run(follower.track(), video, setup, dict(kept[k] for k in chosen))
-
-
-def _motionless(run: Run) -> dict[str, Box]:
-    """Return boxes about motionless markers with rivals of the same colour, by name of the marker."""
-    boxes: dict[str, Box] = {}
-    for marker in run.setup.markers:
-        name, track = marker.name, run.track
-        if marker.number > 1 or name not in track.rivals:
-            continue
-        if track.measure_range(name)[1] >= frames.MIN_RADII:
-            continue
-        x, y, area = (float(np.nanmedian(v[track.row(name)])) for v in (track.x, track.y, track.area))
-        half = 0.7 * math.sqrt(area) + 3
-        boxes[name] = (round(x - half), round(y - half), round(x + half), round(y + half))
-    return boxes
