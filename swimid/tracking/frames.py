@@ -306,6 +306,8 @@ class ColourModel:
         Colours of the marker in the setup.
     """
 
+    _first: Array | None
+
     def __init__(self, colours: HsvRange) -> None:
         low, high = (h / 2 for h in colours.hue_deg)
         width = (high - low) % _TURN
@@ -358,7 +360,7 @@ class ColourModel:
 
     def restart(self) -> None:
         """Reset the model to the colours of the setup, after another object was taken for the marker."""
-        self._first: Array | None = None
+        self._first = None
         self._move(np.zeros(3))
 
     def _move(self, drift: Array) -> None:
@@ -686,8 +688,9 @@ class RawTrack:
     @classmethod
     def of_table(cls, times: Any, names: list[str], table: Array, *more: Any) -> RawTrack:
         """Return a track from the rows of all markers, shape (m, n, 9); ``more`` are further attributes."""
-        *values, status, at_edge = table[..., :6].transpose(2, 0, 1)
-        return cls(np.array(times), names, *values, status.astype(int), at_edge.astype(bool), *more)
+        x, y, area, confidence, status, at_edge = table[..., :6].transpose(2, 0, 1)
+        found = (status.astype(int), at_edge.astype(bool))
+        return cls(np.array(times), names, x, y, area, confidence, *found, *more)
 
     def of(self, names: list[str]) -> RawTrack:
         """Return the track of some markers, in the order of ``names``."""
@@ -783,8 +786,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
     if not frames:
         return out
     factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
-    greys = (np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8) for frame in frames)
-    small = [reduced(grey, SCENE_WIDTH) for grey in greys]
+    small = [reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), SCENE_WIDTH) for frame in frames]
     # up to 300 corners are used, and at least 12 are needed
     corners = cv2.goodFeaturesToTrack(small[0], 300, 0.02, 7)
     if corners is None or len(corners) < 12:

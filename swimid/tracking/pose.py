@@ -447,8 +447,6 @@ def _likelihood(
         squares += float(np.sum(innovations[seen] ** 2 / expected[seen]))
         logs += float(np.sum(np.log(expected[seen])))
         count += len(seen)
-    if count == 0:
-        return -np.inf, np.nan
     variance = max(squares / count, 1e-300)
     return -0.5 * (count * np.log(variance) + logs + count), variance
 
@@ -556,7 +554,7 @@ def smooth(
         for row, (a, b) in product(known, segments)
         if np.count_nonzero(~np.isnan(row[a:b])) >= MIN_SAMPLES
     ]
-    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    step = float(np.median(np.diff(times)))
     order, ratio, fitted = 2, 1e-2, max(min_sd, 1e-12) ** 2
     if pieces:
         fits = {order: _estimate_noise(pieces, order, step) for order in (2, 3)}
@@ -564,8 +562,6 @@ def smooth(
     variance = max(fitted, min_sd**2)
     noise = (variance, ratio * fitted / step ** (2 * order - 1), order)
     for (i, row), (a, b) in product(enumerate(values), segments):
-        if np.isnan(row[a:b]).all():
-            continue
         means, covariances, innovation = _smooth_piece(times[a:b], row[a:b], weights[a:b], noise, step)
         out["position"][i, a:b], out["velocity"][i, a:b] = means[:, 0], means[:, 1]
         sds = np.sqrt(np.maximum(covariances.diagonal(axis1=1, axis2=2), 0))
@@ -699,7 +695,9 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     everyone = range(len(track.names))
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
     hidden = np.array([hidden_px(track, i, plane) for i in everyone])
-    held = _held_pictures(track, rows)
+    # a picture is a repeat if all markers stay where they were, between steps
+    ramp = RAMP_PX * np.arange(len(times))
+    held = find_held(times, [values + ramp for row in rows for values in track.centre(row)])
     clock, clock_sd = _picture_times(times, held)
     measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0) & ~held.repeated
     segments, segment = _segments(times, measured, setup.max_gap_s), np.zeros(len(times), dtype=np.int64)
@@ -766,12 +764,6 @@ def _widened(values: Smoothed, *sds: Array | float) -> Smoothed:
     """Return smoothed coordinates with independent errors of the standard deviations ``sds`` added."""
     variance = values.position_sd**2 + sum(np.square(sd) for sd in sds)
     return replace(values, position_sd=np.sqrt(variance))
-
-
-def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
-    """Return the frames in which all markers stay where they were in the previous frame, between steps."""
-    ramp = RAMP_PX * np.arange(len(track.times))
-    return find_held(track.times, [values + ramp for row in rows for values in track.centre(row)])
 
 
 def _picture_times(times: Array, held: Held) -> tuple[Array, float]:

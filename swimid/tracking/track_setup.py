@@ -156,12 +156,11 @@ def track_setup(
     common: dict[str, Any] = {"plane": options.plane, "frame_rate_hz": options.fps}
     if options.metres_per_pixel is not None:
         common["scale"] = {"metres_per_pixel": options.metres_per_pixel}
-    rejected: list[Candidate] = []
     if options.picks:
-        run = _from_picks(video, options, common, progress)
+        run, rejected = _from_picks(video, options, common, progress)
     else:
         run, rejected = _from_film(video, common, progress)
-    setup = _with_areas(run)
+    setup = run.setup
     shares = {name: float(run.track.found[i].mean()) for i, name in enumerate(run.track.names)}
     for name in run.track.names:
         code, fault = marker_fault(run.track, name)
@@ -222,7 +221,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     shift = samples.factor * frames.scene_shifts(samples.frames)
     consequence = ". What moves with it is taken for no marker, but a log will hold the camera's motion"
     frames.check_camera(shift, samples.video.width, consequence)
-    tried = {}
+    tried: dict[str, Candidate] = {}
     for candidate in found[:MAX_TRIALS]:
         same = sum(other.name == candidate.name for other in tried.values())
         tried[candidate.name + same * "-b"] = candidate
@@ -262,12 +261,16 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     return replace(run, track=track.of(names), setup=setup), rejected
 
 
-def _from_picks(video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress) -> Run:
-    """Return a trial of the picked markers."""
+def _from_picks(
+    video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress
+) -> tuple[Run, list[Candidate]]:
+    """Return a trial of the picked markers, and no rejected colours."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for pick in options.picks:
         kinds.setdefault(pick.name, []).append((pick.x, pick.y))
-    frame = _frame(video, options.frame)
+    frame = next((frame for _, frame in islice(Video(video).frames(), options.frame, None)), None)
+    if frame is None:
+        raise InputError(f"has no frame {options.frame}", file=video)
     markers = pick_markers(frame, kinds, path=video, index=options.frame)
     run = _try(video, _setup(markers, common), progress)
     if markers[0].number > 1:
@@ -275,41 +278,17 @@ def _from_picks(video: Path, options: TrackSetupOptions, common: dict[str, Any],
         separation = distance_change(run.track, *run.setup.roles)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
-    return run
-
-
-def _frame(video: Path, index: int) -> Frame:
-    """Return one frame of a film; raise an InputError if the frame does not exist."""
-    for _, frame in islice(Video(video).frames(), index, None):
-        return frame
-    raise InputError(f"has no frame {index}", file=video)
-
-
-def _with_areas(run: Run) -> Setup:
-    """Return the setup of a trial with ranges of the areas that were measured in the trial."""
-    markers = []
-    for marker in run.setup.markers:
-        i = run.track.row(marker.names[0])
-        whole = run.track.found[i]
-        if whole.sum() >= 10:
-            low, high = np.percentile(run.track.area[i, whole], [2, 98])
-            area = (float(max(round(0.3 * low), 4)), float(round(2.5 * high)))
-            marker = marker.model_copy(update={"area_px": area})
-        markers.append(marker)
-    return run.setup.model_copy(update={"markers": markers})
+    return run, []
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:
-    """Return a contact sheet of frames with circled and named markers, and with ignored boxes."""
+    """Return a contact sheet of frames with circled and named markers."""
     tiles, track = [], run.track
     ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
     for index in sorted(ranked[:N_TILES]):
         frame = run.kept[index]
         factor = TILE_WIDTH / frame.shape[1]
         tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-        for box in run.setup.ignore_px:
-            corners = [round(factor * v) for v in box]
-            cv2.rectangle(tile, corners[:2], corners[2:], (200, 200, 200), 1)
         for i in np.flatnonzero(track.found[:, index]):
             x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
             radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
@@ -422,12 +401,8 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
     histogram = np.bincount(hsv[:, 0], minlength=180)[:180].astype(float)
     kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
     smooth = np.convolve(np.pad(histogram, 9, mode="wrap"), kernel / kernel.sum(), "valid")
-    top = [
-        h
-        for h in range(180)
-        if smooth[h] >= smooth[h - 1] and smooth[h] > smooth[(h + 1) % 180] and 10 * smooth[h] > 4 * frames
-    ]
-    return sorted(top, key=lambda h: -smooth[h])[:MAX_HUES]
+    top = (smooth >= np.roll(smooth, 1)) & (smooth > np.roll(smooth, -1)) & (10 * smooth > 4 * frames)
+    return sorted(map(int, np.flatnonzero(top)), key=lambda h: -smooth[h])[:MAX_HUES]
 
 
 def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange:
@@ -463,12 +438,12 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
     name, model = frames.hue_name(hue), ColourModel(colours)
     least = max(5.0, 2e-5 * samples.background[..., 0].size)
     found = []
-    in_range = moving_in_range = 0
+    in_range = moving_in_range = 0.0
     scenery = marker_mask(samples.background, model)
     for frame, moving in zip(samples.frames, samples.moving, strict=True):
         mask = marker_mask(frame, model)
-        in_range += np.count_nonzero(mask)
-        moving_in_range += np.count_nonzero(mask & moving)
+        in_range += float(np.count_nonzero(mask))
+        moving_in_range += float(np.count_nonzero(mask & moving))
         for area, x, y, fill in _patches(mask, moving, scenery, least)[:1]:
             middle = frames.chroma(frame)[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2]
             found.append((area, x, y, fill, np.mean(middle)))
