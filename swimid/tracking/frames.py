@@ -170,9 +170,7 @@ class Video:
 
         Pictures without a frame rate have the time NaN.
         """
-        count = 0
-        for position, stamp, frame in itertools.chain([self._first], self._read):
-            count += 1
+        for count, (position, stamp, frame) in enumerate(itertools.chain([self._first], self._read), start=1):
             if self._rate:
                 yield (position - self._first[0]) / self._rate, frame
             else:
