@@ -170,12 +170,13 @@ class Video:
 
         Pictures without a frame rate have the time NaN.
         """
-        for count, (position, stamp, frame) in enumerate(itertools.chain([self._first], self._read), start=1):
+        for position, stamp, frame in itertools.chain([self._first], self._read):
             if self._rate:
                 yield (position - self._first[0]) / self._rate, frame
             else:
                 yield stamp - self.first_stamp_s, frame
         # some containers state one or two frames more than they contain
+        count = position + 1
         if len(self.files) == 1 and count < self.claimed - max(2, 0.01 * self.claimed):
             text = f"{count} of {self.claimed} frames could be decoded"
             warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
