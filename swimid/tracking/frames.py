@@ -691,7 +691,7 @@ class RawTrack:
         found = (status.astype(int), at_edge.astype(bool))
         return cls(np.array(times), names, x, y, area, confidence, *found, *more)
 
-    def of(self, names: list[str]) -> RawTrack:
+    def select(self, names: list[str]) -> RawTrack:
         """Return the track of some markers, in the order of ``names``."""
         rows = [self.row(name) for name in names]
         arrays = {key: getattr(self, key)[rows] for key in TRACKED}

@@ -258,7 +258,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     rejected += [replace(c, reason=weaker) for c in found[MAX_TRIALS:]]
     setup = _setup([marker for name in names for marker in markers if marker.name == name], common)
     setup = setup.model_copy(update={"ignore_px": run.setup.ignore_px})
-    return replace(run, track=track.of(names), setup=setup), rejected
+    return replace(run, track=track.select(names), setup=setup), rejected
 
 
 def _from_picks(
