@@ -171,8 +171,6 @@ class Setup(Document):
             raise ValueError(f"tail '{self.tail}' needs another marker as head")
         if self.head is None and len(self.markers) > 1:
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
-        if self.plane == "vertical" and self.tail is None and len(self.markers) > 1:
-            raise ValueError("plane: vertical with several markers needs a tail for the pitch")
         if self.facing != "auto" and self.plane == "horizontal":
             raise ValueError(f"facing: {self.facing} goes with plane: vertical")
         for box in self.ignore_px:
@@ -258,6 +256,9 @@ def read(path: str | Path) -> Setup:
 
 def _complete(data: Mapping[str, Any], path: Path) -> Setup:
     setup = yamlio.validate(data, Setup, path)
+    if setup.plane == "vertical" and setup.tail is None and len(setup.markers) > 1:
+        text = "plane: vertical with several markers needs a tail for the pitch"
+        raise InputError(text, file=path, column="tail")
     if setup.robot is None:
         return setup
     filled = yamlio.plain(data)
@@ -273,15 +274,14 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
     from swimid.robots import file as robot_format
 
     def refuse(text: str, hint: str | None = None) -> InputError:
-        return InputError(text, file=path, column="robot", hint=hint)
+        return InputError(f"the robot '{name}' {text}", file=path, column="robot", hint=hint)
 
     robot = robot_format.read(name, path.parent)
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
-        raise refuse(f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows another")
+        raise refuse(f"moves in the {robot.multilink.plane} plane, the film shows another")
     places = robot.marker_places(setup.plane)
     for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
-            listed = ", ".join(places) or "none"
-            text = f"the robot '{name}' names no marker '{marker.name}'; it names: {listed}"
+            text = f"names no marker '{marker.name}'; it names: {', '.join(places) or 'none'}"
             raise refuse(text, "name the markers of the film as the robot file does, or give their at_m")
     return places
