@@ -19,9 +19,8 @@ from scipy.optimize import least_squares
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance, yamlio
-from swimid.notices import warn
+from swimid.notices import Progress, Step, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, Step, silent
 from swimid.results.result import Result
 from swimid.tracking import frames
 from swimid.tracking import setup as setup_format

@@ -20,8 +20,7 @@ from scipy.optimize import linear_sum_assignment
 
 from swimid.errors import InputError
 from swimid.logs.log import runs
-from swimid.notices import warn
-from swimid.progress import Step
+from swimid.notices import Step, warn
 from swimid.tracking import frames, pose
 from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Box, Marker, Setup
