@@ -26,9 +26,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from swimid.tracking import pose, smooth
+from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
-from swimid.tracking.reader import Video
+from swimid.tracking.frames import Video
 from swimid.tracking.tracker import Follower
 from tests.generators import pool_video
 from tests.generators.pool_video import Scene
@@ -93,7 +93,7 @@ def smoothing(follower: Follower) -> float:
     raw = follower.track()
     rows = np.array([np.where(raw.found[0], values, np.nan) for values in (raw.x[0], raw.y[0], raw.x[-1])])
     begin = time.perf_counter()
-    smooth.smooth(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
+    pose.smooth(raw.times, rows, np.ones(len(raw.times)), [(0, len(raw.times))])
     return (time.perf_counter() - begin) / len(raw.times)
 
 

@@ -51,7 +51,6 @@ CODES: dict[str, str] = {
     "SWM043": "video timing is irregular",
     "SWM044": "video ends early or has damaged frames",
     "SWM045": "marker touches the edge of the picture",
-    "SWM046": "colour drift compensated",
     "SWM047": "track split at a long gap",
     "SWM048": "calibration points are mirrored",
     "SWM049": "a motionless object of the marker's colour left out",

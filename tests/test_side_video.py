@@ -19,9 +19,10 @@ from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots import file as robot
 from swimid.simulation.compare_series import ComparisonFile
-from swimid.tracking import pose, quality
+from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
-from swimid.tracking.detect import WINDOW, RawTrack
+from swimid.tracking.frames import WINDOW, RawTrack
+from swimid.tracking.track_video import checks_of
 from tests.generators import side_video
 from tests.generators.side_video import FRONT, PERIOD_S, REAR, View
 
@@ -228,7 +229,7 @@ def posed(view, changes, *, places=True):
     with recorded() as notices:
         ground = pose.facing(track, rules, pose.plane_of(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
-        found = {c.name: c for c in quality.checks(track, result, rules)}
+        found = {c.name: c for c in checks_of(track, result, rules)}
     return result, truth, found, [n.code for n in notices]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from swimid.logs import swimming
 from swimid.logs.swimming import Track
-from swimid.tracking.smooth import smooth
+from swimid.tracking.pose import smooth
 
 RATE, BEAT, SWAY, TURN = 30.0, 1.3, 0.02, 0.15
 

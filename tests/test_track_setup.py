@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 from swimid.cli.main import track
 from swimid.results import evidence
-from swimid.tracking import quality
 from swimid.tracking import setup as setup_format
+from swimid.tracking.frames import scene_shifts
 from tests.generators import clutter_video as clutter
 from tests.generators.clutter_video import BLACK, GREY, RED, WHITE, YELLOW, Pool
 
@@ -105,7 +105,7 @@ def test_a_robot_near_the_camera_is_not_the_scene():
     discs = ((RED, 50), (YELLOW, -50), (WHITE, 0))
     things = (clutter.rule(near, 150, 60, clutter.DARK), *(clutter.disc(near, 9, c, a) for c, a in discs))
     frames = clutter.frames(Pool(things, noise=1.0, flicker=0.0, duration_s=1.5))
-    assert np.isnan(quality.scene_shifts(frames[::10])[1:]).all()
+    assert np.isnan(scene_shifts(frames[::10])[1:]).all()
 
 
 def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
@@ -121,7 +121,7 @@ def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
     result = run("setup", video, "-o", tmp_path / "setup.yaml")
     assert "head red; no tail" in result.output
     assert "passed over: yellow" in result.output
-    assert "# Passed over: yellow" in (tmp_path / "setup.yaml").read_text()
+    assert "# passed over: yellow" in (tmp_path / "setup.yaml").read_text()
     run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     assert (log.red_x_px - (40 + 93 * log.t_s)).abs().median() < 1.5
@@ -165,8 +165,7 @@ def test_a_marker_of_any_shade_can_be_picked(tmp_path, colour, water):
     video = clutter.write(tmp_path / "shade.mp4", pool)
     result = run("setup", video, "-o", tmp_path / "setup.yaml", "--marker", "mark@30,60")
     assert "mark: found in 100.0 %" in result.output
-    output = run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
-    assert "SWM046" not in output.output  # grey has no hue that could drift
+    run("video", video, "--setup", tmp_path / "setup.yaml", "-o", tmp_path / "run.csv")
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     assert (log.found == 1).mean() > 0.98
     assert (log.mark_x_px - (30 + 85 * log.t_s)).abs().max() < 0.6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from swimid.tracking import smooth as module
+from swimid.tracking import pose as module
 
 pytestmark = pytest.mark.kernels
 
@@ -30,7 +30,7 @@ def test_filter_and_smoother_equal_filterpy(order):
     values[30:42] = np.nan
     variances = rng.uniform(1, 4, 80) * 4e-4
     q, start = 0.7, np.diag([1.0, 2.0, 3.0][:order])
-    means, covariances, _, _ = module.kalman(times, values, variances, q, order, start)
+    means, covariances, _ = module.kalman(times, values, variances, q, order, start)
     smooth, spread = module.rts(times, means, covariances, q, order)
 
     oracle = KalmanFilter(dim_x=order, dim_z=1)
@@ -74,7 +74,7 @@ def test_a_diffuse_start_does_not_lose_digits(order, missing):
     values[[*range(30, 42), *missing]] = np.nan
     variances, q = rng.uniform(1, 4, 80) * 4e-4, 0.7
     start = module._start(order, 4e-4, 0.03)
-    means, covariances, _, _ = module.kalman(times, values, variances, q, order, start)
+    means, covariances, _ = module.kalman(times, values, variances, q, order, start)
     means, covariances = module.rts(times, means, covariances, q, order)
     # the information of all states is the sum over start, steps and measurements
     seen = np.flatnonzero(~np.isnan(values))
@@ -82,9 +82,7 @@ def test_a_diffuse_start_does_not_lose_digits(order, missing):
     wanted = np.zeros(80 * order)
     information[:order, :order] = np.linalg.inv(start)
     wanted[:order] = information[:order, 0] * values[seen[0]]
-    for k, dt in enumerate(np.diff(times)):
-        transition, noise = np.zeros((order, order)), np.zeros((order, order))
-        module._step(dt, q, order, transition, noise)
+    for k, (transition, noise) in enumerate(zip(*module._steps(times, q, order), strict=True)):
         both = np.hstack([-transition, np.eye(order)])
         here = slice(k * order, (k + 2) * order)
         information[here, here] += both.T @ np.linalg.inv(noise) @ both

@@ -127,8 +127,7 @@ KERNELS = (
     "swimid.swimmer.planar.model",
     "swimid.blackbox.arx",
     "swimid.fitting.metrics",
-    "swimid.tracking.detect",
-    "swimid.tracking.smooth",
+    "swimid.tracking.pose",
 )
 
 

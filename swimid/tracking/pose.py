@@ -1,6 +1,14 @@
 """Pose, speeds and their standard deviations from the positions of markers in the picture.
 
 :class:`Plane` (lens, scale or homography, heights) maps pixels to metres, and :func:`build` returns the pose.
+Coordinates are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother with uneven steps, gaps and
+estimated noise (:func:`smooth`). The state of one coordinate is position and velocity (driven by white
+acceleration), or position, velocity and acceleration (driven by white jerk). The powers of the driving noise
+and of the measurement noise maximise the likelihood of the innovations. The model with the larger likelihood
+is used.
+
+The estimation of the noise, and the calibration of the standard deviation in gaps, run the filter hundreds of
+times. Therefore the filter is a compiled loop.
 """
 
 from __future__ import annotations
@@ -8,25 +16,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import cv2
 import numpy as np
 import pandas as pd
+from numba import njit
 from numpy.typing import NDArray
 from scipy import special
 from scipy.interpolate import CubicHermiteSpline
-from scipy.ndimage import maximum_filter1d
+from scipy.optimize import minimize_scalar
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.logs.log import runs
-from swimid.logs.sampling import Held, find_held, usual_step
+from swimid.logs.sampling import Held, find_held
 from swimid.notices import warn
-from swimid.tracking.detect import CUT, LOST, STATUS, RawTrack
+from swimid.tracking.frames import CUT, LOST, STATUS, Array, RawTrack
 from swimid.tracking.setup import Camera, Setup
-from swimid.tracking.smooth import Smoothed, smooth
-
-Array = NDArray[np.float64]
 
 #: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes. The ratios
 #: differ because sizes are rounded to even pixels.
@@ -42,17 +49,25 @@ SYSTEMATIC_PX = 0.05
 #: Lags over which the errors of centroids are correlated, in frames, and minimum number of pairs with such
 #: lags.
 LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
-#: Criteria for frames that repeat the previous picture. MAX_CHANGE is the maximum change of the picture about
-#: the markers, relative to the maximum change nearby, and MAX_CHANGE_OF_NEIGHBOURS relative to the changes in
-#: the frames on both sides. MAX_HELD_FRAMES is the maximum number of successive repeats. MIN_HELD_RUNS is the
-#: minimum number of runs of repeats, because fewer runs occur by chance.
-MAX_CHANGE, MAX_CHANGE_OF_NEIGHBOURS, MAX_HELD_FRAMES, MIN_HELD_RUNS = 0.2, 0.33, 15, 4
+#: Shift of the centroids per frame, px, before repeats are searched for. It makes a repeat that the codec
+#: copied exactly equal to the other repeats, which differ by noise.
+RAMP_PX = 1e-6
 #: Probability of a false report of a partly hidden marker in a whole film, if areas were normally distributed
 #: and independent, and factor on the limit for single frames, because areas are neither.
 FALSE_ALARM, SINGLE_FRAME = 1e-3, 2.0
 #: Half-width of a 95 % interval, in standard deviations. For a hidden marker the half-width is its maximum
 #: error.
 TWO_SIDED = 1.96
+
+#: Number of hidden segments that calibrate the standard deviation in a gap, and known samples on each side.
+N_STRETCHES, MARGIN = 40, 20
+#: Minimum number of samples in a segment from which the noise is estimated.
+MIN_SAMPLES = 6
+#: Powers of ten that are compared for the ratio between driving noise and measurement noise in one step.
+RATIOS = np.arange(-9.0, 4.5)
+#: Variance of the unknown initial position, relative to the measurement variance. For velocity and
+#: acceleration it is divided by the second and fourth power of the time step.
+START_VARIANCE = 1e7
 
 
 @dataclass(frozen=True)
@@ -64,13 +79,9 @@ class Plane:
     unit : str
         Unit of the world coordinates: ``"m"``, or ``"px"`` without a scale.
     matrix : ndarray, shape (3, 3)
-        Homography from undistorted pixels to the world.
+        Homography from undistorted pixels to the world, at the height of the markers.
     lens : (ndarray, ndarray) or None
         Camera matrix and distortion coefficients.
-    shrink : float
-        Factor on the distance from ``foot``, for markers above the plane.
-    foot : ndarray, shape (2,)
-        Point of the world below the camera.
     middle : ndarray, shape (2,)
         Middle of the picture, px.
     far_x : float
@@ -87,8 +98,6 @@ class Plane:
     unit: str
     matrix: Array
     lens: tuple[Array, Array] | None
-    shrink: float
-    foot: Array
     middle: Array
     far_x: float = 0.0
     residual_px: float = 0.0
@@ -97,7 +106,7 @@ class Plane:
 
     def to_world(self, x: Array, y: Array) -> Array:
         """Return the world coordinates, shape (2, n), of points of the picture; NaN stays NaN."""
-        return _map_known(self._forward, x, y)
+        return _map_known(lambda points: _mapped(_undistorted(points, self.lens), self.matrix), x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
         """Project points from world coordinates to the picture, shape (2, n); NaN stays NaN."""
@@ -109,54 +118,33 @@ class Plane:
         moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
         return np.array(moved).reshape(-1, 2, world.shape[1])
 
-    def _forward(self, points: Array) -> Array:
-        mapped = _mapped(_undistorted(points, self.lens), self.matrix)
-        return self.foot + self.shrink * (mapped - self.foot)
-
     def _backward(self, world: Array) -> Array:
-        points = _mapped(self.foot + (world - self.foot) / self.shrink, np.linalg.inv(self.matrix))
+        points = _mapped(world, np.linalg.inv(self.matrix))
         if self.lens is None:
             return points
         rays = cv2.convertPointsToHomogeneous(_mapped(points, np.linalg.inv(self.lens[0])))
         return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
-    def along_x(self, left: bool) -> Plane:
-        """Return the plane with its x axis to the left of the picture if ``left``, otherwise to the right."""
-        if self.runs_left == left:
-            return self
+    def turned(self) -> Plane:
+        """Return the plane with its x axis in the opposite direction."""
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
         variants = tuple(turn @ matrix for matrix in self.variants)
-        foot = _mapped(self.foot[None], turn)[0]
-        return replace(self, matrix=turn @ self.matrix, foot=foot, variants=variants)
-
-    @property
-    def runs_left(self) -> bool:
-        """Whether the x axis points to the left of the picture."""
-        return bool(self._jacobian(*self.middle[:, None])[0, 0, 0] < 0)
+        return replace(self, matrix=turn @ self.matrix, variants=variants)
 
     @property
     def faces(self) -> str:
         """Direction of the x axis in the picture: "left" or "right"."""
-        return "left" if self.runs_left else "right"
-
-    @property
-    def upside_down(self) -> bool:
-        """Whether the second axis points down in the picture."""
-        return bool(self._jacobian(*self.middle[:, None])[1, 1, 0] > 0)
+        return ("right", "left")[int(self._jacobian(*self.middle[:, None])[0, 0, 0] < 0)]
 
     def _jacobian(self, x: Array, y: Array) -> Array:
         """Return the derivatives of the two coordinates by column and row of the picture, shape (2, 2, n)."""
         here = self.to_world(x, y)
         return np.stack([self.to_world(x + 1, y) - here, self.to_world(x, y + 1) - here], axis=1)
 
-    def size_of_pixel(self, x: float, y: float) -> float:
-        """Return the length of a pixel at a point of the picture (geometric mean of the two directions)."""
-        return float(self.sizes_of_pixels(np.array([x]), np.array([y]))[0])
-
-    def sizes_of_pixels(self, x: Array, y: Array) -> Array:
-        """Return :meth:`size_of_pixel` at many points, shape (n,)."""
-        (xx, xy), (yx, yy) = self._jacobian(x, y)
-        return np.sqrt(np.abs(xx * yy - yx * xy))
+    def size_of_pixel(self, x: Any, y: Any) -> Any:
+        """Return the length of a pixel at points of the picture (geometric mean of the two directions)."""
+        (xx, xy), (yx, yy) = self._jacobian(*np.atleast_1d(x, y))
+        return np.sqrt(np.abs(xx * yy - yx * xy)).reshape(np.shape(x))
 
 
 def _map_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
@@ -220,10 +208,13 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
                 "the calibration points map the picture to a world seen from its back: x, y as given, and "
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
+    # markers above the plane appear farther from the point of the world below the camera
     foot = _mapped(camera_centre[None], matrix)[0]
+    nearer = np.array([[shrink, 0, (1 - shrink) * foot[0]], [0, shrink, (1 - shrink) * foot[1]], [0, 0, 1.0]])
+    moved = tuple(nearer @ variant for variant in variants)
     unit = "px" if scale is None else "m"
-    plane = Plane(unit, matrix, lens, shrink, foot, middle, far_x, *residuals, variants)
-    if setup.plane == "vertical" and plane.upside_down:
+    plane = Plane(unit, nearer @ matrix, lens, middle, far_x, *residuals, moved)
+    if setup.plane == "vertical" and plane._jacobian(*middle[:, None])[1, 1, 0] > 0:
         warn(
             "SWM048",
             "z of the calibration points runs down in the picture: give heights, not depths, in points_m, or "
@@ -291,6 +282,311 @@ def _is_on_line(points: Array) -> bool:
     if len(points) <= 4:
         rests = [np.delete(points, k, axis=0) for k in range(len(points))]
     return any(np.linalg.matrix_rank(rest - rest.mean(0), rtol=1e-3) < 2 for rest in rests)
+
+
+# ---------------------------------------------------------------- Kalman filter and smoother
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Coordinates that were smoothed together.
+
+    Attributes
+    ----------
+    position, velocity, position_sd, velocity_sd : ndarray, shape (d, n)
+        Smoothed values of the d coordinates and their standard deviations.
+    measurement_sd : float
+        Estimated standard deviation of a measurement of weight 1, in the unit of the coordinate.
+    process_noise : float
+        Power of the driving white noise: unit^2/s^3 for order 2, unit^2/s^5 for order 3.
+    order : int
+        2 for white acceleration, 3 for white jerk.
+    innovation : ndarray, shape (d, n)
+        Normalised innovation of each measurement, NaN without a measurement.
+    """
+
+    position: Array
+    velocity: Array
+    position_sd: Array
+    velocity_sd: Array
+    measurement_sd: float
+    process_noise: float
+    order: int
+    innovation: Array
+
+
+# The matrices have two or three rows. Array expressions take ten times as long to compile as these loops, and
+# run more slowly.
+
+
+@njit(cache=True)
+def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Return the transition matrix and the noise covariance of each step of a chain of integrators.
+
+    Noise of power q drives the highest derivative. Entry (i, j) of the transition is dt^(j - i) / (j - i)!.
+    """
+    factorial = (1.0, 1.0, 2.0)
+    transitions, noises = np.zeros((len(times) - 1, order, order)), np.zeros((len(times) - 1, order, order))
+    for k in range(len(times) - 1):
+        dt = times[k + 1] - times[k]
+        for i in range(order):
+            for j in range(i, order):
+                transitions[k, i, j] = dt ** (j - i) / factorial[j - i]
+            for j in range(order):
+                a, b = order - 1 - i, order - 1 - j
+                noises[k, i, j] = q * dt ** (a + b + 1) / (factorial[a] * factorial[b] * (a + b + 1))
+    return transitions, noises
+
+
+@njit(cache=True)
+def _add_sandwich(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Add a b a' to ``result``."""
+    n = len(a)
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                for m in range(n):
+                    result[i, j] += a[i, k] * b[k, m] * a[j, m]
+
+
+@njit(cache=True)
+def _forward(values, variances, transitions, noises, means, covariances, innovations):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Fill the filtered states from the first state on, and the innovations with their variances."""
+    for k in range(len(values)):
+        mean, covariance = means[k], covariances[k]
+        if k > 0:
+            covariance[:] = noises[k - 1]
+            for i in range(len(mean)):
+                for j in range(len(mean)):
+                    mean[i] += transitions[k - 1, i, j] * means[k - 1, j]
+            _add_sandwich(transitions[k - 1], covariances[k - 1], covariance)
+        if values[k] == values[k]:
+            innovations[0, k] = values[k] - mean[0]
+            innovations[1, k] = covariance[0, 0] + variances[k]
+            gain = covariance[:, 0] / innovations[1, k]
+            for i in range(len(mean)):
+                mean[i] += gain[i] * innovations[0, k]
+                for j in range(len(mean)):
+                    covariance[i, j] -= gain[i] * gain[j] * innovations[1, k]
+
+
+@njit(cache=True)
+def _backward(gains, means, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Add the smoothed state after each step to the state before it, from the last step on."""
+    for k in range(len(gains) - 1, -1, -1):
+        for i in range(means.shape[1]):
+            for j in range(means.shape[1]):
+                means[k, i] += gains[k, i, j] * means[k + 1, j]
+        _add_sandwich(gains[k], covariances[k + 1], covariances[k])
+
+
+def kalman(
+    times: Array, values: Array, variances: Array, q: float, order: int, start: Array
+) -> tuple[Array, Array, Array]:
+    """Apply the Kalman filter to one coordinate.
+
+    Parameters
+    ----------
+    times, values, variances : ndarray, shape (n,)
+        Times, measurements and their variances. ``values`` is NaN for a missing measurement.
+    q : float
+        Power of the driving noise.
+    order : int
+        Number of states, 2 or 3.
+    start : ndarray, shape (order, order)
+        Covariance of the state at times[0]. The mean position is the first measurement, and the mean
+        derivatives are 0.
+
+    Returns
+    -------
+    means, covariances : ndarray, shapes (n, order), (n, order, order)
+        Filtered states.
+    innovations : ndarray, shape (2, n)
+        Innovations and their variances, NaN without a measurement.
+    """
+    means, covariances = np.zeros((len(times), order)), np.zeros((len(times), order, order))
+    means[0, 0], covariances[0] = values[np.isfinite(values)][0], start
+    innovations = np.full((2, len(times)), np.nan)
+    _forward(values, variances, *_steps(times, q, order), means, covariances, innovations)
+    return means, covariances, innovations
+
+
+def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
+    """Smooth the output of :func:`kalman` by the method of Rauch, Tung and Striebel."""
+    transitions, noises = _steps(times, q, order)
+    moved = transitions @ covariances[:-1]
+    gains = np.linalg.solve(moved @ transitions.mT + noises, moved).mT
+    keep = np.eye(order) - gains @ transitions
+    smooth, spread = means.copy(), covariances.copy()
+    smooth[:-1] = np.einsum("kij,kj->ki", keep, means[:-1])
+    # a sum of covariances is accurate for a diffuse start, and a difference is not
+    spread[:-1] = keep @ covariances[:-1] @ keep.mT + gains @ noises @ gains.mT
+    _backward(gains, smooth, spread)
+    return smooth, spread
+
+
+def _start(order: int, variance: float, step: float) -> Array:
+    """Return the covariance of the unknown initial state, shape (order, order)."""
+    return np.diag([START_VARIANCE * variance / step ** (2 * i) for i in range(order)])
+
+
+def _likelihood(
+    pieces: list[tuple[Array, Array, Array]], ratio: float, order: int, step: float
+) -> tuple[float, float]:
+    """Return the concentrated log-likelihood, and the measurement variance that maximises it.
+
+    For a given ratio of driving noise to measurement variance, all innovation variances are proportional to
+    the measurement variance. Its most likely value is the mean of the squared normalised innovations. The
+    first ``order`` innovations of each segment determine the unknown initial state and are not used.
+    """
+    squares, logs, count = 0.0, 0.0, 0
+    q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
+    for times, values, weights in pieces:
+        _, _, (innovations, expected) = kalman(times, values, weights, q, order, start)
+        seen = np.flatnonzero(~np.isnan(innovations))[order:]
+        squares += float(np.sum(innovations[seen] ** 2 / expected[seen]))
+        logs += float(np.sum(np.log(expected[seen])))
+        count += len(seen)
+    variance = max(squares / count, 1e-300)
+    return -0.5 * (count * np.log(variance) + logs + count), variance
+
+
+def _estimate_noise(
+    pieces: list[tuple[Array, Array, Array]], order: int, step: float
+) -> tuple[float, float, float]:
+    """Return maximum log-likelihood, ratio of driving to measurement noise, and measurement variance."""
+
+    def cost(exponent: float) -> float:
+        return -_likelihood(pieces, 10.0**exponent, order, step)[0]
+
+    middle = int(np.argmin([cost(exponent) for exponent in RATIOS]))
+    bounds = (RATIOS[max(middle - 1, 0)], RATIOS[min(middle + 1, len(RATIOS) - 1)])
+    ratio = float(10.0 ** minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.02}).x)
+    likelihood, variance = _likelihood(pieces, ratio, order, step)
+    return likelihood, ratio, variance
+
+
+def _smooth_piece(
+    times: Array, values: Array, weights: Array, noise: tuple[float, float, int], step: float
+) -> tuple[Array, Array, Array]:
+    """Return means, covariances and normalised innovations of one coordinate of a segment."""
+    variance, power, order = noise
+    start = _start(order, variance, step)
+    means, covariances, (off, expected) = kalman(times, values, variance * weights, power, order, start)
+    means, covariances = rts(times, means, covariances, power, order)
+    normalised = off / np.sqrt(expected)
+    normalised[np.flatnonzero(~np.isnan(normalised))[:order]] = np.nan
+    return means, covariances, normalised
+
+
+def _gap_factor(
+    times: Array, row: Array, weights: Array, path: Array, length: int, noise: tuple[float, float, int]
+) -> float:
+    """Return the ratio, at least 1, of the errors in a gap of ``length`` samples to their standard deviation.
+
+    Measured segments of that length, with ``MARGIN`` known samples on each side, are hidden, interpolated and
+    compared with the path.
+    """
+    whole = length + 2 * MARGIN
+    known = runs(~np.isnan(row))
+    starts = np.concatenate([np.zeros(0, int), *(np.arange(a, b - whole + 1) for a, b in known)])
+    if len(row) <= whole or len(starts) < 5:
+        return 1.0
+    step = float(np.median(np.diff(times)))
+    errors = []
+    inside = slice(MARGIN, MARGIN + length)
+    for start in starts[np.unique(np.linspace(0, len(starts) - 1, N_STRETCHES).astype(int))]:
+        part = slice(start, start + whole)
+        hidden = row[part].copy()
+        hidden[inside] = np.nan
+        means, covariances, _ = _smooth_piece(times[part], hidden, weights[part], noise, step)
+        error = means[inside, 0] - path[part][inside]
+        errors.append(np.abs(error) / np.sqrt(np.maximum(covariances[inside, 0, 0], 1e-300)))
+    return max(1.0, float(np.percentile(np.concatenate(errors), 95)) / 1.96)
+
+
+def smooth(
+    times: Array,
+    values: Array,
+    weights: Array,
+    segments: list[tuple[int, int]],
+    *,
+    min_sd: float = 0.0,
+    trusted: NDArray[np.bool_] | None = None,
+) -> Smoothed:
+    """Smooth coordinates that share their noise, segment by segment.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Times in s, strictly increasing.
+    values : ndarray, shape (d, n)
+        Measurements, NaN if missing.
+    weights : ndarray, shape (n,)
+        Variance of each measurement relative to a good one.
+    segments : list of (start, end)
+        Segments to smooth, ``end`` exclusive. The result is NaN outside of the segments.
+    min_sd : float
+        Minimum standard deviation of a measurement.
+    trusted : ndarray of bool, shape (n,), optional
+        Measurements from which the noise is estimated. The errors of the other measurements are correlated
+        from sample to sample, so that the likelihood would attribute them to motion.
+
+    Returns
+    -------
+    Smoothed
+
+    Notes
+    -----
+    The acceleration of a swimmer is not white noise, because it follows the stroke. Therefore the standard
+    deviation in a gap is calibrated: measured segments of the same length are hidden and interpolated, and
+    the standard deviation is multiplied by the ratio of their errors to it.
+
+    The noise maximises the likelihood of the innovations, with the measurement variance concentrated out
+    (Harvey, A. C., 1989, *Forecasting, structural time series models and the Kalman filter*, section 3.4).
+    The smoother is that of Rauch, Tung and Striebel (1965, AIAA J. 3(8), 1445-1450, doi:10.2514/3.3166).
+    """
+    names = ("position", "velocity", "position_sd", "velocity_sd", "innovation")
+    out = {name: np.full(values.shape, np.nan) for name in names}
+    known = values if trusted is None else np.where(trusted, values, np.nan)
+    pieces = [
+        (times[a:b], row[a:b], weights[a:b])
+        for row, (a, b) in product(known, segments)
+        if np.count_nonzero(~np.isnan(row[a:b])) >= MIN_SAMPLES
+    ]
+    step = float(np.median(np.diff(times)))
+    order, ratio, fitted = 2, 1e-2, max(min_sd, 1e-12) ** 2
+    if pieces:
+        fits = {order: _estimate_noise(pieces, order, step) for order in (2, 3)}
+        order, (_, ratio, fitted) = max(fits.items(), key=lambda item: item[1][0])
+    variance = max(fitted, min_sd**2)
+    noise = (variance, ratio * fitted / step ** (2 * order - 1), order)
+    for (i, row), (a, b) in product(enumerate(values), segments):
+        means, covariances, innovation = _smooth_piece(times[a:b], row[a:b], weights[a:b], noise, step)
+        out["position"][i, a:b], out["velocity"][i, a:b] = means[:, 0], means[:, 1]
+        sds = np.sqrt(np.maximum(covariances.diagonal(axis1=1, axis2=2), 0))
+        out["position_sd"][i, a:b], out["velocity_sd"][i, a:b] = sds[:, 0], sds[:, 1]
+        out["innovation"][i, a:b] = innovation
+    factors: dict[tuple[int, int], float] = {}
+    for (i, row), (a, b) in product(enumerate(values), segments):
+        for first, last in a + runs(np.isnan(row[a:b])):
+            key = i, int(last - first)
+            if key not in factors:
+                factors[key] = _gap_factor(times, row, weights, out["position"][i], key[1], noise)
+            out["position_sd"][i, first:last] *= factors[key]
+            out["velocity_sd"][i, first:last] *= factors[key]
+    return Smoothed(
+        **out, measurement_sd=float(np.sqrt(variance)), process_noise=float(noise[1]), order=order
+    )
+
+
+def warm_up() -> None:
+    """Compile the functions of this module."""
+    times, ones = np.arange(3.0), np.ones(3)
+    _smooth_piece(times, ones, ones, (1.0, 1.0, 2), 1.0)
+
+
+# ---------------------------------------------------------------- pose
 
 
 @dataclass(frozen=True)
@@ -370,17 +666,16 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
     With ``facing: auto`` the direction ahead is the mean direction from tail to head marker, or from the rear
     to the front marker if their positions on the robot are known. A single marker does not change the plane.
     """
-    if setup.plane == "horizontal":
-        return plane
-    if setup.facing != "auto":
-        return plane.along_x(setup.facing == "left")
-    if setup.tail is None:
-        return plane
-    (front, _), (rear, _) = (plane.to_world(*track.centre(track.row(name))) for name in setup.roles)
-    ahead = np.nansum(front - rear)
-    if setup.places is not None:
-        ahead *= setup.places[0][0] - setup.places[1][0]
-    return plane if ahead >= 0 else plane.along_x(not plane.runs_left)
+    turn = setup.plane == "vertical" and setup.facing != plane.faces
+    if turn and setup.facing == "auto":
+        (front, _), (rear, _) = (plane.to_world(*track.centre(track.row(setup.roles[k]))) for k in (0, -1))
+        ahead = np.nansum(front - rear)
+        if setup.places is not None:
+            ahead *= setup.places[0][0] - setup.places[1][0]
+        turn = bool(ahead < 0)
+    if turn:
+        return plane.turned()
+    return plane
 
 
 def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
@@ -400,10 +695,14 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     everyone = range(len(track.names))
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
     hidden = np.array([hidden_px(track, i, plane) for i in everyone])
-    held = _held_pictures(track, rows)
+    # a picture is a repeat if all markers stay where they were, between steps
+    ramp = RAMP_PX * np.arange(len(times))
+    held = find_held(times, [values + ramp for row in rows for values in track.centre(row)])
     clock, clock_sd = _picture_times(times, held)
     measured: NDArray[np.bool_] = np.all(track.found[rows], axis=0) & ~held.repeated
-    segment, segments = _segments(times, measured, setup.max_gap_s)
+    segments, segment = _segments(times, measured, setup.max_gap_s), np.zeros(len(times), dtype=np.int64)
+    for number, (start, end) in enumerate(segments, start=1):
+        segment[start:end] = number
     if not segments:
         raise NoTrustworthyResult(
             f"the markers are seen together in {int(measured.sum())} frames, never in {MIN_SEGMENT} "
@@ -437,14 +736,9 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         raw_angle[~measured] = np.nan
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
-        # both ends of a silhouette follow from one outline: its length does not show all errors of its
-        # direction
-        along = centroid[1]
-        if setup.markers[0].method == "background":
-            along = lasting
         # the errors of partly hidden markers last as long as the markers are hidden
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
-        angle = _widened(angle, turn * along, off)
+        angle = _widened(angle, turn * centroid[1], off)
         # the smoothed heading is used, because the raw heading would add its noise to the path
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(clock, raw, weights, segments, min_sd=white, trusted=trusted)
@@ -470,31 +764,6 @@ def _widened(values: Smoothed, *sds: Array | float) -> Smoothed:
     """Return smoothed coordinates with independent errors of the standard deviations ``sds`` added."""
     variance = values.position_sd**2 + sum(np.square(sd) for sd in sds)
     return replace(values, position_sd=np.sqrt(variance))
-
-
-def _held_pictures(track: RawTrack, rows: list[int]) -> Held:
-    """Return the frames that repeat the previous picture.
-
-    In these frames the picture about the markers hardly changes. The picture also changes little while the
-    robot rests or reverses. Therefore the change must be large just before and after, and the markers must
-    continue in the same direction. The times of the pictures follow from the cumulative sum of the changes,
-    in which repeats are exact.
-    """
-    change = np.zeros(len(track.times)) if track.change is None else np.nan_to_num(track.change)
-    usual = maximum_filter1d(change, 2 * MAX_HELD_FRAMES + 3)
-    place = np.concatenate([np.stack(track.centre(row)) for row in rows])
-    repeated = np.zeros(len(change), dtype=bool)
-    for start, end in runs(change < MAX_CHANGE * usual):
-        sides = [k for k in (start - 1, end) if 1 <= k < len(change)]
-        sharp = MAX_CHANGE_OF_NEIGHBOURS * change[sides].min() > change[start:end].max()
-        steps = [place[:, k] - place[:, k - 1] for k in sides]
-        onward = len(steps) < 2 or steps[0] @ steps[1] > 0
-        first = max(start, 1)
-        repeated[first:end] = sharp and onward and 0 < end - first <= MAX_HELD_FRAMES
-    if len(runs(repeated)) < MIN_HELD_RUNS:
-        return Held(np.zeros_like(repeated), usual_step(track.times), 0.0, track.times, 0.0)
-    least = float(np.median(change[~repeated]))
-    return find_held(track.times, [np.cumsum(np.where(repeated, 0.0, np.maximum(change, least)))])
 
 
 def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
@@ -566,23 +835,13 @@ def _turned(vector: Array, angle: Array) -> Array:
     return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
 
 
-def _segments(
-    times: Array, measured: NDArray[np.bool_], max_gap_s: float
-) -> tuple[NDArray[np.int64], list[tuple[int, int]]]:
-    """Return the number of the segment of each frame, and start and end (exclusive) of each segment."""
-    number = np.zeros(len(times), dtype=np.int64)
-    seen = np.flatnonzero(measured)
-    if len(seen) < MIN_SEGMENT:
-        return number, []
-    step = float(np.median(np.diff(times)))
+def _segments(times: Array, measured: NDArray[np.bool_], max_gap_s: float) -> list[tuple[int, int]]:
+    """Return start and end (exclusive) of each segment."""
+    seen, step = np.flatnonzero(measured), float(np.median(np.diff(times)))
     # the gap between neighbours that are one step apart is zero
     split = np.flatnonzero(np.diff(times[seen]) - step > max_gap_s + 1e-9)
-    segments = []
-    for part in np.split(seen, split + 1):
-        if len(part) >= MIN_SEGMENT:
-            segments.append((int(part[0]), int(part[-1]) + 1))
-            number[part[0] : part[-1] + 1] = len(segments)
-    return number, segments
+    parts = [part for part in np.split(seen, split + 1) if len(part) >= MIN_SEGMENT]
+    return [(int(part[0]), int(part[-1]) + 1) for part in parts]
 
 
 def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
@@ -601,7 +860,7 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     if len(seen) < MIN_SEGMENT:
         return off
     area = track.area[marker, seen]
-    share = area * plane.sizes_of_pixels(track.x[marker, seen], track.y[marker, seen]) ** 2
+    share = area * plane.size_of_pixel(track.x[marker, seen], track.y[marker, seen]) ** 2
     share /= float(np.median(share))
     whole = area / share
     # minimum standard deviation: each pixel of the outline belongs to the marker by chance

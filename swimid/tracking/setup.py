@@ -50,9 +50,7 @@ class Marker(Document):
     """One kind of marker: colour, number and size in the picture."""
 
     name: Annotated[str, Field(max_length=40, pattern="^[A-Za-z][A-Za-z0-9_-]*$")]
-    #: ``background`` means the whole body, found by its difference from the empty scene; it needs no colour.
-    method: Literal["colour", "background"] = "colour"
-    hsv: HsvRange | None = None
+    hsv: HsvRange
     number: Annotated[int, Field(ge=1, le=20)] = 1
     area_px: _Area | None = None
     #: Position of each marker in the first frame (px of the picture), which defines the names of equal
@@ -63,11 +61,7 @@ class Marker(Document):
     at_m: _Point | None = None
 
     @model_validator(mode="after")
-    def _has_colour(self) -> Marker:
-        if self.method == "background" and (self.hsv is not None or self.number > 1):
-            raise ValueError(f"marker '{self.name}' has method: background; it takes no hsv, and number 1")
-        if self.method == "colour" and self.hsv is None:
-            raise ValueError(f"marker '{self.name}' needs hsv")
+    def _starts_fit(self) -> Marker:
         if self.start_px is not None and len(self.start_px) != self.number:
             text = f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
             raise ValueError(text)
@@ -76,8 +70,6 @@ class Marker(Document):
     @property
     def names(self) -> list[str]:
         """Names of the single markers: the name, or name1, name2, ... if there are several."""
-        if self.method == "background":
-            return [self.name, f"{self.name}_rear"]
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
 
 
@@ -177,8 +169,6 @@ class Setup(Document):
                 raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
         if self.tail is not None and self.head in (None, self.tail):
             raise ValueError(f"tail '{self.tail}' needs another marker as head")
-        if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
-            raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":
@@ -190,7 +180,7 @@ class Setup(Document):
 
     @model_validator(mode="after")
     def _places_fit(self) -> Setup:
-        if all(marker.at_m is None for marker in self.markers):
+        if self.robot is None and all(marker.at_m is None for marker in self.markers):
             return self
         if self.tail is None or self.scale is None:
             raise ValueError("at_m of the markers (or robot) needs a head, a tail and a scale")
@@ -284,17 +274,14 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
     from swimid.robots import file as robot_format
 
     def refuse(text: str, hint: str | None = None) -> InputError:
-        return InputError(text, file=path, column="robot", hint=hint)
+        return InputError(f"the robot '{name}' {text}", file=path, column="robot", hint=hint)
 
     robot = robot_format.read(name, path.parent)
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
-        raise refuse(f"the robot '{name}' moves in the {robot.multilink.plane} plane, the film shows another")
-    if setup.tail is None:
-        raise refuse("robot gives the places of head and tail; there is no tail")
+        raise refuse(f"moves in the {robot.multilink.plane} plane, the film shows another")
     places = robot.marker_places(setup.plane)
     for marker in (setup.marker(role) for role in setup.roles):
         if marker.at_m is None and marker.name not in places:
-            listed = ", ".join(places) or "none"
-            text = f"the robot '{name}' names no marker '{marker.name}'; it names: {listed}"
+            text = f"names no marker '{marker.name}'; it names: {', '.join(places) or 'none'}"
             raise refuse(text, "name the markers of the film as the robot file does, or give their at_m")
     return places

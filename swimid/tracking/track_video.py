@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
@@ -24,17 +23,14 @@ from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
-from swimid.tracking import pose, quality, reader
+from swimid.tracking import frames, pose
 from swimid.tracking import setup as setup_format
-from swimid.tracking.detect import LOST, describe_colours
+from swimid.tracking.frames import Array, Frame, RawTrack, Video
 from swimid.tracking.options import TrackVideoOptions
-from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose
-from swimid.tracking.reader import MEASURED, Frame, Video, reduced, write_text
+from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose, Smoothed
 from swimid.tracking.setup import Setup
-from swimid.tracking.smooth import Smoothed
 from swimid.tracking.tracker import Run, follow
 
-Array = NDArray[np.float64]
 #: Key, name, value and unit of a quantity.
 Row = tuple[str, str, Estimate | None, str]
 
@@ -46,6 +42,15 @@ MAX_POINTS, MAX_GAPS = 1500, 60
 IMAGE_WIDTH, TRAIL_S = 640, 2.0
 #: Colours of interpolated points and of the drawn path, BGR (Okabe and Ito, for colour-blind readers).
 INTERPOLATED, TRAIL = (167, 121, 204), (233, 180, 86)
+#: Maximum relative deviations, each as a pair: above the first value a check does not pass, and above the
+#: second it fails. They apply to the fraction of frames without a marker, and to errors of lengths.
+MAX_UNSEEN, MAX_LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
+#: Maximum deviation of a regular time step from the median step, relative to the median step.
+JITTER = 0.25
+#: Minimum normalised innovation of a measurement that counts as a jump.
+JUMP_SIGMA = 6.0
+#: Maximum fraction of frames in which a marker is partly hidden, or is cut by the edge of the picture.
+MAX_HIDDEN_SHARE = 0.01
 CAPTION = (
     "Circles: detected markers, purple where the edge of the picture cuts them. Cross and arrow: smoothed "
     "reference point and heading, orange if measured, purple if interpolated. Blue: path of the last two "
@@ -142,7 +147,6 @@ def track_video(
     video, setup, overlay_path = Path(video), options.setup, options.overlay_path
     if output is not None:
         output = atomic.check_writable(output, inputs=(video, setup))
-        reader.check_output(video, output)
     if overlay_path is not None:
         overlay_path = atomic.check_writable(overlay_path, inputs=(video, setup, output))
     changed = {"frame_rate_hz": options.fps, "max_gap_s": options.max_gap_s}
@@ -175,7 +179,7 @@ def _evaluate(
     _demand_markers(run)
     plane = pose.facing(track, rules, plane)
     made = pose.build(track, rules, plane)
-    checks = quality.checks(track, made, rules, run.kept)
+    checks = checks_of(track, made, rules, run.kept)
     swum = _swimming(made, (options.from_s, options.to_s))
     if swum.stroke is not None:
         if swum.doubt:
@@ -242,7 +246,7 @@ def _demand_markers(run: Run) -> None:
     for name in run.setup.roles:
         row = track.row(name)
         count, cut = int(track.found[row].sum()), int(track.at_edge[row].sum())
-        if count >= max(quality.MIN_SHARE * total, pose.MIN_SEGMENT):
+        if count >= max(frames.MIN_SHARE * total, pose.MIN_SEGMENT):
             continue
         text = f"in no frame of {total}"
         if count:
@@ -251,7 +255,7 @@ def _demand_markers(run: Run) -> None:
             text += f" (in {cut} the edge of the picture cuts it)"
         raise NoTrustworthyResult(
             f"marker '{name}' was found {text}; that is no track. "
-            f"{describe_colours(list(run.kept.values()))}",
+            f"{frames.describe_colours(list(run.kept.values()))}",
             hint="'swimid track setup VIDEO -o setup.yaml' proposes markers from the video itself and draws "
             "them; or correct hsv and area_px in the setup",
         )
@@ -350,6 +354,245 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
             **{key: value and asdict(value) | {"unit": kind} for key, _, value, kind in rows},
         },
     }
+
+
+# ---------------------------------------------------------------- checks
+
+
+def _judged(
+    code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
+) -> ev.Check:
+    """Return a check that warns or fails. Record a warning if the check does not pass and has a code."""
+    if code and not passed:
+        warn(code, reason)
+    return ev.check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
+
+
+def _graded(
+    code: str, name: str, value: str, limit: str, size: float, limits: tuple[float, float], reason: str
+) -> ev.Check:
+    """Return a check of a size that passes up to the first limit, and fails beyond the second limit."""
+    return _judged(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
+
+
+def checks_of(
+    track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None
+) -> list[ev.Check]:
+    """Return all checks of a track in order of importance; ``kept`` are some of its frames."""
+    return [
+        *_presence(track, pose, setup),
+        _motion(track, setup),
+        *_camera(kept or {}),
+        *_others(track, setup),
+        *_separation(pose, setup),
+        *_direction(pose, setup, track),
+        *_timing(pose),
+        *_sight(track, pose),
+        *_calibration(pose),
+        *_looks(track),
+    ]
+
+
+def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
+    fresh, t, head = ~pose.held.repeated, pose.times, pose.rows[0]
+    first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
+    # if the edge of the picture cuts a marker just before the first detection, or just after the last, the
+    # body is not lost but outside the picture
+    cut = np.any(track.at_edge[pose.rows], axis=0)
+    enters, leaves = bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any())
+    count, total = int(pose.measured.sum()), int(fresh.sum())
+    # frames before the robot enters and after it leaves are not losses, but do not count as found either
+    inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
+    lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
+    bridged, empty = int((pose.interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
+    reason = (
+        f"{total - count} of {total} frames show no marker (not all of them, or not whole): {bridged} are "
+        f"bridged and flagged interpolated, {empty} are empty"
+    )
+    if count < total:
+        warn("SWM040", reason)
+    value = f"{count} of {total} ({100 * count / total:.1f} %)"
+    passed, fails = max(lost, 1 - count / total) <= MAX_UNSEEN[0], lost > MAX_UNSEEN[1]
+    yield _judged("", "Frames found", value, ">= 95 %", passed, reason, fails=fails)
+    reasons = []
+    if t[first] - t[0] > setup.max_gap_s:
+        before = "cut by the edge of the picture before" if enters else "nothing of it before"
+        place = f"frame {first}, at {track.x[head, first]:.0f}, {track.y[head, first]:.0f} px"
+        reasons.append(f"first seen at {t[first]:.2f} s ({place}; {before})")
+    if t[-1] - t[last] > setup.max_gap_s:
+        after = "then it left the picture" if leaves else "then it is lost for good"
+        place = f"frame {last}, at {track.x[head, last]:.0f}, {track.y[head, last]:.0f} px"
+        reasons.append(f"last seen at {t[last]:.2f} s of {t[-1]:.2f} s ({place}; {after})")
+    value, limit = f"{t[first]:.2f} s and {t[last]:.2f} s", f"within {setup.max_gap_s:g} s of the ends"
+    yield _judged("SWM065", "First and last sight", value, limit, not reasons, "; ".join(reasons))
+    longest, segments = max((end - start for start, end in pose.gaps), default=0.0), int(pose.segment.max())
+    reason = f"the track has {segments} segments: gaps over max_gap_s = {setup.max_gap_s:g} s are left empty"
+    limit = f"<= {setup.max_gap_s:g} s"
+    yield _judged("SWM047", "Longest gap", f"{longest:.3f} s", limit, segments == 1, reason)
+
+
+def _motion(track: RawTrack, setup: Setup) -> ev.Check:
+    """Check that the marker with the largest range moves. A motionless object passes all other checks."""
+    reaches = {name: track.measure_range(name) for name in setup.roles}
+    name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
+    # distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh distribution)
+    noise = math.sqrt(-2 * math.log(0.003)) * math.hypot(pose.noise_px(track, track.row(name)), SYSTEMATIC_PX)
+    still = away <= noise
+    extent = f"{away:.2g} px of one place, {radii:.2g} of its radius"
+    reason = f"marker '{name}' stays within {extent}"
+    if still:
+        reason += ", which is its noise"
+    reason += ": is it the marker, or a motionless object of its colour?"
+    value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
+    passed = radii >= frames.MIN_RADII and not still
+    return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
+
+
+def _camera(kept: dict[int, Frame]) -> Iterator[ev.Check]:
+    """Check that the camera is at rest, if most of the scene can be recognised."""
+    shift = frames.scene_shifts(list(kept.values()))
+    if np.isfinite(shift[:, 0]).sum() < 2:
+        return
+    width = next(iter(kept.values())).shape[1]
+    largest, limit = frames.check_camera(shift, width, ", and so do positions and speeds in the log")
+    reason = f"the camera moves: the whole scene shifts by {largest:.1f} px"
+    yield _judged("", "Camera", f"{largest:.1f} px", f"<= {limit:.1f} px", largest <= limit, reason)
+
+
+def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
+    """Check how often the markers that the pose does not need are found, and whether they move."""
+    shares = {n: float(track.found[track.row(n)].mean()) for n in track.names if n not in setup.roles}
+    if not shares:
+        return
+    worst = min(shares, key=lambda n: shares[n])
+    value = f"{worst} in {100 * shares[worst]:.1f} %"
+    reason = f"marker '{worst}' is found in {100 * shares[worst]:.1f} % of the frames only"
+    yield _graded("", "Other markers found", value, ">= 95 %", 1 - shares[worst], MAX_UNSEEN, reason)
+    still = [n for n in shares if shares[n] > 0 and track.measure_range(n)[1] < frames.MIN_RADII]
+    reason = f"markers never left the radius of one place: {', '.join(still)}. Are they still things?"
+    value, limit = f"{len(shares) - len(still)} of {len(shares)}", f">= {frames.MIN_RADII:g} radius"
+    yield _judged("SWM067", "Other markers move", value, limit, not still, reason)
+
+
+def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
+    """Check that the distance between two markers is constant and equal to that on the robot.
+
+    The distance must be constant over time and position.
+    """
+    if pose.separation is None:
+        return
+    known = pose.measured & np.isfinite(pose.separation)
+    separation = pose.separation[known]
+    middle = float(np.median(separation))
+    spread = 1.4826 * float(np.median(np.abs(separation - middle))) / middle
+    value = f"{middle:.4g} {pose.plane.unit} ± {100 * spread:.2f} %"
+    reason = f"the distance of head and tail marker scatters by {100 * spread:.1f} %"
+    yield _graded("", "Marker separation", value, "± 2 %", spread, frames.MAX_DISTANCE_SD, reason)
+    design = np.column_stack([np.ones(known.sum()), *pose.raw[:, known]])
+    design[:, 1:] -= design[:, 1:].mean(0)
+    fit, *_ = np.linalg.lstsq(design, separation, rcond=None)
+    drift = float(np.ptp(design[:, 1:] @ fit[1:])) / middle
+    reason = f"the distance of head and tail marker changes by {100 * drift:.1f} % across the picture"
+    name, value = "Separation across the picture", f"{100 * drift:.2f} %"
+    yield _graded("SWM042", name, value, "<= 2 %", drift, MAX_LENGTH_ERROR, reason)
+    if setup.places is None:
+        return
+    known_m = math.dist(*setup.places)
+    off = middle / known_m - 1
+    reason = (
+        f"the distance of head and tail marker is {100 * off:+.1f} % off the {known_m:g} m on the robot, and "
+        "so is every length in the log, or their places on the robot are wrong"
+    )
+    name, value = "Marker distance against the robot", f"{100 * off:+.2f} % of {known_m:g} m"
+    yield _graded("SWM042", name, value, "within 2 %", abs(off), MAX_LENGTH_ERROR, reason)
+
+
+def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[ev.Check]:
+    """Check that the robot swims in the direction that head and tail define.
+
+    The check compares the distances travelled in the other and in the stated direction. It fails if their
+    difference exceeds the distance between the markers. It also fails if the difference exceeds both the
+    radius of a marker and the longest continuous path in the stated direction. Smaller differences are
+    allowed, because a robot that stays in place moves back and forth.
+    """
+    if pose.body_velocity is None or pose.separation is None:
+        return
+    step = np.gradient(pose.times) * pose.body_velocity[0]
+    step = np.where(np.isfinite(step), step, 0.0)
+    if setup.swims == "tail-first":
+        step = -step
+    ahead, astern = float(step[step > 0].sum()), float(-step[step < 0].sum())
+    longest = max((float(step[a:b].sum()) for a, b in runs(step > 0)), default=0.0)
+    head = pose.rows[0]
+    x, y, area = (float(np.nanmedian(values[head])) for values in (track.x, track.y, track.area))
+    radius = math.sqrt(area / math.pi) * pose.plane.size_of_pixel(x, y)
+    least = min(float(np.nanmedian(pose.separation)), max(radius, longest))
+    share, way = ahead / max(ahead + astern, 1e-300), setup.swims.replace("-", " ")
+    reason = (
+        f"the robot swims {way} over {100 * share:.0f} % of its way only: exchange head '{setup.head}' and "
+        f"tail '{setup.tail}' in the setup, or say there how it swims (swims: head-first or tail-first)"
+    )
+    value, passed = f"{100 * share:.0f} % of the way", not astern - ahead > least
+    yield _judged("SWM100", f"Swims {way}", value, "most of the way", passed, reason, fails=True)
+
+
+def _timing(pose: Pose) -> Iterator[ev.Check]:
+    steps = np.diff(pose.times) / np.median(np.diff(pose.times))
+    share, largest = float(np.mean(np.abs(steps - 1) > JITTER)), float(steps.max())
+    reason = f"{100 * share:.1f} % of the frames come at uneven steps (up to {largest:.1f} times the usual)"
+    value = f"{100 * share:.1f} % uneven"
+    yield _judged("SWM043", "Frame timing", value, "<= 1 % uneven", share <= 0.01, reason)
+    count, total = int(pose.held.repeated.sum()), len(pose.times)
+    if count:
+        reason = (
+            f"{count} of {total} pictures repeat the one before and are left out: the camera took "
+            f"{1 / pose.held.period_s:.4g} pictures/s, up to {1e3 * pose.held.lateness_s:.3g} ms early"
+        )
+        yield _judged("SWM058", "Repeated pictures", f"{count} of {total}", "none", False, reason)
+
+
+def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
+    """Check whether the edge of the picture cuts markers, and whether markers are partly hidden or jump."""
+    count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.seen[pose.rows].any(axis=0)
+    share = count / max(int(seen.sum()), 1)
+    reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
+    if count:
+        warn("SWM045", reason)
+    value = f"{count} frames"
+    yield _judged("", "At the edge of the picture", value, "<= 1 %", share <= MAX_HIDDEN_SHARE, reason)
+    off, measured = pose.hidden[pose.rows].max(axis=0), max(int(pose.measured.sum()), 1)
+    count = int(np.sum(off > 0))
+    reason = (
+        f"in {count} frames a marker is hidden in part or seen aslant; its centre may be {off.max():.1f} "
+        f"px off in frame {int(np.argmax(off))}"
+    )
+    passed = count / measured <= MAX_HIDDEN_SHARE
+    yield _judged("SWM066", "Hidden in part", f"{count} frames", "<= 1 %", passed, reason)
+    innovations = [one.innovation for one in (pose.path, pose.angle) if one is not None]
+    far = np.nanmax(np.abs(np.concatenate(innovations)), axis=0, initial=0.0) > JUMP_SIGMA
+    count, limit = int(far.sum()), f"0 beyond {JUMP_SIGMA:g} sigma"
+    reason = f"{count} measurements jump, the first in frame {int(np.argmax(far))}: is it the marker?"
+    yield _graded("", "Jumps", f"{count} frames", limit, count / measured, (0.0, 0.02), reason)
+
+
+def _calibration(pose: Pose) -> Iterator[ev.Check]:
+    plane = pose.plane
+    if plane.unit == "px":
+        reason = "positions are in pixels: the setup has no scale"
+        yield _judged("", "Calibration", "none", "a scale", False, reason)
+    elif plane.residual_px > 1e-2:
+        value = f"{plane.residual_px:.2f} px, {1000 * plane.residual:.2f} mm rms"
+        reason = f"the calibration points misfit by {plane.residual_px:.1f} px"
+        yield _graded("", "Calibration", value, "<= 1 px", plane.residual_px, (1.0, 4.0), reason)
+
+
+def _looks(track: RawTrack) -> Iterator[ev.Check]:
+    """Check whether another object was taken for a marker first."""
+    for name, (count, area) in track.mistaken.items():
+        now = float(np.nanmedian(track.area[track.row(name)]))
+        value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
+        reason = f"marker '{name}' was first confused with another object: {value}, which stayed longer"
+        yield _judged("SWM064", f"Object followed as {name}", value, "one object", False, reason)
 
 
 # ---------------------------------------------------------------- evidence
@@ -520,28 +763,28 @@ class Painter:
             if end - start > 1:
                 points = np.round(8 * trail[:, start:end].T).astype(np.int32).reshape(-1, 1, 2)
                 cv2.polylines(frame, [points], False, TRAIL, line, cv2.LINE_AA, shift=3)
-        for m in np.flatnonzero(self.track.status[:, i] != LOST):
+        for m in np.flatnonzero(self.track.status[:, i] != frames.LOST):
             radius = int(np.sqrt(self.track.area[m, i] / np.pi) + 4 * size)
-            colour = INTERPOLATED if self.track.at_edge[m, i] else MEASURED
+            colour = INTERPOLATED if self.track.at_edge[m, i] else frames.MEASURED
             centre = _fixed_point(self.track.x[m, i], self.track.y[m, i])
             cv2.circle(frame, centre, 8 * radius, colour, line, cv2.LINE_AA, shift=3)
         here = self._path[:, i]
         if np.isfinite(here[0]):
-            colour = MEASURED if self.pose.measured[i] else INTERPOLATED
+            colour = frames.MEASURED if self.pose.measured[i] else INTERPOLATED
             if self._tip is not None and np.isfinite(self._tip[0, i]):
                 ends = _fixed_point(*here), _fixed_point(*self._tip[:, i])
                 cv2.arrowedLine(frame, *ends, colour, line, cv2.LINE_AA, 3, 0.2)
             place = tuple(np.round(here).astype(int))
             cv2.drawMarker(frame, place, colour, cv2.MARKER_CROSS, int(14 * size), line, cv2.LINE_AA)
         place = (int(8 * size), int(frame.shape[0] - 10 * size))
-        write_text(frame, f"{times[i]:.2f} s  frame {i}", place, 0.55 * size, line)
+        frames.write_text(frame, f"{times[i]:.2f} s  frame {i}", place, 0.55 * size, line)
         return frame
 
     def images(self) -> list[ev.Image]:
         """Return the frames for the report, with the track drawn in."""
         images = []
         for i, frame in self.run.kept.items():
-            drawn = reduced(self.draw(i, frame.copy()), IMAGE_WIDTH)
+            drawn = frames.reduced(self.draw(i, frame.copy()), IMAGE_WIDTH)
             data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
             title = f"Frame {i}, t = {self.track.times[i]:.2f} s"
             image = {"media_type": "image/jpeg", "base64": base64.b64encode(data).decode()}

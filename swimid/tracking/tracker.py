@@ -1,9 +1,9 @@
 """Tracking of all markers from the first frame of a film to the last.
 
 A marker that was just seen is searched for in a window about its predicted position, and a lost marker in the
-whole picture. :class:`Search` finds patches of a colour, :class:`Target` is the state of one marker, and
-:class:`Follower` assigns patches to targets. :func:`follow` reads a film. It reads the film again if a
-motionless object was taken for a marker.
+whole picture. :class:`Target` is the state of one marker, and :class:`Follower` finds patches of a colour and
+assigns them to targets. :func:`follow` reads a film. It reads the film again if a motionless object was taken
+for a marker.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -23,13 +21,9 @@ from scipy.optimize import linear_sum_assignment
 from swimid.errors import InputError
 from swimid.logs.log import runs
 from swimid.notices import Step, warn
-from swimid.tracking import detect, pose, quality
-from swimid.tracking.detect import GROWN, LOST, NOT_SEEN, WINDOW, Blob, ColourModel, Patch, RawTrack, Row
-from swimid.tracking.reader import Frame, FrameKeeper, Video
-from swimid.tracking.setup import Box, HsvRange, Marker, Setup
-
-if TYPE_CHECKING:
-    from swimid.tracking.silhouette import Silhouette
+from swimid.tracking import frames, pose
+from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
+from swimid.tracking.setup import Box, Marker, Setup
 
 #: Number of frames stored for the report.
 REPORT_FRAMES = 6
@@ -55,11 +49,8 @@ MIN_RIGID_FRAMES, MAX_RIGID_SD, MAX_RIGID_DEVIATION = 20, 0.06, 0.3
 #: Cost of an impossible assignment.
 IMPOSSIBLE = 1e6
 
-#: Mean hue, saturation and value of a missing detection, which follow the columns of :data:`detect.Row`.
-NO_COLOUR = (math.nan, math.nan, math.nan)
 
-
-@dataclass
+@dataclass(eq=False)
 class Target:
     """State of one marker. Lengths are in px, times in s."""
 
@@ -84,7 +75,13 @@ class Target:
     pace: float = 0.0
     usual_area: float = 0.0
     colour: NDArray[np.float64] | None = None
-    challenger: Challenger | None = None
+    #: Detections by frame.
+    rows: dict[int, Row] = field(default_factory=dict)
+    #: Whether the marker has left the position of its first detection by more than its own size.
+    moved: bool = False
+    #: Object that does not look like this target while the target is missed. It is followed because the
+    #: detections of the target may be false.
+    challenger: Target | None = None
 
     def predict(self, time: float) -> tuple[float, float]:
         """Return the predicted position at a time, for constant velocity."""
@@ -98,11 +95,12 @@ class Target:
             start = 12.0 + self.radius
         return start + moved + self.missed * 0.5 * self.radius
 
-    def see(self, blob: Blob, time: float) -> None:
-        """Move the target to a detection.
+    def see(self, blob: Blob, time: float, frame: int) -> None:
+        """Move the target to a detection in a frame.
 
         If the detection shows the whole marker, it also updates the appearance of the target.
         """
+        self.rows[frame] = self._row(blob)
         if self.sights and time > self.time:
             self._move(blob, time)
         if not blob.at_edge:
@@ -112,6 +110,26 @@ class Target:
         self.x, self.y, self.time = blob.x, blob.y, time
         self.sights += 1
         self.missed = 0
+        start = next(iter(self.rows.values()))
+        self.moved = self.moved or blob.away(*start[:2]) > 2 * self.radius
+
+    def _row(self, blob: Blob) -> Row:
+        """Return a detection as a row of values. An unusual area reduces the confidence."""
+        confidence = blob.confidence
+        if self.whole and not blob.at_edge:
+            confidence *= min(blob.area / self.usual_area, self.usual_area / blob.area) ** 0.5
+        return (blob.x, blob.y, blob.area, confidence, blob.status, blob.at_edge, *blob.hsv)
+
+    def prevails(self, target: Target) -> bool:
+        """Return whether this challenger of a target is the marker, and the target is not.
+
+        The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of both. A
+        challenger that does not move replaces only a target that was never seen whole. Example: a ladder put
+        into the pool is not the swimmer that has just left it.
+        """
+        if not target.whole:
+            return self.whole >= MIN_RUN
+        return self.moved and target.whole < FALSE_SHARE * (target.whole + self.whole)
 
     def _move(self, blob: Blob, time: float) -> None:
         x, y = self.predict(time)
@@ -136,41 +154,8 @@ class Target:
         self.area += fast * (blob.area - self.area)
         self.radius += fast * (blob.radius - self.radius)
         self.usual_area += slow * (blob.area - self.usual_area)
-        self.colour = self.colour + slow * detect.colour_difference(blob.hsv, self.colour)
+        self.colour = self.colour + slow * frames.colour_difference(blob.hsv, self.colour)
         self.whole += 1
-
-
-@dataclass
-class Challenger:
-    """Object that does not look like a target which is currently missed.
-
-    It is followed because the detections of the target may be false.
-    """
-
-    target: Target
-    #: Position of the first detection of the object, px.
-    start: tuple[float, float]
-    #: Whether the object has left that position by more than its own size.
-    moved: bool = False
-    #: Detections of the object by frame.
-    rows: dict[int, Row] = field(default_factory=dict)
-
-    def see(self, blob: Blob, time: float, frame: int) -> None:
-        """Move the object to a detection in a frame."""
-        self.rows[frame] = row_of(self.target, blob)
-        self.target.see(blob, time)
-        self.moved = self.moved or blob.away(*self.start) > 2 * self.target.radius
-
-    def prevails(self, target: Target) -> bool:
-        """Return whether the challenger is the marker, and the target is not.
-
-        The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of both. A
-        challenger that does not move replaces only a target that was never seen whole. Example: a ladder put
-        into the pool is not the swimmer that has just left it.
-        """
-        if not target.whole:
-            return self.target.whole >= MIN_RUN
-        return self.moved and target.whole < FALSE_SHARE * (target.whole + self.target.whole)
 
 
 @dataclass
@@ -216,7 +201,7 @@ class Group:
             return False
         if not gone_s or target.colour is None:
             return True
-        return bool(detect.has_colour(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
+        return bool(frames.has_colour(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
 
     def merit(self, blob: Blob) -> float:
         """Return a score of a blob as a marker of which only the colour is known."""
@@ -259,81 +244,6 @@ class Group:
         self.pause = min(2 * self.pause, 180)
 
 
-@dataclass(frozen=True)
-class Search:
-    """Search for patches of a colour in pictures of one size."""
-
-    #: Width and height of the picture, px.
-    size: tuple[int, int]
-    #: Boxes that contain no centre of a marker.
-    ignored: list[Box]
-
-    def in_window(
-        self, group: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
-    ) -> tuple[list[Blob], Box | None]:
-        """Return the whole blobs in a square window, and the box of the largest patch that the window cuts.
-
-        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
-        every ``step``-th pixel, and the centre of a blob is computed from all pixels.
-        """
-        width, height = self.size
-        x0, y0 = max(int(cx - half), 0), max(int(cy - half), 0)
-        x1, y1 = min(int(cx + half) + 2, width), min(int(cy + half) + 2, height)
-        if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
-            return [], None
-        window = frame[y0:y1, x0:x1]
-        mask = detect.marker_mask(detect.thinned(window, step), group.model)
-        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
-        found = detect.find_patches(mask, group.area_px, step=step, inside=inside)
-        blobs = []
-        for patch in found:
-            if patch.clipped:
-                continue
-            blob = detect.measure(window, patch, step=step, origin=(x0, y0), picture=self.size)
-            if blob is None or self._is_ignored(blob.x, blob.y) or is_among(blob, group.scenery):
-                continue
-            blobs.append(blob)
-        if step > 1 and any(blob.at_edge for blob in blobs):
-            # on a coarse mask a marker that ends just before the edge looks cut
-            return self.in_window(group, frame, cx, cy, half)
-        cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
-        return blobs, None if cut is None else cut.box((x0, y0), step)
-
-    def in_picture(self, group: Group, frame: Frame, area: float) -> list[Blob]:
-        """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
-
-        ``area`` is the expected area in px, 0 if unknown.
-        """
-        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self.size) / 2))
-        blobs = self._in_picture(group, frame, area, step)
-        if not blobs and not area and step > 1:
-            blobs = self._in_picture(group, frame, area, 1)
-        return blobs
-
-    def _in_picture(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
-        mask = detect.marker_mask(detect.thinned(frame, step), group.model)
-        coarse = detect.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
-
-        def order(patch: Patch) -> float:
-            """Return a sort key by the expected area; without one, the largest allowed area comes first."""
-            if area:
-                return abs(math.log(patch.area / area))
-            return -patch.area if patch.area <= group.area_px[1] / COARSE_AREA_SHARE else patch.area
-
-        boxes = [patch.box((0, 0), step) for patch in sorted(coarse, key=order)]
-        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
-        blobs: list[Blob] = []
-        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
-            half = 0.5 * size + 2 * step + detect.MARGIN
-            found, _ = self.in_window(group, frame, x, y, half, mask_step(size / 12))
-            blobs += [blob for blob in found if is_new(blob, blobs)]
-        return blobs
-
-    def _is_ignored(self, x: float, y: float) -> bool:
-        """Return whether a point is in an ignored box."""
-        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self.ignored)
-
-
 def mask_step(length: float) -> int:
     """Return the distance between the pixels of a mask that resolves a length, px."""
     return max(min(int(length), MAX_STEP), 1)
@@ -362,12 +272,12 @@ class Follower:
 
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.setup = setup
-        self._search = Search((width, height), setup.ignore_px)
+        self._size = (width, height)
         # the default area is from 12 px to 5 % of the picture
         self.groups = [
             Group(
                 marker=marker,
-                model=ColourModel(marker.hsv or HsvRange()),
+                model=ColourModel(marker.hsv),
                 area_px=marker.area_px or (12.0, 0.05 * width * height),
                 targets=[Target(name) for name in marker.names],
             )
@@ -379,10 +289,6 @@ class Follower:
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
                 self._pairs |= {pair: np.zeros(3) for pair in product(one.names, other.names)}
-        self._rows: list[list[Row]] = []
-        #: Part of the last frame about each marker.
-        self._last: list[tuple[tuple[slice, slice], Frame]] = []
-        self._changes: list[float] = []
         #: Number of detections that were removed because they showed another object, and area of that object,
         #: px.
         self._mistaken: dict[str, tuple[int, float]] = {}
@@ -395,23 +301,14 @@ class Follower:
 
     def step(self, time: float, frame: Frame) -> None:
         """Find every marker in the next frame."""
-        row: list[Row] = []
-        changes = [cv2.absdiff(frame[part], before).mean() for part, before in self._last]
-        self._changes.append(float(max(changes, default=math.nan)))
-        self._last = []
         for group in self.groups:
             sights = self._follow(group, time, frame)
             for target in group.targets:
                 blob = sights.get(target.name)
                 if blob is None:
                     target.missed += 1
-                    row.append(NOT_SEEN + NO_COLOUR)
                     continue
-                row.append(row_of(target, blob))
-                left, top, right, bottom = blob.box
-                part = (slice(max(top - 2, 0), bottom + 2), slice(max(left - 2, 0), right + 2))
-                self._last.append((part, frame[part].copy()))
-                target.see(blob, time)
+                target.see(blob, time, self._frame)
                 if self._frame % 5 == 0 and blob.confidence > 0.3 and not blob.at_edge:
                     group.model.adapt(blob.hsv)
             if not sights:
@@ -421,24 +318,76 @@ class Follower:
             a, b = (targets[name] for name in pair)
             if a.time == time == b.time:
                 sums += math.hypot(a.x - b.x, a.y - b.y) ** np.arange(3)
-        self._rows.append(row)
         self._times.append(time)
         self._frame += 1
 
     def track(self) -> RawTrack:
         """Return the track so far."""
-        track = RawTrack.of_rows(
-            self._times,
-            self.setup.marker_names,
-            self._rows,
-            drift={g.marker.name: g.model.largest_drift for g in self.groups if g.model.drifted},
-            rivals={g.marker.name: g.most_rivals for g in self.groups if g.most_rivals},
-            mistaken=self._mistaken,
-            change=np.array(self._changes),
-        )
-        for i in range(len(track.names)):
-            drop_false_detections(track, i, np.array([row[i][6:] for row in self._rows]).reshape(-1, 3))
-        return track
+        table = np.tile(NOT_SEEN, (len(self._targets), len(self._times), 1))
+        for rows, target in zip(table, self._targets.values(), strict=True):
+            for frame, row in target.rows.items():
+                rows[frame] = row
+            drop_false_detections(rows)
+        rivals = {g.marker.name: g.most_rivals for g in self.groups if g.most_rivals}
+        return RawTrack.of_table(self._times, self.setup.marker_names, table, rivals, self._mistaken)
+
+    # ------------------------------------------------------------ patches of a colour
+
+    def _search_window(
+        self, group: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
+    ) -> tuple[list[Blob], Box | None]:
+        """Return the whole blobs in a square window, and the box of the largest patch that the window cuts.
+
+        The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
+        every ``step``-th pixel, and the centre of a blob is computed from all pixels.
+        """
+        width, height = self._size
+        x0, y0 = max(int(cx - half), 0), max(int(cy - half), 0)
+        x1, y1 = min(int(cx + half) + 2, width), min(int(cy + half) + 2, height)
+        if x1 - x0 < 3 * step or y1 - y0 < 3 * step:
+            return [], None
+        window = frame[y0:y1, x0:x1]
+        mask = frames.marker_mask(frames.thinned(window, step), group.model)
+        inside = (x0 > 0, y0 > 0, x1 < width, y1 < height)
+        found = frames.find_patches(mask, group.area_px, step=step, inside=inside)
+        whole = [patch for patch in found if not patch.clipped]
+        measured = [frames.measure(window, patch, step, (x0, y0), self._size) for patch in whole]
+        seen = [blob for blob in measured if blob is not None and not self._is_ignored(blob.x, blob.y)]
+        blobs = [blob for blob in seen if not is_among(blob, group.scenery)]
+        if step > 1 and any(blob.at_edge for blob in blobs):
+            # on a coarse mask a marker that ends just before the edge looks cut
+            return self._search_window(group, frame, cx, cy, half)
+        cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
+        return blobs, None if cut is None else cut.box((x0, y0), step)
+
+    def _search_picture(self, group: Group, frame: Frame, area: float) -> list[Blob]:
+        """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
+
+        ``area`` is the expected area in px, 0 if unknown.
+        """
+        step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self._size) / 2))
+        blobs = self._search_coarse(group, frame, area, step)
+        if not blobs and not area and step > 1:
+            blobs = self._search_coarse(group, frame, area, 1)
+        return blobs
+
+    def _search_coarse(self, group: Group, frame: Frame, area: float, step: int) -> list[Blob]:
+        mask = frames.marker_mask(frames.thinned(frame, step), group.model)
+        coarse = frames.find_patches(mask, (COARSE_AREA_SHARE * group.area_px[0], math.inf), step=step)
+        expected = area or group.area_px[1] / COARSE_AREA_SHARE
+        coarse.sort(key=lambda patch: abs(math.log(patch.area / expected)))
+        boxes = [patch.box((0, 0), step) for patch in coarse]
+        places = [(0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), max(b[2] - b[0], b[3] - b[1])) for b in boxes]
+        blobs: list[Blob] = []
+        for x, y, size in [place for place in places if not self._is_ignored(*place[:2])][:MAX_PATCHES]:
+            half = 0.5 * size + 2 * step + frames.MARGIN
+            found, _ = self._search_window(group, frame, x, y, half, mask_step(size / 12))
+            blobs += [blob for blob in found if is_new(blob, blobs)]
+        return blobs
+
+    def _is_ignored(self, x: float, y: float) -> bool:
+        """Return whether a point is in an ignored box."""
+        return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self.setup.ignore_px)
 
     # ------------------------------------------------------------ one colour in one frame
 
@@ -467,7 +416,7 @@ class Follower:
     ) -> list[Blob]:
         """Return the unassigned blobs of the whole picture; the search expects the size of ``targets``."""
         area, taken = max((target.area for target in targets), default=0.0), list(sights.values())
-        return [blob for blob in self._search.in_picture(group, frame, area) if is_new(blob, taken)]
+        return [blob for blob in self._search_picture(group, frame, area) if is_new(blob, taken)]
 
     def _in_windows(self, group: Group, known: list[Target], time: float, frame: Frame) -> dict[str, Blob]:
         """Return the blobs assigned to known targets, by name, from windows about predicted positions."""
@@ -491,8 +440,8 @@ class Follower:
         """Return the blobs in the window of a target, which grows until one blob is like the target."""
         cx, cy = target.predict(time)
         half = 1.3 * target.radius + target.search_range(time - target.time) + 4
-        for status in (WINDOW, GROWN, GROWN):
-            blobs, cut = self._search.in_window(group, frame, cx, cy, half, mask_step(target.radius / 6))
+        for status in (frames.WINDOW, frames.GROWN, frames.GROWN):
+            blobs, cut = self._search_window(group, frame, cx, cy, half, mask_step(target.radius / 6))
             if any(group.is_alike(target, blob) for blob in blobs):
                 for blob in blobs:
                     blob.status = status
@@ -592,17 +541,17 @@ class Follower:
             and not (target.whole and group.is_alike(target, blob, gone_s))
         ]
         rival = target.challenger
-        if rival is not None and time - rival.target.time > self.setup.max_gap_s:
+        if rival is not None and time - rival.time > self.setup.max_gap_s:
             rival = target.challenger = None
         if rival is None:
             if not blobs:
                 return None
             best = max(blobs, key=group.merit)
-            rival = target.challenger = Challenger(Target(target.name), (best.x, best.y))
+            rival = target.challenger = Target(target.name)
         else:
-            costs = [self._cost(group, rival.target, blob, time) for blob in blobs]
+            costs = [self._cost(group, rival, blob, time) for blob in blobs]
             if min(costs, default=IMPOSSIBLE) >= IMPOSSIBLE:
-                rival.target.missed += 1
+                rival.missed += 1
                 return None
             best = blobs[int(np.argmin(costs))]
         rival.see(best, time, self._frame)
@@ -611,20 +560,9 @@ class Follower:
         if target.whole:
             count, _ = self._mistaken.get(target.name, (0, 0.0))
             self._mistaken[target.name] = (count + target.whole, target.usual_area)
-        column = self.setup.marker_names.index(target.name)
-        for frame, row in enumerate(self._rows):
-            row[column] = rival.rows.get(frame, NOT_SEEN + NO_COLOUR)
-        group.targets[group.targets.index(target)] = rival.target
+        group.targets[group.targets.index(target)] = rival
         group.model.restart()
         return best
-
-
-def row_of(target: Target, blob: Blob) -> Row:
-    """Return a detection as a row of values. An unusual area reduces the confidence."""
-    confidence = blob.confidence
-    if target.whole and not blob.at_edge:
-        confidence *= min(blob.area / target.usual_area, target.usual_area / blob.area) ** 0.5
-    return (blob.x, blob.y, blob.area, confidence, blob.status, blob.at_edge, *blob.hsv)
 
 
 def assign(cost: list[list[float]]) -> list[tuple[int, int]]:
@@ -640,34 +578,25 @@ def _meet(first: Target, second: Target, sights: dict[str, Blob], time: float) -
     return math.dist(*(predictions | seen).values()) < first.radius + second.radius + 4
 
 
-def drop_false_detections(track: RawTrack, marker: int, hsv: NDArray[np.float64]) -> None:
-    """Remove false detections of a marker from a finished track, in place.
+def drop_false_detections(rows: NDArray[np.float64]) -> None:
+    """Remove false detections of a marker from the rows of a finished track, shape (n, 9), in place.
 
     A run of detections is removed if it is shorter than ``MIN_RUN`` and there are few other detections
     nearby. It is also removed if it has less than ``FALSE_SHARE`` of all detections and differs from the
     usual colour, size or confidence of the marker.
-
-    Parameters
-    ----------
-    track : RawTrack
-    marker : int
-        Row of the marker.
-    hsv : ndarray, shape (n, 3)
-        Mean colour of each detection.
     """
-    seen = track.status[marker] > LOST
+    seen, hsv = rows[:, 4] > LOST, rows[:, 6:]
     if not seen.any():
         return
     # at the edge of the picture, size and colour of a marker are not those of the whole marker
-    whole = track.found[marker]
+    whole = seen & (rows[:, 5] == 0)
     if not whole.any():
         whole = seen
     usual = np.median(hsv[whole], axis=0)
     turn = 2 * np.pi * hsv[whole, 0] / 180
     usual[0] = 90 / np.pi * np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
-    alike = detect.has_colour(hsv.T, usual, RETURN_HUE, RETURN_SATURATION)
-    area = track.area[marker] / np.median(track.area[marker, whole])
-    confidence = track.confidence[marker] / np.median(track.confidence[marker, whole])
+    alike = frames.has_colour(hsv.T.copy(), usual, RETURN_HUE, RETURN_SATURATION)
+    area, confidence = (rows[:, 2:4] / np.median(rows[whole, 2:4], axis=0)).T
     parts = runs(seen)
     befores = parts[:, 0] - np.r_[0, parts[:-1, 1]]
     afters = np.r_[parts[1:, 0], len(seen)] - parts[:, 1]
@@ -683,11 +612,7 @@ def drop_false_detections(track: RawTrack, marker: int, hsv: NDArray[np.float64]
             false |= bool(np.mean(alike[part][shown]) < 0.5 or not 0.25 < ratio < 4)
             false |= bool(faint and not 0.5 < ratio < 2)
         if false:
-            for values in (track.x, track.y, track.area):
-                values[marker, part] = np.nan
-            track.confidence[marker, part] = 0.0
-            track.status[marker, part] = LOST
-            track.at_edge[marker, part] = False
+            rows[part] = NOT_SEEN
 
 
 # ---------------------------------------------------------------- a whole film
@@ -713,13 +638,18 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     its marker moves. ``file`` names the setup in messages.
     """
     first = _follow_once(path, setup, step, file)
-    still = _motionless(first)
+    track, boxes = first.track, []
+    alone = [marker.name for marker in setup.markers if marker.number == 1 and marker.name in track.rivals]
+    still = [name for name in alone if track.measure_range(name)[1] < frames.MIN_RADII]
     if not still:
         return first
-    boxes = list(still.values())
+    for row in map(track.row, still):
+        x, y, area = (float(np.nanmedian(values[row])) for values in (track.x, track.y, track.area))
+        half = 0.7 * math.sqrt(area) + 3
+        boxes.append((round(x - half), round(y - half), round(x + half), round(y + half)))
     setup = setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]})
     second = _follow_once(path, setup, step, file)
-    if any(quality.measure_range(second.track, name)[1] < 3.0 for name in still):
+    if any(second.track.measure_range(name)[1] < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{side:.0f}' for side in box)}]" for box in boxes)
     text = f"an object of the marker's colour never moves and was left out (box {listed})"
@@ -731,15 +661,8 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
         pose.camera_matrix(setup.camera, video.width, video.height, file)
-    follower: Follower | Silhouette
-    if setup.markers[0].method == "background":
-        from swimid.tracking import silhouette
-
-        scene = silhouette.empty_scene(path)
-        follower = silhouette.Silhouette(setup, scene, video.width, video.height)
-    else:
-        follower = Follower(setup, video.width, video.height)
-    keeper, last = FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
+    follower = Follower(setup, video.width, video.height)
+    keeper, last = frames.FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
     for index, (time, frame) in enumerate(video.frames()):
         if not time > last:
             text = "has no time stamp, or none later than that of the frame before"
@@ -749,21 +672,6 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
         follower.step(time, frame)
         keeper.take(index, frame)
         step()
-    frames = list(keeper.kept.items())
-    chosen = np.unique(np.linspace(0, len(frames) - 1, REPORT_FRAMES).round().astype(int))
-    return Run(follower.track(), video, setup, dict(frames[k] for k in chosen))
-
-
-def _motionless(run: Run) -> dict[str, Box]:
-    """Return boxes about motionless markers with rivals of the same colour, by name of the marker."""
-    boxes: dict[str, Box] = {}
-    for marker in run.setup.markers:
-        name, track = marker.name, run.track
-        if marker.number > 1 or name not in track.rivals:
-            continue
-        if quality.measure_range(track, name)[1] >= quality.MIN_RADII:
-            continue
-        x, y, area = (float(np.nanmedian(v[track.row(name)])) for v in (track.x, track.y, track.area))
-        half = 0.7 * math.sqrt(area) + 3
-        boxes[name] = (round(x - half), round(y - half), round(x + half), round(y + half))
-    return boxes
+    kept = list(keeper.kept.items())
+    chosen = np.unique(np.linspace(0, len(kept) - 1, REPORT_FRAMES).round().astype(int))
+    return Run(follower.track(), video, setup, dict(kept[k] for k in chosen))

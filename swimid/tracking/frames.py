@@ -1,0 +1,820 @@
+"""Frames of a film, markers in one frame, and positions of all markers in all frames.
+
+:class:`Video` yields the frames of a film, or of a series of pictures, with their time stamps.
+:class:`ColourModel` is a range of colours that follows slow changes of light. :func:`measure` returns a
+marker in a window as a :class:`Blob`. :class:`RawTrack` contains all markers in all frames.
+:func:`scene_shifts` measures the motion of the camera.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import itertools
+import math
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# FFmpeg would print remarks on damaged frames between the messages of swimid.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+
+import cv2
+
+from swimid.errors import InputError
+from swimid.notices import warn
+from swimid.tracking.setup import HsvRange
+
+Array = NDArray[np.float64]
+Frame = NDArray[np.uint8]
+
+#: File name extensions of pictures.
+ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
+#: Colour of measured points in a drawing, BGR (Okabe and Ito).
+MEASURED = (0, 159, 230)
+#: Minimum number of detections for statistics of a marker.
+MIN_DETECTIONS = 10
+#: Minimum range of motion of a marker, in radii. A motionless object that is seen through ripples, or is
+#: covered at times, has a smaller range.
+MIN_RADII = 1.0
+#: Maximum standard deviation of the distance between two markers on a rigid part, relative to the distance.
+#: Above the first value a check does not pass, and above the second it fails.
+MAX_DISTANCE_SD = (0.02, 0.06)
+#: Minimum fraction of frames in which a marker is found.
+MIN_SHARE = 0.05
+#: Width to which frames are reduced before they are compared, px.
+SCENE_WIDTH = 480
+#: Maximum shift of the scene for a camera at rest, px of the reduced picture.
+MAX_SHIFT_PX = 2.0
+#: Placeholder for a whole number in a format of the C function printf.
+_HOLDER = re.compile(r"%0?\d*d")
+#: A frame: position in the film, time stamp (s; NaN for pictures), and picture.
+_Read = tuple[int, float, Frame]
+
+
+def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
+    """Yield pictures in the order of the numbers in their names.
+
+    A missing picture leaves a gap in time.
+    """
+    bad, first = [], None
+    for position, file in zip(_positions(path, files), files, strict=True):
+        frame = cv2.imread(str(file))
+        if frame is None:
+            bad.append(file.name)
+            continue
+        first = first or frame.shape
+        if frame.shape != first:
+            here, before = (f"{size[1]} x {size[0]}" for size in (frame.shape, first))
+            text = f"is {here} pixels, those before it are {before}"
+            hint = "all pictures of a film have one size; name them by a pattern (%05d.png)"
+            raise InputError(text, file=file, hint=hint)
+        yield position, math.nan, np.asarray(frame, np.uint8)
+    if bad:
+        text = f"{len(bad)} of {len(files)} pictures could not be decoded ({', '.join(bad[:3])})"
+        warn("SWM044", f"{path.name}: {text}; their time is left out")
+
+
+def _opened(path: Path) -> cv2.VideoCapture:
+    """Open a film for decoding."""
+    if not path.is_file():
+        raise InputError("cannot be read: no such file", file=path, hint="check the path")
+    if path.stat().st_size == 0:
+        raise InputError("is empty", file=path)
+    # with one thread more than cores the decoder continues while a frame is evaluated
+    threads = min(os.cpu_count() or 1, 16) + 1
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
+    if not capture.isOpened():
+        text = "is not a video that can be decoded, or its index is missing (a recording cut short)"
+        hint = "check that a player plays it; 'ffmpeg -i in.mp4 -c copy out.mkv' may repair a cut recording"
+        raise InputError(text, file=path, hint=hint)
+    # the default of this setting depends on the version of OpenCV
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1.0)
+    return capture
+
+
+def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
+    """Yield the frames of a film. Each frame overwrites the previous one in memory."""
+    picture: Frame | None = None
+    for position in itertools.count():
+        ok, frame = capture.read(picture)
+        if not ok or frame is None:
+            break
+        picture = np.asarray(frame, np.uint8)
+        yield position, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, picture
+    capture.release()
+
+
+class Video:
+    """Film that is read once, from its first frame to its last.
+
+    Parameters
+    ----------
+    path : path
+        A film, a folder of pictures, or a pattern of their names (``pool/%05d.png``).
+    frame_rate_hz : float, optional
+        True frame rate, if the stamps of the container are wrong. The time of frame i is then i /
+        frame_rate_hz. Pictures need a frame rate because they have no stamps.
+
+    Attributes
+    ----------
+    files : list of path
+        File of the film, or files of the pictures.
+    width, height : int
+        Size of the picture, px.
+    claimed : int
+        Number of frames according to the container; 0 if the container does not state it.
+    first_stamp_s : float
+        Stamp of the first frame, which is t = 0; NaN for pictures.
+
+    Raises
+    ------
+    InputError
+        The file does not exist, or no frame of it can be decoded.
+    """
+
+    def __init__(self, path: str | Path, *, frame_rate_hz: float | None = None) -> None:
+        self.path = Path(path)
+        # decoding uses all cores, and threads for small pictures only cost time
+        cv2.setNumThreads(1)
+        self._rate = frame_rate_hz
+        # the path names pictures if it is a folder, or a pattern such as %04d and no file
+        if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
+            self.files = _listed(self.path)
+            self.claimed = len(self.files)
+            self._read = _pictures(self.path, self.files)
+        else:
+            self.files = [self.path]
+            capture = _opened(self.path)
+            count, self.claimed = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
+            if 0 < count < 1e9:
+                self.claimed = int(count)
+            self._read = _decoded(capture)
+        first = next(self._read, None)
+        if first is None:
+            hint = "check that a player plays it"
+            raise InputError("no frame of this file can be decoded", file=self.path, frame=0, hint=hint)
+        self._first = first
+        self.first_stamp_s = first[1]
+        self.height, self.width = first[2].shape[:2]
+
+    def frames(self) -> Iterator[tuple[float, Frame]]:
+        """Yield the time in s and the BGR picture of every frame. The next picture overwrites the array.
+
+        Pictures without a frame rate have the time NaN.
+        """
+        for position, stamp, frame in itertools.chain([self._first], self._read):
+            if self._rate:
+                yield (position - self._first[0]) / self._rate, frame
+            else:
+                yield stamp - self.first_stamp_s, frame
+        # some containers state one or two frames more than they contain
+        count = position + 1
+        if len(self.files) == 1 and count < self.claimed - max(2, 0.01 * self.claimed):
+            text = f"{count} of {self.claimed} frames could be decoded"
+            warn("SWM044", f"{self.path.name}: {text}; the video is damaged or cut after frame {count - 1}")
+
+
+def reduced(frame: Frame, width: int) -> Frame:
+    """Return a copy of a picture that is at most ``width`` px wide."""
+    factor = max(frame.shape[1] / width, 1.0)
+    if factor == 1:
+        return frame.copy()
+    small = cv2.resize(frame, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
+
+
+def largest_channel(picture: Frame) -> Frame:
+    """Return the largest of the three channels of every pixel, shape (rows, columns)."""
+    blue, green, red = cv2.split(picture)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+
+
+def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
+    """Write text with an outline into a picture, in place."""
+    for shade, width in (((0, 0, 0), 3 * line), ((255, 255, 255), line)):
+        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
+
+
+class FrameKeeper:
+    """Store of up to ``most`` frames, spread evenly over a film of unknown length, at most ``width`` px wide.
+
+    At first every ``every``-th frame is stored. If there are more than ``most``, every second one is removed.
+    """
+
+    def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
+        self.kept: dict[int, Frame] = {}
+        self._most, self._every, self._width = most, every, width
+
+    def take(self, index: int, frame: Frame) -> None:
+        """Store a copy of the next frame if its index is a multiple of the current interval."""
+        if index % self._every:
+            return
+        self.kept[index] = reduced(frame, self._width or frame.shape[1])
+        if len(self.kept) > self._most:
+            self._every *= 2
+            self.kept = {k: f for k, f in self.kept.items() if k % self._every == 0}
+
+
+def _listed(path: Path) -> list[Path]:
+    """Return the files of the pictures in the order of the numbers in their names."""
+    folder, name, text = path, r"[^.].*", "is a folder without pictures"
+    if not path.is_dir():
+        folder, text = path.parent, "no picture has a name like this"
+        name = r"\d+".join(map(re.escape, _HOLDER.split(path.name)))
+    if not folder.is_dir():
+        raise InputError("cannot be read: no such folder", file=path, hint="check the path")
+    files = [f for f in folder.iterdir() if re.fullmatch(name, f.name) and f.suffix.lower() in ENDINGS]
+    if not files:
+        raise InputError(text, file=path, hint=f"a picture is one of {', '.join(ENDINGS)}")
+    series = Counter(re.sub(r"\d+", "#", f.name) for f in files)
+    if len(series) > 1:
+        found = ", ".join(f"{count} like {name}" for name, count in series.most_common(4))
+        hint = "name the one that is the film by a pattern, as in 'folder/frame_%05d.png'"
+        raise InputError(f"holds several series of pictures: {found}", file=path, hint=hint)
+    return sorted(files, key=lambda f: _numbers(f.name))
+
+
+def _numbers(name: str) -> list[int]:
+    return [int(digits) for digits in re.findall(r"\d+", name)]
+
+
+def _positions(path: Path, files: list[Path]) -> list[int]:
+    """Return the position of each picture in an even series, from the number in its name.
+
+    If the names contain several numbers, the only one that changes is used.
+    """
+    columns = np.array([_numbers(f.name) for f in files], dtype=object).T
+    counting = [list(column) for column in columns if len(set(column)) > 1]
+    order = list(range(len(files)))
+    if len(counting) != 1:
+        return order
+    numbers = counting[0]
+    steps = [b - a for a, b in itertools.pairwise(numbers)]
+    usual = max(Counter(steps).most_common(1)[0][0], 1)
+    if any(step < 1 or step % usual for step in steps):
+        text = f"the numbers of the pictures step unevenly (by {min(steps)} to {max(steps)})"
+        warn("SWM043", f"{path.name}: {text}; they are taken at even steps, in their order")
+        return order
+    missing = [f"after {files[k].name}" for k, step in enumerate(steps) if step != usual]
+    if missing:
+        count = sum(step // usual - 1 for step in steps)
+        text = f"{count} pictures are missing by their numbers ({', '.join(missing[:3])})"
+        warn("SWM044", f"{path.name}: {text}; their time is left out")
+    return [(number - numbers[0]) // usual for number in numbers]
+
+
+# ---------------------------------------------------------------- colours
+
+#: Fraction of a colour difference by which a confident detection moves the colour model.
+ADAPTATION = 0.12
+#: Maximum drift of the colour model from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
+MAX_DRIFT = np.array([6.0, 40.0, 70.0])
+#: Extension of the range of saturation and value (of 255). Pixels in the extended range belong to the marker
+#: if they touch pixels in the original range.
+SLACK = 20.0
+#: Minimum saturation (of 255) in the extended range. Less saturated pixels have no reliable hue.
+MIN_SATURATION = 30.0
+#: Half and whole period of the hue on the 8-bit scale of OpenCV.
+_HALF, _TURN = 90.0, 180.0
+#: Minimum chroma of a coloured pixel, in grey levels. Chroma is the largest minus the smallest channel.
+MIN_CHROMA = 24
+#: Names of hues, and upper limits of these hues in degrees.
+_NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
+_LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
+_TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+
+_Bounds = list[tuple[Frame, Frame]]
+
+
+class ColourModel:
+    """Range of hue, saturation and value that follows exposure and white balance.
+
+    Hue is stored as centre and half-width, because the range of red lies at both ends of the scale.
+
+    Parameters
+    ----------
+    colours : HsvRange
+        Colours of the marker in the setup.
+    """
+
+    _first: Array | None
+
+    def __init__(self, colours: HsvRange) -> None:
+        low, high = (h / 2 for h in colours.hue_deg)
+        width = (high - low) % _TURN
+        if colours.hue_deg == (0.0, 360.0):
+            width = _TURN
+        self._half_width = width / 2
+        middle = (127.5 * sum(colours.saturation), 127.5 * sum(colours.value))
+        self._centre = np.array([(low + width / 2) % _TURN, *middle])
+        self._lower, self._upper = 255 * np.array([colours.saturation, colours.value]).T
+        self._any = np.array([width >= _TURN, *((self._lower <= 0) & (self._upper >= 255))])
+        self.restart()
+
+    def mask(self, hsv: Frame) -> Frame:
+        """Return 255 for pixels of an OpenCV HSV picture that belong to the marker, shape (rows, columns).
+
+        Pixels slightly outside the range belong to the marker if they touch pixels inside the range (within
+        ``_TOUCH``). Therefore a range that is slightly too narrow does not split the marker, and a background
+        of a similar colour adds only a narrow rim.
+        """
+        strong = _within(hsv, self._strong)
+        near = cv2.dilate(strong, _TOUCH)
+        return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
+
+    def holds(self, hsv: Array) -> NDArray[np.bool_]:
+        """Return flags of the colours, shape (n, 3) on OpenCV's scale, that are in the extended range."""
+        pixels = np.clip(np.round(hsv), 0, 255).astype(np.uint8).reshape(1, -1, 3)
+        return np.asarray(_within(pixels, self._weak)[0] > 0)
+
+    def distance(self, hsv: Array) -> float:
+        """Return the distance of a mean colour from the middle of the range, divided by the half-width."""
+        centre = self._centre + self.drift
+        hue = abs(hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
+        half = np.maximum((self._upper - self._lower) / 2, 1.0)
+        return float(np.max([hue, *(np.abs(hsv[1:] - centre[1:]) / half)]))
+
+    def adapt(self, hsv: Array) -> None:
+        """Move the model by ``ADAPTATION`` towards the mean colour of a detection."""
+        if self._first is None:
+            self._first = hsv.copy()
+        offset = colour_difference(hsv, self._first)
+        # a channel without bounds needs no adaptation, and the hue of grey is noise
+        offset[self._any] = 0.0
+        moved = self.drift + ADAPTATION * (offset - self.drift)
+        self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
+
+    def forget(self) -> None:
+        """Move the model back towards the colours of the setup while the marker is lost."""
+        if self.drift.any():
+            self._move(self.drift * (1 - 0.2 * ADAPTATION))
+
+    def restart(self) -> None:
+        """Reset the model to the colours of the setup, after another object was taken for the marker."""
+        self._first = None
+        self._move(np.zeros(3))
+
+    def _move(self, drift: Array) -> None:
+        self.drift = drift
+        self._strong = self._arcs(0.0, 0.0)
+        self._weak = self._arcs(0.25 * self._half_width + 3.0, SLACK)
+
+    def _arcs(self, hue_slack: float, slack: float) -> _Bounds:
+        """Return bounds for ``cv2.inRange``: one colour range, or two ranges if the hues include 0."""
+        shift = np.round(self.drift)
+        # a bound at the end of the scale is no limit and is not moved
+        low = np.clip(np.where(self._lower <= 0, 0, self._lower + shift[1:] - slack), 0, 255)
+        high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
+        low[0] = max(low[0], min(self._lower[0], MIN_SATURATION))
+        centre, half = self._centre[0] + shift[0], self._half_width + hue_slack
+        first, last = (centre - half) % _TURN, (centre + half) % _TURN
+        if half >= _HALF:
+            first, last = 0.0, 179.0
+        arcs = [(first, last)]
+        if first > last:
+            arcs = [(first, 179.0), (0.0, last)]
+        ends = [([np.ceil(a), *np.floor(low)], [np.floor(b), *np.ceil(high)]) for a, b in arcs]
+        return [(np.array(first, np.uint8), np.array(last, np.uint8)) for first, last in ends]
+
+
+def _within(hsv: Frame, bounds: _Bounds) -> Frame:
+    found = cv2.inRange(hsv, *bounds[0])
+    for low, high in bounds[1:]:
+        cv2.bitwise_or(found, cv2.inRange(hsv, low, high), found)
+    return found
+
+
+def hue_difference(a: Any, b: Any) -> Any:
+    """Return a - b for hues, modulo the period of 180 steps, in [-90, 90)."""
+    return (a - b + _HALF) % _TURN - _HALF
+
+
+def colour_difference(a: Array, b: Array) -> Array:
+    """Return a - b for two HSV colours, with the difference in hue modulo its period."""
+    out = a - b
+    out[0] = hue_difference(a[0], b[0])
+    return out
+
+
+def has_colour(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
+    """Return whether colours, shape (3,) or (3, n), agree with a reference colour in hue and saturation.
+
+    Colours are HSV on the scale of OpenCV. ``hue`` is the maximum difference in hue, and ``saturation`` the
+    maximum difference in saturation relative to the reference. If the reference is nearly grey, its hue is
+    noise and is not compared.
+    """
+    least = 255 * MIN_CHROMA / max(float(usual[2]), 1.0)
+    saturated = np.abs(hsv[1] - usual[1]) <= max(saturation * usual[1], least)
+    if usual[1] < least:
+        return saturated
+    return saturated & (np.abs(hue_difference(hsv[0], usual[0])) <= hue)
+
+
+def mean_hsv(bgr: Array) -> Array:
+    """Return the HSV of one BGR colour (0 .. 255), on the 8-bit scale of OpenCV but not rounded."""
+    hue, saturation, value = colorsys.rgb_to_hsv(*(float(c) for c in bgr[::-1]))
+    return np.array([_TURN * hue, 255 * saturation, value])
+
+
+def chroma(frame: Frame) -> Frame:
+    """Return the largest minus the smallest channel of the smoothed picture, shape (rows, columns)."""
+    blue, green, red = cv2.split(cv2.blur(frame, (3, 3)))
+    return cv2.subtract(cv2.max(cv2.max(blue, green), red), cv2.min(cv2.min(blue, green), red))
+
+
+def hue_name(hue_deg: float) -> str:
+    """Return the common name of a hue."""
+    return next(name for name, limit in zip(_NAMES, _LIMITS, strict=True) if hue_deg % 360 < limit)
+
+
+def describe_colours(frames: list[Frame]) -> str:
+    """Return a sentence on the colours in some frames, for error messages."""
+    shares: Counter[str] = Counter()
+    for frame in frames:
+        small = np.ascontiguousarray(frame[::2, ::2])
+        colourful = chroma(small) >= MIN_CHROMA
+        hue = cv2.cvtColor(small, cv2.COLOR_BGR2HSV)[..., 0][colourful].astype(float) * 2
+        counts, _ = np.histogram(hue, [0, *_LIMITS])
+        for name, count in zip(_NAMES, counts, strict=True):
+            shares[name] += count / colourful.size / len(frames)
+    listed = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.most_common() if share >= 1e-4)
+    if not listed:
+        return "The video is grey: no pixel of it has a colour, so no colour marker can be seen"
+    return f"Colours in the picture: {listed}"
+
+
+#: Values of the status column, by code: not found, found in a window, in a larger window, in the whole
+#: picture.
+STATUS = ("lost", "window", "grown", "full")
+LOST, WINDOW, GROWN, FULL = range(4)
+#: Status of a pose if the edge of the picture cuts one of its markers.
+CUT = "cut"
+#: Width of the surroundings of a blob, px, in which its rim and its background are measured.
+MARGIN = 8
+#: Minimum contrast of a blob: in grey levels, and as a multiple of the standard deviation of its background.
+#: At most MAX_SCATTER grey levels of the standard deviation are counted.
+MIN_CONTRAST, MIN_CONTRAST_RATIO, MAX_SCATTER = 12.0, 1.2, 15.0
+_KERNEL3 = np.ones((3, 3), np.uint8)
+_KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+
+
+@dataclass(eq=False, slots=True)
+class Blob:
+    """Measured patch of pixels with the colour of a marker. Lengths are in px of the picture."""
+
+    #: Coordinates of the centre, with sub-pixel resolution.
+    x: float
+    y: float
+    #: Number of pixels of the picture.
+    area: float
+    #: Left, top, right and bottom side of the bounding box. Right and bottom are exclusive.
+    box: tuple[int, int, int, int]
+    #: Difference between the mean colours of the patch and of its background, grey levels.
+    contrast: float
+    #: Confidence of the detection, from 0 to 1.
+    confidence: float
+    #: Mean colour as HSV on the scale of OpenCV, shape (3,).
+    hsv: Array
+    #: Whether the blob touches the edge of the picture. The centre is then biased inwards.
+    at_edge: bool
+    #: Index into :data:`STATUS`.
+    status: int = FULL
+
+    def away(self, x: float, y: float) -> float:
+        """Return the distance of the centre from a point, px."""
+        return math.hypot(self.x - x, self.y - y)
+
+    @property
+    def radius(self) -> float:
+        """Half of the longer side of the bounding box, px."""
+        return 0.5 * max(self.box[2] - self.box[0], self.box[3] - self.box[1])
+
+
+@dataclass(eq=False, slots=True)
+class Patch:
+    """Connected patch of a colour mask, before it is measured."""
+
+    #: Outline in pixels of the mask, shape (n, 1, 2).
+    contour: NDArray[np.int32]
+    #: Area in pixels of the picture.
+    area: float
+    #: Left, top, right and bottom side of the bounding box in pixels of the mask. Right and bottom are
+    #: exclusive.
+    sides: tuple[int, int, int, int]
+    #: Whether the border of the window cuts the patch.
+    clipped: bool
+
+    def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:
+        """Return the box in px of the picture, for the ``origin`` and the pixel size ``step`` of the mask."""
+        left, top, right, bottom = (step * side for side in self.sides)
+        return origin[0] + left, origin[1] + top, origin[0] + right, origin[1] + bottom
+
+
+def marker_mask(window: Frame, model: ColourModel) -> Frame:
+    """Return 255 for the pixels of a marker in a window, which is smoothed first against chroma noise."""
+    return model.mask(cv2.cvtColor(cv2.blur(window, (3, 3)), cv2.COLOR_BGR2HSV))
+
+
+def thinned(window: Frame, step: int) -> Frame:
+    """Return a reduced window with the middle pixel of every complete ``step`` x ``step`` block."""
+    if step == 1:
+        return window
+    half = step // 2
+    rows, columns = (window.shape[0] - half) // step, (window.shape[1] - half) // step
+    blocks = window[half : half + step * rows, half : half + step * columns]
+    return cv2.resize(blocks, (columns, rows), interpolation=cv2.INTER_NEAREST)
+
+
+def find_patches(
+    mask: Frame,
+    area_px: tuple[float, float],
+    *,
+    step: int = 1,
+    inside: tuple[bool, bool, bool, bool] = (False, False, False, False),
+) -> list[Patch]:
+    """Return the connected patches of a mask whose area is in range, and those that the window cuts.
+
+    Parameters
+    ----------
+    mask : ndarray of uint8, shape (rows, columns)
+        Mask that is not 0 in pixels of the marker.
+    area_px : (float, float)
+        Minimum and maximum area in pixels of the picture.
+    step : int
+        Width of a pixel of the mask in pixels of the picture.
+    inside : (bool, bool, bool, bool)
+        Whether the left, top, right and bottom side of the window are inside the picture. A patch that
+        touches such a side is ``clipped``.
+    """
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    found = []
+    for contour in contours:
+        # Pick's theorem gives the pixels inside and on the outline, including holes
+        outline = len(contour)
+        area = step**2 * (cv2.contourArea(contour) + 0.5 * min(outline, 2) + 0.5 * outline)
+        if area < 0.5 * area_px[0]:
+            continue
+        left, top, width, height = cv2.boundingRect(contour)
+        sides = (left, top, left + width, top + height)
+        touched = (left == 0, top == 0, sides[2] == mask.shape[1], sides[3] == mask.shape[0])
+        clipped = any(touch and side for touch, side in zip(touched, inside, strict=True))
+        if clipped or area_px[0] <= area <= area_px[1]:
+            found.append(Patch(contour, area, sides, clipped))
+    return found
+
+
+def measure(
+    window: Frame, patch: Patch, step: int, origin: tuple[int, int], picture: tuple[int, int]
+) -> Blob | None:
+    """Return a patch of a window as a :class:`Blob`, or None if its contrast to the background is too low.
+
+    Parameters
+    ----------
+    window : ndarray of uint8, shape (rows, columns, 3)
+        Part of the picture at full resolution.
+    patch : Patch
+        Patch of a mask that contains every ``step``-th pixel of the window.
+    step : int
+        Width of a pixel of the mask in pixels of the picture.
+    origin : (int, int)
+        Upper left corner of the window in the picture, px.
+    picture : (int, int)
+        Width and height of the picture, px.
+    """
+    rows, columns = window.shape[0], window.shape[1]
+    left, top, right, bottom = patch.sides
+    margin, rim = max(MARGIN // step, 4), (_KERNEL5, _KERNEL3)[step >= 3]
+    x0, y0 = max(left - margin, 0), max(top - margin, 0)
+    x1 = min(right + margin, (columns - step // 2) // step)
+    y1 = min(bottom + margin, (rows - step // 2) // step)
+    hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
+    # the core of the convex hull has weight 1, so that reflections leave no hole
+    kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
+    core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    if not core.any():
+        core = hull
+    near = cv2.dilate(hull, rim)
+    far = cv2.dilate(near, rim)
+    part = window[step * y0 : step * y1, step * x0 : step * x1]
+    if step > 1:
+        size = part.shape[1::-1]
+        core, near, far = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (core, near, far))
+    back, deviation = (values[:, 0] for values in cv2.meanStdDev(part, mask=cv2.bitwise_not(far)))
+    colour = np.array(cv2.mean(part, core)[:3])
+    axis = colour - back
+    contrast = math.sqrt(axis @ axis)
+    # standard deviation of the background along the axis, if channels are independent
+    scatter = math.sqrt((deviation * axis) @ (deviation * axis)) / max(contrast, 1e-12)
+    if contrast < max(MIN_CONTRAST, MIN_CONTRAST_RATIO * min(scatter, MAX_SCATTER)) or far.all():
+        return None
+    # weight by the position of a pixel's colour on the line from the mean background (0) to the mean core (1)
+    scale = 2 * axis / contrast**2
+    weight = cv2.transform(part.astype(np.float32), np.array([[*scale, -(scale @ back) - 0.5]]))
+    weight = np.where(core > 0, 1.0, np.clip(weight, 0, 1) * (near > 0))
+    m = cv2.moments(weight)
+    column, row = m["m10"] / m["m00"], m["m01"] / m["m00"]
+    left, top, right, bottom = box = patch.box(origin, step)
+    # incomplete blocks at the right and lower side of the picture are not in the mask
+    at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
+    confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
+    if at_edge:
+        confidence *= 0.6
+    return Blob(
+        x=origin[0] + step * x0 + column,
+        y=origin[1] + step * y0 + row,
+        area=patch.area,
+        box=box,
+        contrast=contrast,
+        confidence=confidence,
+        hsv=mean_hsv(colour),
+        at_edge=at_edge,
+    )
+
+
+#: One detection: x, y, area, confidence, status, whether the edge of the picture cuts the marker, and mean
+#: hue, saturation and value.
+Row = tuple[float, ...]
+NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
+
+
+#: Attributes of a track with a row for each marker.
+TRACKED = ("x", "y", "area", "confidence", "status", "at_edge")
+
+
+@dataclass(frozen=True)
+class RawTrack:
+    """Detections of all markers in all frames, in px of the picture.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Times of the frames, s.
+    names : list of str
+        Names of the m markers.
+    x, y, area, confidence : ndarray, shape (m, n)
+        NaN (confidence 0) in frames without a detection. The y axis points down. If the edge of the picture
+        cuts the marker, the centre is that of the visible part.
+    status : ndarray of int, shape (m, n)
+        Index into :data:`STATUS`.
+    at_edge : ndarray of bool, shape (m, n)
+        Whether the edge of the picture cuts the marker.
+    rivals : dict of str to int
+        Maximum number of other objects of the same colour in one frame, for each kind of marker.
+    mistaken : dict of str to (int, float)
+        Number of detections of another object that was first taken for the marker, and its area in px.
+    """
+
+    times: Array
+    names: list[str]
+    x: Array
+    y: Array
+    area: Array
+    confidence: Array
+    status: NDArray[np.int64]
+    at_edge: NDArray[np.bool_]
+    rivals: dict[str, int] = field(default_factory=dict)
+    mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
+
+    @classmethod
+    def of_table(cls, times: Any, names: list[str], table: Array, *more: Any) -> RawTrack:
+        """Return a track from the rows of all markers, shape (m, n, 9); ``more`` are further attributes."""
+        x, y, area, confidence, status, at_edge = table[..., :6].transpose(2, 0, 1)
+        found = (status.astype(int), at_edge.astype(bool))
+        return cls(np.array(times), names, x, y, area, confidence, *found, *more)
+
+    def select(self, names: list[str]) -> RawTrack:
+        """Return the track of some markers, in the order of ``names``."""
+        rows = [self.row(name) for name in names]
+        arrays = {key: getattr(self, key)[rows] for key in TRACKED}
+        return replace(self, names=names, **arrays)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Flags of frames in which each marker was seen, whole or cut by the picture's edge, shape (m, n)."""
+        return self.status > LOST
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Flags of frames in which each marker was seen whole, so that its centre is known, shape (m, n)."""
+        return self.seen & ~self.at_edge
+
+    def row(self, name: str) -> int:
+        """Return the row of a marker in the arrays."""
+        return self.names.index(name)
+
+    def centre(self, marker: int) -> tuple[Array, Array]:
+        """Return x and y of a marker, each of shape (n,), in px; NaN if it was not seen whole."""
+        cut = self.at_edge[marker]
+        return np.where(cut, np.nan, self.x[marker]), np.where(cut, np.nan, self.y[marker])
+
+    def measure_range(self, name: str, scene: Array | None = None) -> tuple[float, float]:
+        """Return the range of motion of a marker, in px and in radii of the marker.
+
+        Both are 0 if the marker is found in less than :data:`MIN_SHARE` of the frames. The range is the 95th
+        percentile of the distance from the median position, over detections of the whole marker. ``scene``,
+        shape (2, n), is the shift of the whole scene in each frame, px.
+        """
+        i = self.row(name)
+        seen = self.found[i]
+        if seen.mean() < MIN_SHARE:
+            return 0.0, 0.0
+        area = self.area[i]
+        usual = float(np.median(area[seen]))
+        # Detections with another area show only a part of the marker. The centre of this part moves if the
+        # covered part changes. With this limit of the area, the centre of a bar 20 times as long as wide
+        # moves by 0.6 radii if objects pass in front of it.
+        whole = seen & (np.abs(area - usual) <= 0.15 * usual)
+        part = whole if whole.sum() >= MIN_DETECTIONS else seen
+        place = np.stack([self.x[i], self.y[i]])
+        if scene is not None:
+            place = place - scene
+        away = np.hypot(*(place[:, part] - np.median(place[:, part], axis=1, keepdims=True)))
+        reach = float(np.percentile(away, 95))
+        return reach, reach / max(math.sqrt(usual / math.pi), 1.0)
+
+    def head_first(self, head: str, tail: str) -> float | None:
+        """Return the fraction of steps in which two markers move towards the head.
+
+        The result is None for fewer than 4 steps.
+        """
+        i, j = self.row(head), self.row(tail)
+        # the film is divided into about 100 steps
+        every = slice(None, None, max(len(self.times) // 100, 1))
+        front, rear = (np.stack(self.centre(row))[:, every] for row in (i, j))
+        line = front - rear
+        length = np.hypot(*line)
+        # If a distance is far from its median, one of the detections is false. An inclined camera changes the
+        # distance by less.
+        sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
+        ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
+        return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
+
+
+# ---------------------------------------------------------------- motion of the camera
+
+
+def scene_shifts(frames: Sequence[Frame]) -> Array:
+    """Return the shift of the scene in each frame from the first frame.
+
+    Parameters
+    ----------
+    frames : sequence of n frames
+        Frames of one size.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Shift in px, x to the right and y down; NaN if most corners have no common shift (ripples, plain
+        water, another scene).
+
+    Notes
+    -----
+    Corners of the first frame are followed forwards and backwards by the pyramidal optical flow of Lucas and
+    Kanade (Bouguet 2001). The shift is the median over the corners that return to their initial position.
+    """
+    out = np.full((len(frames), 2), np.nan)
+    if not frames:
+        return out
+    factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
+    small = [reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), SCENE_WIDTH) for frame in frames]
+    # up to 300 corners are used, and at least 12 are needed
+    corners = cv2.goodFeaturesToTrack(small[0], 300, 0.02, 7)
+    if corners is None or len(corners) < 12:
+        return out
+    for k, picture in enumerate(small):
+        there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
+        back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
+        sound = (found[:, 0] > 0) & (again[:, 0] > 0)
+        # the corner that is followed backwards must end within half a pixel of its start
+        sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < 0.5
+        if not sound.any():
+            continue
+        flow = (there - corners)[sound, 0]
+        middle = np.median(flow, axis=0)
+        # corners belong to the scene if their shift is within one pixel of the median
+        alike = np.linalg.norm(flow - middle, axis=1) < 1.0
+        # These corners must be half of all corners, and must be in 8 of 4 x 4 cells of the picture: a robot
+        # near the camera may contain most of the corners.
+        cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
+        if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
+            out[k] = factor * middle
+    return out
+
+
+def check_camera(shift: Array, width: int, consequence: str) -> tuple[float, float]:
+    """Return the maximum shift of the scene and its limit for a ``width`` in px; warn if it is exceeded."""
+    largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
+    limit = MAX_SHIFT_PX * max(width / SCENE_WIDTH, 1.0)
+    if largest > limit:
+        text = f"the whole scene shifts by {largest:.1f} px in the film: the camera moves"
+        warn("SWM068", f"{text}{consequence}")
+    return largest, limit
