@@ -137,6 +137,7 @@ class ComparisonFile(yamlio.ResultFile):
 Start = Literal["file", "estimated", "neutral"]
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
+SIDES = ("measured", "simulated")
 #: Half-width of the window in which a derivative is computed: in cycles of the beat, and in s without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
 #: Minimum number of valid derivatives of the pose for a channel that is derived from the pose.
