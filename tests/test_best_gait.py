@@ -14,8 +14,8 @@ import swimid as package
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array
 from swimid.optimisation.optimise_gait import BestGait
-from swimid.optimisation.performance import Performance
 from swimid.optimisation.problem import descend, drawn
+from swimid.optimisation.study import Performance
 from swimid.simulation.catalogue import Applied
 from tests.conftest import Ran, interrupting
 

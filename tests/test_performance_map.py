@@ -12,8 +12,8 @@ import pytest
 import swimid as package
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
-from swimid.optimisation.performance import Performance
 from swimid.optimisation.performance_map import MapFile
+from swimid.optimisation.study import Performance
 from tests.conftest import Ran, interrupting
 
 Swimid = Callable[..., Ran]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import shutil
-import subprocess
 import timeit
 from collections.abc import Callable
 from pathlib import Path
@@ -101,37 +98,18 @@ def test_the_rule_interpolates_linearly_between_amplitudes(two: RuleFile) -> Non
     assert timeit.timeit(lambda: two.stiffness_for(1.1, 22.0), number=200) / 200 < 1e-3
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_the_c_header_gives_the_same_stiffness(two: RuleFile, rule: StiffnessRule, tmp_path: Path) -> None:
-    """Compare in single precision; outside its range the header holds the nearest end."""
-    for number, file in enumerate((two, rule.file)):
-        (tmp_path / "rule.h").write_text(file.header())
-        code = '#include "rule.h"\nfloat call(float f, float a) { return swimid_stiffness_for(f, a); }\n'
-        (tmp_path / "call.c").write_text(code)
-        library = tmp_path / f"rule{number}.so"
-        words = ["cc", "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", "-o", library, "call.c"]
-        subprocess.run(words, cwd=tmp_path, check=True)
-        call = ctypes.CDLL(str(library)).call
-        call.argtypes, call.restype = [ctypes.c_float] * 2, ctypes.c_float
-        for f in np.linspace(0.3, 5.0, 23):
-            for a in (10.0, 15.0, 18.3, 25.0, 33.0, 40.0):
-                expected = file.stiffness_for(float(f), a, outside="hold")
-                assert call(f, a) == pytest.approx(expected, rel=2e-6, abs=2e-7 * file.between[1])
-
-
 def test_the_command_writes_and_reads(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     words = (
         "optimise", "stiffness", "--robot", "dolphin", "--amplitude-deg", "27",
         "--over", "frequency_hz=2:4:3",
         "--between", "0.1,2", "--duration-s", "5", "--generations", "3", "--population", "8",
     )  # fmt: skip
-    out, header = (tmp_path / name for name in ("rule.yaml", "rule.h"))
-    ran = swimid(*words, "-o", out, "--header", header)
+    out = tmp_path / "rule.yaml"
+    ran = swimid(*words, "-o", out)
     assert ran.status == 0
     assert "K_s" in ran.out
     rule = package.load_result(out)
     assert isinstance(rule, StiffnessRule)
-    assert header.read_text() == rule.file.header()
     assert rule.figure_names == ["rule", "speeds"]
     assert rule.evidence.facts["Stiffness"] == "K_s, 0.1 … 2 N·m/rad"
     assert max(len(line) for line in ran.out.splitlines()) <= 100

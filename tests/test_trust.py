@@ -11,8 +11,8 @@ import swimid as package
 from swimid.errors import UsageError
 from swimid.optimisation import optimise_gait, study
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.performance import Performance
 from swimid.optimisation.problem import drawn
+from swimid.optimisation.study import Performance
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import Applied, Quantity
 

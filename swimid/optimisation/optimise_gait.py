@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.files import atomic, yamlio
+from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
@@ -21,9 +20,8 @@ from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.performance import BEAT, STROKE, Performance
 from swimid.optimisation.problem import DRAW_STEPS, MAX_STEPS, Limit, Problem, drawn, interval95, merit
-from swimid.optimisation.study import Study, StudyFile, study_of
+from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -149,24 +147,17 @@ def optimise_gait(
     """
     with recorded(repeat=True) as notices:
         performance = Performance.of_options(options)
-        study = study_of(performance, options)
-        if output is not None:
-            atomic.check_writable(output, inputs=study.inputs)
-        keep = Checkpoint.beside(output, study.key)
-        problem = _problem(performance, options, keep)
+        study = study_of(performance, options, output)
+        problem = _problem(performance, options, study.checkpoint)
         known = bool(performance.applied.uncertain()[0])
         runs = options.starts * MAX_STEPS + options.draws * DRAW_STEPS * known
         simulated_s = runs * (2 * len(options.vary) + 1) * options.duration_s
-        performance.model.prepare(progress, simulated_s=simulated_s, checkpoint=keep)
+        performance.model.prepare(progress, simulated_s=simulated_s, checkpoint=study.checkpoint)
         file = _find(problem, options, study, progress)
         if known:
             performance.applied.warn_without_error("the intervals")
             _set_intervals(problem, file, options, progress)
-    evidence = evidence_of(file, notices, study.origin)
-    file.verdict = evidence.verdict.level
-    saved = BestGait.of(file, evidence).saved(output)
-    keep.done()
-    return saved
+    return study.saved(BestGait, file, evidence_of(file, notices, study.origin))
 
 
 # ------------------------------------------------------------ the problem
@@ -195,8 +186,7 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
             raise UsageError(f"--limit {name} is not for this robot")
     if options.goal == "power" and options.reach_speed_m_s is None:
         raise UsageError("the least power is that of no motion", hint="give the speed: --reach-speed-m-s")
-    jobs = options.jobs or os.cpu_count() or 1
-    return Problem(performance, options.vary, [(quantity, sign)], limits, jobs=jobs, checkpoint=keep)
+    return Problem(performance, options.vary, [(quantity, sign)], limits, checkpoint=keep)
 
 
 def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str, Limit]:

@@ -6,27 +6,23 @@ This module has the search, the rule file (``swimid-rule/2``), and the evidence 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from jinja2 import Environment, PackageLoader
 from pydantic import Field, model_validator
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.files import atomic, yamlio
-from swimid.files.atomic import Checkpoint
+from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.performance import BEAT, Performance, points_of
 from swimid.optimisation.problem import Problem, drawn, interval95
-from swimid.optimisation.study import StudyFile, in_parallel, study_of
+from swimid.optimisation.study import BEAT, Performance, StudyFile, in_parallel, points_of, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -126,7 +122,7 @@ class RuleFile(StudyFile):
             The amplitude may be omitted if the rule has only one amplitude.
         outside : {"refuse", "hold"}
             Behaviour outside the range of the rule. "refuse" raises an error. "hold" uses the nearest end of
-            the range, as the C header does.
+            the range.
 
         Returns
         -------
@@ -148,14 +144,6 @@ class RuleFile(StudyFile):
         values = [np.polyval(curve.coefficients[::-1], f) for curve in self.curves]
         return float(np.interp(a, amplitudes, np.clip(values, *self.between)))
 
-    def header(self) -> str:
-        """Return the rule as a C header: a single-precision function that needs no library."""
-        environment = Environment(
-            loader=PackageLoader("swimid.optimisation"), trim_blocks=True, keep_trailing_newline=True
-        )
-        environment.filters["single"] = _as_single
-        return environment.get_template("rule.h").render(rule=self)
-
 
 def _within(value: float, ends: tuple[float, float], name: str, outside: Outside) -> float:
     low, high = ends
@@ -163,14 +151,6 @@ def _within(value: float, ends: tuple[float, float], name: str, outside: Outside
     if not math.isfinite(value) or (outside == "refuse" and not low - slack <= value <= high + slack):
         raise UsageError(f"{name} {value:g} is outside the rule, {low:g} to {high:g}")
     return min(max(value, low), high)
-
-
-def _as_single(value: float) -> str:
-    """Return a number as a single-precision literal of the language C."""
-    text = f"{value:.9g}"
-    if not any(mark in text for mark in ".e"):
-        text += ".0"
-    return f"{text}f"
 
 
 def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Curve:
@@ -194,8 +174,7 @@ class StiffnessRule(FileResult[RuleFile]):
     Attributes
     ----------
     file : RuleFile
-        Curves, and optima with their Pareto fronts. :meth:`save` writes this file, and ``file.header()``
-        returns the rule in C.
+        Curves, and optima with their Pareto fronts. :meth:`save` writes this file.
     """
 
     file_type = RuleFile
@@ -208,11 +187,7 @@ class StiffnessRule(FileResult[RuleFile]):
 
 @takes(OptimiseStiffnessOptions)
 def optimise_stiffness(
-    *,
-    options: OptimiseStiffnessOptions,
-    output: Path | None = None,
-    allow: Callable[[Path], object] = atomic.check_writable,
-    progress: Progress = silent,
+    *, options: OptimiseStiffnessOptions, output: Path | None = None, progress: Progress = silent
 ) -> StiffnessRule:
     """Find the best stiffness of a passive joint over frequency and amplitude, as a rule for a controller.
 
@@ -224,9 +199,6 @@ def optimise_stiffness(
     ----------
     output : path, optional
         Rule file to write. The evidence is written to the same folder.
-    allow : callable
-        Function that is called with every path before the file is written. It raises an error if the file
-        must not be written.
     progress : Progress
         Shows the progress over the points of the grid.
 
@@ -268,11 +240,8 @@ def optimise_stiffness(
         frequencies, amplitudes = axes["frequency_hz"], axes["amplitude_deg"]
         points = points_of({"amplitude_deg": amplitudes, "frequency_hz": frequencies})
         problems = [replace(problem, fixed=point) for point in points]
-        study = study_of(performance, options)
-        for place in (output, options.header):
-            if place is not None:
-                allow(atomic.check_writable(place, inputs=study.inputs))
-        keep = Checkpoint.beside(output, study.key)
+        study = study_of(performance, options, output)
+        keep = study.checkpoint
         known = bool(options.draws and performance.applied.uncertain()[0])
         runs = len(points) * (options.population * options.generations + known * options.draws * N_DRAW_RUNS)
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
@@ -281,7 +250,7 @@ def optimise_stiffness(
         def front(k: int) -> Array:
             return keep.kept(f"front {k}", lambda: _front_at(problems[k], k, reference, options).ravel())
 
-        fronts = in_parallel(front, range(len(points)), options.jobs, "fronts", progress)
+        fronts = in_parallel(front, len(points), options.jobs, "fronts", progress)
         optima = [_optimum(one, found.reshape(-1, 3)) for one, found in zip(problems, fronts, strict=True)]
         file = RuleFile(
             **study.head,
@@ -296,7 +265,7 @@ def optimise_stiffness(
             curves=[_curve(optima, amplitude) for amplitude in amplitudes],
             optima=optima,
         )
-        _assess(performance, file, options.jobs or os.cpu_count() or 1)
+        _assess(performance, file)
         if known:
             performance.applied.warn_without_error("the intervals")
             vectors, file.inside = drawn(performance.applied, options.draws, options.seed)
@@ -306,19 +275,11 @@ def optimise_stiffness(
                 found = keep.kept(f"draws {k}", lambda: _search_in_draws(problems[k], file, k, vectors))
                 return found.reshape(2, -1)
 
-            tables = in_parallel(search, range(len(optima)), options.jobs, "rule in draws", progress)
+            tables = in_parallel(search, len(optima), options.jobs, "rule in draws", progress)
             for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
                 one.stiffness_ci95 = tuple(interval95(stiffness).tolist())
                 one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
-    evidence = evidence_of(file, notices, study.origin)
-    file.verdict = evidence.verdict.level
-    with atomic.together():
-        saved = StiffnessRule.of(file, evidence).saved(output)
-        if options.header is not None:
-            atomic.write_text(options.header, file.header())
-            saved = replace(saved, outputs=[*saved.outputs, options.header])
-    keep.done()
-    return saved
+    return study.saved(StiffnessRule, file, evidence_of(file, notices, study.origin))
 
 
 def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
@@ -410,14 +371,14 @@ def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
     return fit_curve(amplitude, *np.array(at).T)
 
 
-def _assess(performance: Performance, file: RuleFile, jobs: int) -> None:
+def _assess(performance: Performance, file: RuleFile) -> None:
     """Set speed and cost of every optimum: with its own stiffness, with the rule, and with the reference."""
     gaits = []
     for one in file.optima:
         beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
         ruled = file.stiffness_for(**beat, outside="hold")
         gaits += [{**beat, file.coefficient: k} for k in (one.stiffness, ruled, file.reference)]
-    found = performance.many(gaits, jobs=jobs)
+    found = performance.many(gaits)
     performance.insist(found)
     table = np.array(yamlio.plain(found, finite=True), dtype=object).reshape(len(file.optima), 3, -1)
     columns = {name: table[:, :, k] for k, name in enumerate(performance.units)}

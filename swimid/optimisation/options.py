@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Literal
 
 import swimid.options as fits
@@ -80,12 +79,12 @@ class OptimiseStiffnessOptions(
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
     NSGA-II searches the stiffness at every point of the grid. The rule is a quadratic function of the
-    frequency for each amplitude; a controller reads it as YAML or as a C header. An interrupted run
-    continues when it is started again.
+    frequency for each amplitude, which a controller reads as YAML. An interrupted run continues when it is
+    started again.
 
     Examples:
       swimid optimise stiffness --params tfish.yaml --over frequency_hz=0.6:2:8 \
-          --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h
+          --over amplitude_deg=15:35:5 -o rule.yaml
       swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \
           --between 0.1,3 --objective cost-of-transport -o rule.yaml
     """
@@ -111,9 +110,6 @@ class OptimiseStiffnessOptions(
         40, ge=0, help="Draws of the coefficients from their covariance, for intervals; 0: none."
     )
     seed: int = option(0, ge=0, help="Seed of search and draws: the same seed gives the same file.")
-    header: Path | None = option(
-        None, written=True, recorded=False, help="C header of the rule to write (.h)."
-    )
 
 
 Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]

@@ -14,24 +14,32 @@ from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
 from swimid.errors import UsageError
-from swimid.files import atomic, yamlio
+from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
 from swimid.files.yamlio import Number, Rows
 from swimid.fitting.model import Array, Trial
 from swimid.logs.kinematics import UNSTEADY
-from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.performance import BATCH, BEAT, STROKE, Performance, Point, points_of
-from swimid.optimisation.study import StudyFile, in_parallel, study_of
+from swimid.optimisation.study import (
+    BATCH,
+    BEAT,
+    STROKE,
+    Performance,
+    Point,
+    StudyFile,
+    in_parallel,
+    points_of,
+    study_of,
+)
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-from swimid.simulation import compare_series
+from swimid.simulation import catalogue, compare_series
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.swim_quantities import value_text
 from swimid.swimmer import trials as swimmer
@@ -184,11 +192,9 @@ def performance_map(
         region: Mapping[str, tuple[float, float]] = {}
         measured: list[MeasuredPoint] = []
         if options.trials is not None:
-            inputs, region, measured = recorded_trials(options.trials, performance, axes)
-        study = study_of(performance, options, inputs)
-        if output is not None:
-            atomic.check_writable(output, inputs=study.inputs)
-        keep = Checkpoint.beside(output, study.key)
+            inputs, region, measured = recorded_trials(options, performance, axes)
+        study = study_of(performance, options, output, inputs)
+        keep = study.checkpoint
         points = points_of(axes)
         uncertain = performance.applied.uncertain()[0]
         runs = len(points) * (1 + 2 * len(uncertain))
@@ -220,11 +226,7 @@ def performance_map(
             unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
             measured=measured,
         )
-    evidence = evidence_of(file, notices, study.origin)
-    file.verdict = evidence.verdict.level
-    saved = PerformanceMap.of(file, evidence).saved(output)
-    keep.done()
-    return saved
+    return study.saved(PerformanceMap, file, evidence_of(file, notices, study.origin))
 
 
 def _simulate(
@@ -250,7 +252,7 @@ def _simulate(
     def one(k: int) -> Array:
         return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
 
-    found = in_parallel(one, range(len(parts)), jobs, "gaits", progress)
+    found = in_parallel(one, len(parts), jobs, "gaits", progress)
     return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
 
 
@@ -258,21 +260,13 @@ def _simulate(
 
 
 def recorded_trials(
-    source: str | Path | TrialSet, performance: Performance, axes: Mapping[str, Sequence[float]]
-) -> tuple[list[Input], dict[str, tuple[float, float]], list[MeasuredPoint]]:
-    """Return the trials of a trials file that can be compared with a map.
-
-    Parameters
-    ----------
-    source : path or TrialSet
-    performance : Performance
-        Model and drive of the same robot.
-    axes : dict of str to sequence of float
-        Axes of the map.
+    options: MapOptions, performance: Performance, axes: Mapping[str, Sequence[float]]
+) -> tuple[Sequence[Input], dict[str, tuple[float, float]], list[MeasuredPoint]]:
+    """Return the recorded trials of ``options`` that can be compared with a map.
 
     Returns
     -------
-    inputs : list of Input
+    inputs : sequence of Input
         Files that were read.
     region : dict of str to (float, float)
         Range of each axis in the trials of role ``fit``.
@@ -284,16 +278,10 @@ def recorded_trials(
     UsageError, InputError
         For a trials file of another robot, and for any error in the file.
     """
-    model, given = performance.model, performance.applied
-    readings: dict[str, str] = {}
-    if given.file is not None:
-        readings = dict(given.file.settings.get("readings", {}))
-    experiment = swimmer.load(source, readings=readings, max_step=model.max_step)
-    if experiment.robot.name != model.robot.name:
-        raise UsageError(
-            f"these are trials of the robot '{experiment.robot.name}', the map is of '{model.robot.name}'"
-        )
-    applied = Applied(experiment.model, given.file, given.path, given.chosen)
+    experiment, applied = catalogue.load(options.trials, options)
+    mine, robot = performance.model.robot.name, experiment.robot.name
+    if robot != mine:
+        raise UsageError(f"these are trials of the robot '{robot}', the map is of '{mine}'")
     places = {trial.id: _place(applied, trial, axes) for trial in experiment.trials}
     fitted = [places[t.id] for t in experiment.trials if t.role == "fit" and places[t.id]]
     region = {n: (min(p[n] for p in fitted), max(p[n] for p in fitted)) for n in axes if fitted}
@@ -302,16 +290,12 @@ def recorded_trials(
         at = places[trial.id]
         if not at or not _has_drive_of(trial, performance, axes):
             continue
-        compared = compare_series.compare_trial(experiment, applied, trial, refit=True)
-        point = MeasuredPoint(
-            trial=trial.id,
-            role=trial.role,  # type: ignore[arg-type]
-            at=at,
-            inside=all(min(values) <= at[name] <= max(values) for name, values in axes.items()),
-        )
-        speed = compared.record.mean_speed
-        if speed is not None:
-            point.measured_m_s, point.simulated_m_s = speed.measured, speed.simulated
+        record = compare_series.compare_trial(experiment, applied, trial, refit=True).record
+        inside = all(min(values) <= at[name] <= max(values) for name, values in axes.items())
+        point = MeasuredPoint(trial=record.id, role=record.role, at=at, inside=inside)
+        if record.mean_speed is not None:
+            point.measured_m_s = record.mean_speed.measured
+            point.simulated_m_s = record.mean_speed.simulated
         points.append(point)
     return experiment.inputs, region, points
 

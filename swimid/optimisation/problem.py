@@ -16,7 +16,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting import global_search
 from swimid.fitting.model import Array
-from swimid.optimisation.performance import Performance, Point
+from swimid.optimisation.study import Performance, Point
 from swimid.simulation.catalogue import Applied, is_possible
 
 #: Number of coefficient samples that are drawn at once, and maximum number of samples drawn.
@@ -265,7 +265,6 @@ class Problem:
     goals: Sequence[tuple[str, float]]
     limits: Mapping[str, Limit]
     fixed: Point = field(default_factory=dict)
-    jobs: int = 1
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     scale: float = 1.0
     calls: int = field(default=0, init=False)
@@ -285,7 +284,7 @@ class Problem:
         gaits = [{**self.fixed, **self.at(x)} for x in points]
         self.calls += 1
         found = self.checkpoint.kept(
-            f"runs {self.calls}", lambda: self.performance.many(gaits, values, jobs=self.jobs).ravel()
+            f"runs {self.calls}", lambda: self.performance.many(gaits, values).ravel()
         )
         return found.reshape(-1, len(self.performance.units))
 
