@@ -146,7 +146,7 @@ def test_lag_delays_each_joint_behind_the_one_before() -> None:
          "ramp_s": 0.0}
     )  # fmt: skip
     performance = Performance.of_options(options)
-    swim, _ = performance.swim({"lag_deg": 40.0})
+    swim = performance.swim({"lag_deg": 40.0})
     time = np.linspace(0.0, 2.0, 50)
     for k in range(3):
         told = performance.model.command(k, swim, time, 0.0)

@@ -27,7 +27,7 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-from swimid.simulation.swim_quantities import value_text
+from swimid.simulation.cases import value_text
 
 #: Tolerances: for a gait at its bound, as a fraction of the range of the parameter, and for an active limit,
 #: as a fraction of the limit.
@@ -167,7 +167,6 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
     if not options.vary:
         raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
     performance.check(options.vary, "--vary")
-    performance.check_drive(options.vary, "--vary")
     turn = "yaw" if performance.model.in_space else performance.turn
     quantity, sign = {
         "speed": ("mean_speed_m_s", -1.0),

@@ -289,7 +289,6 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
         raise UsageError("--over takes frequency_hz, and amplitude_deg where the rule depends on it")
     performance.check({name: axis[:2] for name, axis in options.over.items()}, "--over")
-    performance.check_drive(options.over, "--over")
     if options.over["frequency_hz"][2] <= DEGREE or options.over.get("amplitude_deg", (0, 0, 2))[2] < 2:
         raise UsageError(
             "--over: a quadratic rule needs three frequencies or more, and two amplitudes or none"

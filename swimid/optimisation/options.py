@@ -6,35 +6,13 @@ from collections.abc import Mapping
 from typing import Literal
 
 import swimid.options as fits
-from swimid.options import Options, Source, option
+from swimid.options import Source, option
 from swimid.simulation import options as simulations
-from swimid.swimmer import options as swimmers
 
 
-class GaitOptions(Options):
+class GaitOptions(simulations.DriveOptions):
     """Options of every command of gaits: the robot and the drive."""
 
-    params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
-    robot: str | None = simulations.robot("Robot; without --params the values of its file are used.")
-    frequency_hz: float | None = option(None, gt=0, help="Beat frequency, if it is not varied.")
-    amplitude_deg: float | None = option(
-        None, ge=0, help="Beat amplitude, if it is not varied (T-Fish: of the whole tail)."
-    )
-    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Waveform of the beat.")
-    bias_deg: float | None = option(None, help="Turning bias, if it is not varied.")
-    asymmetry: float | None = option(
-        None, gt=-1, lt=1, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10), if it is not varied."
-    )
-    lag_deg: float | None = option(
-        None, help="Phase by which each driven joint lags the one before it, if it is not varied."
-    )
-    ramp_s: float = option(1.0, ge=0, help="Time in which the beat grows to its amplitude.")
-    stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
-    scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke, if it is not varied.")
-    duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
-    chosen: Mapping[str, float] = simulations.chosen("Hold a parameter at this value. Repeatable.")
-    readings: Mapping[str, str] = swimmers.readings()
-    dt: float = swimmers.step()
     jobs: int | None = fits.jobs()
 
 

@@ -40,8 +40,8 @@ from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series
+from swimid.simulation.cases import value_text
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.swim_quantities import value_text
 from swimid.swimmer import trials as swimmer
 
 if TYPE_CHECKING:
@@ -182,7 +182,6 @@ def performance_map(
         if len(options.over) > 2:
             raise UsageError("a map has one axis or two")
         performance.check({name: axis[:2] for name, axis in options.over.items()}, "--over")
-        performance.check_drive(options.over, "--over")
         if any(axis[2] < 2 for axis in options.over.values()):
             raise UsageError("--over: an axis has two points or more")
         if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,10 +21,9 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
-from swimid.fitting.drives import Beat, SwimInput
+from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
-from swimid.logs.trials import StrokeDrive
 from swimid.notices import Notice
 from swimid.optimisation.options import GaitOptions
 from swimid.progress import Progress, silent
@@ -33,15 +32,11 @@ from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.robots import file as robot_format
-from swimid.simulation import catalogue, swim_quantities
+from swimid.simulation import catalogue
+from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_drive, swim_input, units_of
 from swimid.simulation.catalogue import Applied, Quantity
-from swimid.simulation.swim_quantities import SwimRun
-from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Swimmer
 
-#: Drive parameters that may be varied, with their units: for a beat, and for a stroke.
-BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
-STROKE = {"frequency_hz": "Hz", "scale": "1"}
 #: Minimum and maximum values of drive parameters.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
 #: Number of gaits that are simulated together.
@@ -97,10 +92,7 @@ class Performance:
             file = catalogue.read_parameters(options.params)
             if file.model not in ("multilink", "multibody"):
                 raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
-        applied = catalogue.load_robot(options, file)
-        names = STROKE if options.stroke is not None else BEAT
-        stated = {name: getattr(options, name) for name in names}
-        made = cls(applied, {n: float(v) for n, v in stated.items() if v is not None}, options)
+        made = cls(catalogue.load_robot(options, file), given_drive(options), options)
         if not made.model.driven:
             raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
         return made
@@ -124,7 +116,7 @@ class Performance:
     @cached_property
     def units(self) -> dict[str, str]:
         """Quantities of a simulation with their units, in the order of :meth:`table`."""
-        return swim_quantities.units_of(self.model)
+        return units_of(self.model)
 
     @property
     def axes(self) -> dict[str, str]:
@@ -163,52 +155,17 @@ class Performance:
                 least, most = parameters[name].lower, parameters[name].upper
             if low < least or high > most or (name == "frequency_hz" and low == 0):
                 raise UsageError(f"{option} {name}: lies between {least:g} and {most:g}")
-        if self.options.waveform != "a-cpg" and ("asymmetry" in varied or self.drive.get("asymmetry")):
-            raise UsageError("asymmetry belongs to --waveform a-cpg")
+        check_drive(self.options, varied, option)
 
-    def check_drive(self, varied: Collection[str], option: str) -> None:
-        """Raise an error if a parameter of the drive is neither given nor varied.
-
-        Raises
-        ------
-        UsageError
-        """
-        if self.options.stroke is not None:  # a stroke has its own frequency and size
-            return
-        for name in ("frequency_hz", "amplitude_deg"):
-            if name not in varied and name not in self.drive:
-                flag = name.replace("_", "-")
-                raise UsageError(f"the drive needs --{flag}, or {name} among what is varied ({option})")
-
-    def swim(self, point: Point) -> tuple[SwimInput, float]:
-        """Return the drive of a gait, and its frequency in Hz."""
-        drive = {**self.drive, **{name: value for name, value in point.items() if name in BEAT | STROKE}}
-        pose = (0.0,) * len(self.model.pose) if self.model.free_base else None
-        if self.options.stroke is not None:
-            told = StrokeDrive(
-                stroke=self.options.stroke,
-                frequency_hz=drive.get("frequency_hz"),
-                scale=drive.get("scale", 1.0),
-                ramp_s=0.0,
-            )
-            cycle = swimmer.cycle_of(told, self.model)  # type: ignore[arg-type]
-            return SwimInput(stroke=cycle, pose=pose), cycle.frequency_hz
-        beat = Beat(
-            self.options.waveform,
-            drive["frequency_hz"],
-            math.radians(drive["amplitude_deg"]),
-            math.radians(drive.get("bias_deg", 0.0)),
-            drive.get("asymmetry", 0.0),
-            self.options.ramp_s,
-            lag_rad=math.radians(drive.get("lag_deg", 0.0)),
-        )
-        return SwimInput(beat, pose=pose), beat.frequency_hz
+    def swim(self, point: Point) -> SwimInput:
+        """Return the drive of a gait."""
+        varied = {name: value for name, value in point.items() if name in BEAT | STROKE}
+        return swim_input(self.model, self.options, {**self.drive, **varied})
 
     def run(self, point: Point) -> SwimRun:
         """Return the simulation settings of a gait."""
-        swim, frequency = self.swim(point)
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
-        return SwimRun.driven(self.model, f"gait {name}", swim, frequency, self.options.duration_s)
+        return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
         """Return the parameter vector for a gait."""

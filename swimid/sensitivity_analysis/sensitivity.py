@@ -32,8 +32,8 @@ from swimid.results.result import FileResult
 from swimid.sensitivity_analysis.indices import Sobol, sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
+from swimid.simulation.cases import SwimRun, units_of
 from swimid.simulation.catalogue import Applied, Quantity, is_possible
-from swimid.simulation.swim_quantities import SwimRun, units_of
 from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:

@@ -1,10 +1,15 @@
-"""Cases for ``simulate``: runs driven by a beat, a weight or an input log, and recorded trials."""
+"""Cases for ``simulate``: runs driven by a beat, a weight or an input log, and recorded trials.
+
+The quantities of a simulated swim are defined in :mod:`swimid.logs.kinematics`. :class:`SwimRun` samples a
+run so that it ends in whole cycles, and adds the quantities that need the model: amplitudes of passive
+joints, tail excursion, power.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +25,7 @@ from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
+from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.logs.trials import StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
@@ -32,11 +38,11 @@ from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
 from swimid.simulation.catalogue import Applied, Compute, Quantity
-from swimid.simulation.options import SimulateOptions
-from swimid.simulation.swim_quantities import SwimRun, quantity
+from swimid.simulation.options import DriveOptions, SimulateOptions
 from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.model import Swimmer
+from swimid.swimmer.model import Energetics, Swimmer
+from swimid.swimmer.planar.model import Body
 
 #: Default duration of a run, s, and default sample rate, Hz.
 DURATION_S, RATE_HZ = 15.0, 50.0
@@ -44,8 +50,9 @@ DURATION_S, RATE_HZ = 15.0, 50.0
 MAX_SAMPLES = 20_000_000
 #: Length of a course on which the start from rest has a negligible effect on the mean speed, m.
 FAR_M = 1e9
-#: Maximum bend of a joint, degrees. A larger bend gives a warning.
-MAX_BEND_DEG = 90.0
+#: Drive parameters with their units: of a beat, and of a stroke.
+BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
+STROKE = {"frequency_hz": "Hz", "scale": "1"}
 
 
 @dataclass(frozen=True)
@@ -221,30 +228,106 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
     applied = catalogue.load_robot(options, file)
     values, model = applied.values(), applied.model.swimmer
     assert model is not None
-    swim, kind = SwimInput(), "multibody"
-    if model.free_base:
-        swim = SwimInput(pose=(0.0,) * len(model.pose))
-        kind = "multibody" if model.in_space else "free-swim"
-    metadata = _metadata(options, model.robot.name, experiment=kind)
-    beaten = options.frequency_hz is not None or options.amplitude_deg is not None
+    kind = "multibody"
+    if model.free_base and not model.in_space:
+        kind = "free-swim"
+    metadata, drive = _metadata(options, model.robot.name, experiment=kind), given_drive(options)
     if options.input is not None:
-        if beaten:
+        if "frequency_hz" in drive or "amplitude_deg" in drive:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
         time, joints = _recorded_joints(options.input, options, model)
-        swim = replace(swim, joints=joints)
+        swim = SwimInput(joints=joints, pose=rest_pose(model))
         metadata["input"] = options.input.name
-    elif options.stroke is not None:
-        swim = replace(swim, stroke=swimmer.cycle_of(_stroke(options.stroke, options), model))
+    elif model.driven or options.stroke is not None:
+        check_drive(options)
+        swim = swim_input(model, options, drive, options.cycles)
         time = _times(options, swim.stroke)
+        if swim.beat is not None:
+            _check_sampling(options, swim.beat.frequency_hz)
+    elif drive:
+        raise UsageError(f"the robot '{model.robot.name}' has no driven joint: there is nothing to beat")
     else:
-        if model.driven:
-            swim = replace(swim, beat=_beat(options, model))
-        elif beaten:
-            raise UsageError(f"the robot '{model.robot.name}' has no driven joint: there is nothing to beat")
-        time = _times(options)
+        swim, time = SwimInput(pose=rest_pose(model)), _times(options)
     return _swimming(applied, values, model, Trial("run", "fit", time, {}, swim=swim), metadata)
+
+
+def rest_pose(model: Swimmer) -> tuple[float, ...] | None:
+    """Return the pose of a robot that starts at the origin; None for a fixed base."""
+    return (0.0,) * len(model.pose) if model.free_base else None
+
+
+def given_drive(options: DriveOptions) -> dict[str, float]:
+    """Return the drive parameters that the options state: of a stroke if they name one, else of a beat."""
+    names = STROKE if options.stroke is not None else BEAT
+    stated = {name: getattr(options, name) for name in names}
+    return {name: float(value) for name, value in stated.items() if value is not None}
+
+
+def check_drive(options: DriveOptions, varied: Collection[str] = (), option: str = "") -> None:
+    """Raise an error for a drive that is incomplete or contradicts itself.
+
+    Parameters
+    ----------
+    varied : collection of str
+        Drive parameters that ``option`` varies.
+
+    Raises
+    ------
+    UsageError
+    """
+    stated = {name for name in BEAT if getattr(options, name)} | set(varied)
+    if options.stroke is not None:
+        if stated & {"amplitude_deg", "bias_deg", "asymmetry", "lag_deg"}:
+            raise UsageError("--stroke takes the place of a beat: leave out the parameters of a beat")
+        return
+    for name in ("frequency_hz", "amplitude_deg"):
+        if name not in varied and getattr(options, name) is None:
+            others = f", or {name} among what is varied ({option})" * bool(option)
+            raise UsageError(f"the drive needs --{name.replace('_', '-')}{others}")
+    if "asymmetry" in stated and options.waveform != "a-cpg":
+        raise UsageError("asymmetry belongs to --waveform a-cpg")
+
+
+def swim_input(
+    model: Swimmer, options: DriveOptions, drive: Mapping[str, float], cycles: float | None = None
+) -> SwimInput:
+    """Return the input of a run from rest with the given parameters of a stroke or a beat."""
+    if options.stroke is not None:
+        # the default ramp is for beats only: a stroke has no ramp unless one is given
+        ramp = options.ramp_s * (options.ramp_s != options.declared()["ramp_s"].default)
+        command = StrokeDrive(
+            stroke=options.stroke,
+            frequency_hz=drive.get("frequency_hz"),
+            scale=drive.get("scale", 1.0),
+            ramp_s=ramp,
+            cycles=cycles,
+        )
+        return SwimInput(stroke=swimmer.cycle_of(command, model), pose=rest_pose(model))
+    beat = drives.Beat(
+        options.waveform,
+        drive["frequency_hz"],
+        math.radians(drive["amplitude_deg"]),
+        math.radians(drive.get("bias_deg", 0.0)),
+        drive.get("asymmetry", 0.0),
+        options.ramp_s,
+        lag_rad=math.radians(drive.get("lag_deg", 0.0)),
+    )
+    return SwimInput(beat, pose=rest_pose(model))
+
+
+def _check_sampling(options: SimulateOptions, frequency_hz: float) -> None:
+    """Check that integration step and sample rate resolve a beat."""
+    rate = options.sample_rate_hz or RATE_HZ
+    if frequency_hz * options.dt >= 0.5:
+        raise UsageError(
+            f"a beat of {frequency_hz:g} Hz cannot be integrated with steps of {options.dt:g} s",
+            hint=f"take --dt {0.02 / frequency_hz:.1g} or less",
+        )
+    if frequency_hz >= 0.5 * rate:
+        text = f"{rate:g} samples a second do not show a beat of {frequency_hz:g} Hz: raise --sample-rate-hz"
+        warn("SWM054", text)
 
 
 def drive_block(trial: Trial) -> dict[str, Any]:
@@ -275,45 +358,6 @@ def setting_text(key: str, value: float | str) -> str:
     if not isinstance(value, str):
         value = numbers.number(value, 4, unit)
     return f"{name} {value}"
-
-
-def _stroke(name: str, options: SimulateOptions) -> StrokeDrive:
-    if options.amplitude_deg is not None or options.bias_deg or options.asymmetry:
-        raise UsageError(
-            "--stroke takes the place of a beat: leave out --amplitude-deg, --bias-deg, --asymmetry"
-        )
-    # the default ramp is for beats only: a stroke has no ramp unless one is given
-    ramp = 0.0 if options.ramp_s == options.declared()["ramp_s"].default else options.ramp_s
-    hertz, scale, cycles = options.frequency_hz, options.scale, options.cycles
-    return StrokeDrive(stroke=name, frequency_hz=hertz, scale=scale, ramp_s=ramp, cycles=cycles)
-
-
-def _beat(options: SimulateOptions, model: Swimmer) -> drives.Beat:
-    f, amplitude = _needed(options, "a beat", "frequency_hz", "amplitude_deg")
-    rate = options.sample_rate_hz or RATE_HZ
-    if f * options.dt >= 0.5:
-        raise UsageError(
-            f"a beat of {f:g} Hz cannot be integrated with steps of {options.dt:g} s",
-            hint=f"take --dt {0.02 / f:.1g} or less",
-        )
-    if f >= 0.5 * rate:
-        warn("SWM054", f"{rate:g} samples a second do not show a beat of {f:g} Hz: raise --sample-rate-hz")
-    for axis in model.driven:
-        law = axis.driven
-        assert law is not None
-        bias_gain = law.bias_gain
-        if bias_gain is None:
-            bias_gain = law.gain
-        bend = abs(law.gain) * amplitude + abs(bias_gain * options.bias_deg)
-        if bend > MAX_BEND_DEG:
-            warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
-            break
-    asymmetry = options.asymmetry
-    if asymmetry and options.waveform != "a-cpg":
-        warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {options.waveform} has none")
-        asymmetry = 0.0
-    angles = math.radians(amplitude), math.radians(options.bias_deg)
-    return drives.Beat(options.waveform, f, *angles, asymmetry, options.ramp_s)
 
 
 def _recorded_joints(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
@@ -400,6 +444,182 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
         ]
 
     return of_last_beats
+
+
+# ------------------------------------------------------------ quantities of a run
+
+
+def quantity(name: str, value: float) -> Quantity:
+    """Return a quantity with the unit that :data:`swimid.logs.kinematics.QUANTITIES` has for it."""
+    return Quantity(value, QUANTITIES[name].unit)
+
+
+def value_text(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
+    """Return a value as text, with its unit and any standard deviation. Angles are in degrees."""
+    factor, shown = numbers.in_degrees(unit)
+    if value is None:
+        return numbers.number(None)
+    if sd:
+        return numbers.measured(factor * value, factor * sd, shown)
+    return numbers.number(factor * value, digits, shown)
+
+
+def units_of(model: Swimmer) -> dict[str, str]:
+    """Return the unit of each quantity that a run of a robot may have, by name."""
+    scope, skipped = "none", "none"
+    if model.in_space:
+        scope = "cycle"
+    elif model.free_base:
+        scope = "plane"
+        skipped = {"yaw_rad": "pitch", "pitch_rad": "yaw"}[model.pose[2]]
+    named = {n: kind for n, kind in QUANTITIES.items() if skipped not in n.split("_")}
+    units = {name: kind.unit for name, kind in named.items() if scope in kind.of}
+    if not model.in_space:
+        units |= {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}
+    if model.driven:
+        units |= {name: kind.unit for name, kind in QUANTITIES.items() if kind.of == "power"}
+    return units
+
+
+@dataclass(frozen=True)
+class SwimRun:
+    """Run with a beat or a stroke, sampled so that it ends in whole cycles.
+
+    Attributes
+    ----------
+    trial : Trial
+        The run with :data:`~swimid.logs.kinematics.PER_CYCLE` samples per cycle, from its start on.
+    window : Window
+        Last whole beats of the run; for a robot that moves in 3-D, its last cycle.
+    commanded_turn : bool
+        Whether the drive has a bias or an asymmetry.
+    """
+
+    trial: Trial
+    window: Window
+    commanded_turn: bool
+
+    @classmethod
+    def of(cls, model: Swimmer, trial: Trial, frequency_hz: float) -> SwimRun | None:
+        """Return the run with the drive and the duration of a trial; None if no whole cycle fits into it."""
+        begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+        beat = trial.swim.beat
+        if model.in_space:
+            cycles = kinematics.whole_cycles(trial.time_s, frequency_hz)
+            window = cycles[-1] if cycles else None
+        else:
+            ramp = 0.0 if beat is None else beat.ramp_s
+            window = kinematics.last_cycles(max(begin, ramp), end, frequency_hz)
+        if window is None:
+            return None
+        times = window.times()
+        # the run begins at the start of the trial
+        lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
+        sampled = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
+        return cls(sampled, window, beat is not None and bool(beat.bias_rad or beat.asymmetry))
+
+    @classmethod
+    def driven(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
+        """Return a run from rest, longer than ``duration_s`` if no whole beat after the ramp fits into it.
+
+        Parameters
+        ----------
+        name : str
+            Name of the run. The model caches simulations under this name, so each drive needs a different
+            one.
+
+        Notes
+        -----
+        Samples are counted from the end of the run, so that its quantities are smooth functions of the
+        frequency. The run begins up to one sample before the drive. For a robot that moves in 3-D, the
+        duration is rounded up to whole cycles.
+        """
+        end, frequency_hz = duration_s, float(swim.drive.frequency_hz)
+        if swim.beat is not None:
+            end = max(end, swim.beat.ramp_s + (1.0 + 1e-6) / frequency_hz)
+        if model.in_space:
+            end = max(math.ceil(end * frequency_hz - 1e-9), 1) / frequency_hz
+        count = math.ceil(end * PER_CYCLE * frequency_hz - 1e-9)
+        time = end - np.arange(count, -1, -1) / (PER_CYCLE * frequency_hz)
+        run = cls.of(model, Trial(name, "fit", time, {}, swim=swim), frequency_hz)
+        assert run is not None
+        return run
+
+    def quantities(
+        self, model: Swimmer, values: Array, columns: Mapping[str, Array], energetics: Energetics | None
+    ) -> dict[str, Quantity]:
+        """Return the quantities of the run by name. They are among the quantities of :func:`units_of`.
+
+        Parameters
+        ----------
+        columns : mapping of str to ndarray
+            Channels of the model at the sample times of :attr:`trial`.
+        energetics : Energetics or None
+            Power and energy of the joints in the window; None if they are unknown.
+        """
+        body, time = model.body, self.trial.time_s
+        if body is None:
+            found = kinematics.cycle_quantities(time, columns, self.window)
+        else:
+            count = self.window.cycles * PER_CYCLE + 1
+            last = {name: series[-count:] for name, series in columns.items()}
+            found = {f"amplitude_{a.name}_rad": 0.5 * float(np.ptp(last[a.column])) for a in body.passive}
+            if body.free:
+                found = self._of_last_cycles(body, values, last) | self._of_whole_run(body, columns) | found
+        if energetics is not None and model.driven:
+            found |= _power_quantities(energetics, found.get("mean_speed_m_s"))
+        units = units_of(model)
+        return {name: Quantity(value, units[name]) for name, value in found.items()}
+
+    def _of_last_cycles(self, body: Body, values: Array, columns: Mapping[str, Array]) -> dict[str, float]:
+        """Return the quantities of the last whole cycles, from the channels in the window."""
+        length = body.length(values)
+        pose = [columns[name] for name in body.pose]
+        found = kinematics.plane_quantities(
+            pose,
+            [columns[name] for name in body.velocity],
+            self.window,
+            length_m=length,
+            turn=body.pose[2].removesuffix("_rad"),
+            commanded_turn=self.commanded_turn,
+        )
+        speed = found["mean_speed_m_s"]
+        if kinematics.is_straight(pose[2], speed, length):
+            rear = int(np.argmax(body.straight(values)[1]))
+            x, y = body.rear_ends(body.frames(values, columns))
+            excursion = kinematics.tail_excursion(x[rear], y[rear])
+            found["tail_excursion_m"] = excursion
+            found["strouhal"] = self.window.frequency_hz * excursion / speed
+        return found
+
+    def _of_whole_run(self, body: Body, columns: Mapping[str, Array]) -> dict[str, float]:
+        """Return the quantities of the whole run."""
+        time, surge = self.trial.time_s, columns[body.velocity[0]]
+        return {
+            "mean_surge_from_start_m_s": float(np.trapezoid(surge, time) / (time[-1] - time[0])),
+            "settling_time_s": kinematics.settling_time(time, surge, self.window.frequency_hz),
+            "path_extent_m": max(float(np.ptp(columns[name])) for name in body.pose[:2]),
+        }
+
+
+def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[str, float]:
+    """Return power, torque and rate of the driven joints, and the cost of transport.
+
+    Notes
+    -----
+    ``COT = P / V`` (dolphin, Eq 11). P is the mean positive mechanical power of the joints, because servos
+    return no energy to the battery. Losses of gear and motor are not included.
+    """
+    positive = energetics.mean_positive_power_W()
+    found = {
+        "mean_power_W": energetics.mean_power_W(),
+        "mean_positive_power_W": positive,
+        "peak_torque_N_m": float(np.abs(energetics.torque_N_m).max()),
+        "peak_joint_rate_rad_s": float(np.abs(energetics.rate_rad_s).max()),
+    }
+    if speed_m_s is not None and speed_m_s > 0:
+        found["cost_of_transport_J_m"] = positive / speed_m_s
+    return found
 
 
 # ------------------------------------------------------------ other models

@@ -30,6 +30,7 @@ from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series
+from swimid.simulation.cases import value_text
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import (
     HALF_WIDTH_BEATS,
@@ -42,7 +43,6 @@ from swimid.simulation.compare_series import (
     ProfileComparison,
 )
 from swimid.simulation.options import CompareOptions
-from swimid.simulation.swim_quantities import value_text
 
 if TYPE_CHECKING:
     import pandas as pd

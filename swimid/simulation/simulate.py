@@ -27,10 +27,9 @@ from swimid.results import numbers
 from swimid.results.evidence import remove_outdated
 from swimid.results.result import Result
 from swimid.simulation import animation, cases
-from swimid.simulation.cases import Case
+from swimid.simulation.cases import Case, value_text
 from swimid.simulation.catalogue import Quantity
-from swimid.simulation.options import RUN, SimulateOptions
-from swimid.simulation.swim_quantities import value_text
+from swimid.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,19 +145,17 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
     if output is None:
         return []
     folder = output.is_dir()
-    if output.suffix.lower() in LOG_ENDINGS and not folder:
-        if len(ids) > 1:
-            raise UsageError(
-                f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
-            )
+    if output.suffix.lower() in LOG_ENDINGS and not folder and len(ids) == 1:
         return [output]
-    if len(ids) == 1 and not folder:
+    if output.suffix.lower() in LOG_ENDINGS and not folder:
+        raise UsageError(
+            f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
+        )
+    if output.exists() != folder or (len(ids) == 1 and not folder):
         raise UsageError(
             f"'{output.name}' can be no log: its ending is none of a log, and no folder has this name",
             hint=f"let it end in {' or '.join(LOG_ENDINGS)}",
         )
-    if output.exists() and not folder:
-        raise UsageError(f"{output} is a file; several trials need a folder")
     return [output / name for name in file_names(ids, LOG_ENDINGS)]
 
 
@@ -257,6 +254,8 @@ class Simulation(Result):
         return replace(self, outputs=[*self.outputs, *write(Path(path), self.document)])
 
 
+#: Options that are allowed together with recorded trials.
+WITH_TRIALS = ("params", "robot", "dt", "chosen", "readings", "trials", "trial", "animate")
 #: Quantities in the table of several runs.
 TABLE_QUANTITIES = ("mean_speed_m_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "turning_radius_m")
 
@@ -373,7 +372,7 @@ def simulate(
 def _refuse_run_options(options: SimulateOptions) -> None:
     """Refuse options of a run together with recorded trials, which have their own drives."""
     for name, entry in options.declared().items():
-        if entry.part == RUN and getattr(options, name) != entry.default:
+        if name not in WITH_TRIALS and getattr(options, name) != entry.default:
             raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
 
 
@@ -491,28 +490,18 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
     """Return the result as data for ``--json``."""
-    applied, values = done[0].case.applied, done[0].case.values
-    place = cases.place(options)
-    shared = [p.name for p in applied.model.parameters if not p.per_trial]
-    runs = []
-    for d in done:
-        ends = {name: column[-1] for name, column in d.columns.items() if not isinstance(column[-1], str)}
-        runs.append(
+    case, place = done[0].case, cases.place(options)
+    return {
+        "model": case.applied.model.name,
+        "robot": case.metadata["robot"],
+        "params": str(place) if place else None,
+        "runs": [
             {
                 "id": d.case.id,
                 "metadata": dict(d.case.metadata),
-                "samples": len(d.case.trial.time_s),
                 "quantities": {name: vars(quantity) for name, quantity in d.quantities.items()},
                 "step_check": d.step,
-                "last": {name: float(value) for name, value in ends.items() if np.isfinite(value)},
             }
-        )
-    return {
-        "model": applied.model.name,
-        "robot": done[0].case.metadata["robot"],
-        "params": str(place) if place else None,
-        "parameters": {name: float(values[applied.model.index(name)]) for name in shared},
-        "uncertain": applied.uncertain()[0],
-        "step_limit": STEP_LIMIT,
-        "runs": runs,
+            for d in done
+        ],
     }
