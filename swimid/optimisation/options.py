@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 import swimid.options as fits
-from swimid.options import Source, option
+from swimid.options import option
 from swimid.simulation import options as simulations
 
 
@@ -27,14 +27,13 @@ class MapOptions(
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
     Speed, cost of transport, Strouhal number, turning, power and torque are computed over one or two of
-    frequency, amplitude, bias, asymmetry and any coefficient. The map shows recorded trials and marks their
-    range. An interrupted run continues when it is started again.
+    frequency, amplitude, bias, asymmetry and any coefficient. The map marks the range of the identification
+    trials. An interrupted run continues when it is started again.
 
     Examples:
       swimid map --robot dolphin --amplitude-deg 27 \
           --over frequency_hz=1:5:9 --over K_s=0.2:3.0:15 -o map.yaml
-      swimid map --params tfish.yaml --trials trials.yaml --over frequency_hz=0.6:2:8 \
-          --over amplitude_deg=15:35:5 -o map.yaml
+      swimid map --params tfish.yaml --over frequency_hz=0.6:2:8 --over amplitude_deg=15:35:5 -o map.yaml
       swimid map --robot tfish --waveform a-cpg --frequency-hz 1 --amplitude-deg 35 \
           --over bias_deg=25:35:3 --over asymmetry=0:0.4:2 --duration-s 20 -o steering.yaml
     """
@@ -44,7 +43,6 @@ class MapOptions(
         help="Axis: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale of a stroke, or a "
         "coefficient (K_s). One or two.",
     )
-    trials: Source = option(None, help="Trials file: the map shows its measured speeds and marks its range.")
 
 
 class OptimiseStiffnessOptions(

@@ -1,9 +1,9 @@
-"""``map``: quantities of a robot over a grid of gaits, compared with recorded trials."""
+"""``map``: quantities of a robot over a grid of gaits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -16,9 +16,8 @@ from pydantic import Field
 from swimid.errors import UsageError
 from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
-from swimid.files.provenance import Input
-from swimid.files.yamlio import Number, Rows
-from swimid.fitting.model import Array, Trial
+from swimid.files.yamlio import Rows
+from swimid.fitting.model import Array
 from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
@@ -39,16 +38,11 @@ from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
 from swimid.results.result import FileResult
-from swimid.simulation import catalogue, compare_series
 from swimid.simulation.cases import value_text
-from swimid.simulation.catalogue import Applied
-from swimid.swimmer import trials as swimmer
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Maximum relative and maximum absolute difference between the drive of a trial and the drive of the map.
-DRIVE_RTOL, DRIVE_ATOL = 0.02, 1e-3
 #: Maximum number of points of a map.
 MAX_POINTS = 100_000
 #: Quantities that are plotted and tabulated, in this order, if the robot has them.
@@ -81,19 +75,6 @@ class Mapped(yamlio.Document):
     stderr: Rows | None = None
 
 
-class MeasuredPoint(yamlio.Document):
-    """A recorded trial that is compared with the map."""
-
-    trial: str
-    role: Literal["fit", "validate"]
-    #: Position of the trial on the axes of the map.
-    at: dict[str, float]
-    inside: bool
-    #: Mean speed over the last whole beats, m/s: in the log, and in a simulation of the trial.
-    measured_m_s: Number = None
-    simulated_m_s: Number = None
-
-
 class MapFile(StudyFile):
     """Map file: quantities of a robot over a grid of gaits."""
 
@@ -104,7 +85,6 @@ class MapFile(StudyFile):
     #: Number of simulations that broke down, and number of simulations whose speed still changes at the end.
     broken: int
     unsettled: int
-    measured: list[MeasuredPoint] = []
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -117,7 +97,7 @@ class PerformanceMap(FileResult[MapFile]):
     frame : DataFrame
         One row for each point: its position on the axes, and every quantity in SI units (NaN if unknown).
     file : MapFile
-        All results, including standard deviations and measured trials. :meth:`save` writes this file.
+        All results, including standard deviations. :meth:`save` writes this file.
     """
 
     file_type = MapFile
@@ -187,12 +167,7 @@ def performance_map(
         if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:
             raise UsageError(f"a map has at most {MAX_POINTS} points")
         axes = {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
-        inputs: Sequence[Input] = ()
-        region: Mapping[str, tuple[float, float]] = {}
-        measured: list[MeasuredPoint] = []
-        if options.trials is not None:
-            inputs, region, measured = recorded_trials(options, performance, axes)
-        study = study_of(performance, options, output, inputs)
+        study = study_of(performance, options, output)
         keep = study.checkpoint
         points = points_of(axes)
         uncertain = performance.applied.uncertain()[0]
@@ -216,14 +191,12 @@ def performance_map(
         change = np.zeros(len(values))
         if "speed_change_per_beat_m_s" in units:
             change = values[:, units.index("speed_change_per_beat_m_s")]
-        study.head["identified"] |= region
         file = MapFile(
             **study.head,
             axes=[Axis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
             quantities=quantities,
             broken=int((~np.isfinite(values)).all(axis=1).sum()),
             unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
-            measured=measured,
         )
     return study.saved(PerformanceMap, file, evidence_of(file, notices, study.origin))
 
@@ -255,71 +228,6 @@ def _simulate(
     return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
 
 
-# ------------------------------------------------------------ recorded trials
-
-
-def recorded_trials(
-    options: MapOptions, performance: Performance, axes: Mapping[str, Sequence[float]]
-) -> tuple[Sequence[Input], dict[str, tuple[float, float]], list[MeasuredPoint]]:
-    """Return the recorded trials of ``options`` that can be compared with a map.
-
-    Returns
-    -------
-    inputs : sequence of Input
-        Files that were read.
-    region : dict of str to (float, float)
-        Range of each axis in the trials of role ``fit``.
-    points : list of MeasuredPoint
-        Trials whose drive differs from the drive of the map only in parameters that are axes.
-
-    Raises
-    ------
-    UsageError, InputError
-        For a trials file of another robot, and for any error in the file.
-    """
-    experiment, applied = catalogue.load(options.trials, options)
-    mine, robot = performance.model.robot.name, experiment.robot.name
-    if robot != mine:
-        raise UsageError(f"these are trials of the robot '{robot}', the map is of '{mine}'")
-    places = {trial.id: _place(applied, trial, axes) for trial in experiment.trials}
-    fitted = [places[t.id] for t in experiment.trials if t.role == "fit" and places[t.id]]
-    region = {n: (min(p[n] for p in fitted), max(p[n] for p in fitted)) for n in axes if fitted}
-    points = []
-    for trial in experiment.trials:
-        at = places[trial.id]
-        if not at or not _has_drive_of(trial, performance, axes):
-            continue
-        record = compare_series.compare_trial(experiment, applied, trial, refit=True).record
-        inside = all(min(values) <= at[name] <= max(values) for name, values in axes.items())
-        point = MeasuredPoint(trial=record.id, role=record.role, at=at, inside=inside)
-        if record.mean_speed is not None:
-            point.measured_m_s = record.mean_speed.measured
-            point.simulated_m_s = record.mean_speed.simulated
-        points.append(point)
-    return experiment.inputs, region, points
-
-
-def _place(applied: Applied, trial: Trial, names: Iterable[str]) -> dict[str, float]:
-    """Return the position of a trial on the named axes; empty if the trial lacks one of these quantities."""
-    drive = swimmer.drive_of(trial)
-    values = applied.values(trial.id).tolist()
-    known = dict(zip((p.name for p in applied.model.parameters), values, strict=True))
-    known |= {**(trial.swim.coefficients or {}), **drive}
-    if not drive or not set(names) <= set(known):
-        return {}
-    return {name: known[name] for name in names}
-
-
-def _has_drive_of(trial: Trial, performance: Performance, axes: Iterable[str]) -> bool:
-    """Return whether the drive of a trial is the drive of the map, apart from parameters that are axes."""
-    known, own = swimmer.drive_of(trial), performance.drive
-    names = [name for name in BEAT | STROKE if name in known and name not in axes]
-    return all(
-        abs(known[name] - own.get(name, 0.0)) <= max(DRIVE_RTOL * abs(known[name]), DRIVE_ATOL)
-        for name in names
-    )
-
-
 # ------------------------------------------------------------ evidence
 
 
@@ -330,9 +238,6 @@ def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]
         f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} × {len(a.values)}"
         for a in file.axes
     ]
-    tables = [_best_table(file)]
-    if file.measured:
-        tables.append(_measured_table(file))
     methods = [
         f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
         "rest and was judged by its last whole beats. The power of driven joints is that of their "
@@ -341,8 +246,8 @@ def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]
     ]
     return studies.evidence(
         file, "map", answer(file), _checks(file),
-        {"Grid": ", ".join(grid), "Trials beside it": str(len(file.measured))},
-        notices, origin, tables=tables, figures=_figures(file), methods=methods,
+        {"Grid": ", ".join(grid)},
+        notices, origin, tables=[_best_table(file)], figures=_figures(file), methods=methods,
     )  # fmt: skip
 
 
@@ -361,12 +266,6 @@ def _checks(file: MapFile) -> list[ev.Check]:
         checks += studies.forwards_check(np.array(surge.values, dtype=object).ravel().tolist())
     if all(q.stderr is None for q in file.quantities.values()):
         checks.append(studies.unknown_check("uncertainty of the map"))
-    pairs = [(m.measured_m_s, m.simulated_m_s) for m in file.measured]
-    errors = [a - b for a, b in pairs if None not in (a, b)]  # type: ignore[operator]
-    if errors:
-        rmse = float(np.sqrt(np.mean(np.square(errors))))
-        value = f"{numbers.number(rmse, 3, 'm/s')} over {len(errors)} trials"
-        checks.append(ev.check("measured mean speeds, RMSE", value, None))
     return checks
 
 
@@ -413,21 +312,6 @@ def _cell(file: MapFile, name: str, row: int, column: int) -> str:
     if q.stderr is not None:
         sd = q.stderr[row][column]
     return value_text(q.values[row][column], q.unit, sd)
-
-
-def _measured_table(file: MapFile) -> ev.Table:
-    rows: list[dict[str, blocks.Cell]] = [
-        {
-            "trial": m.trial,
-            "role": {"fit": "fit", "validate": "held out"}[m.role],
-            **{name: numbers.number(at) for name, at in m.at.items()},
-            "measured": numbers.number(m.measured_m_s, 3, "m/s"),
-            "simulated": numbers.number(m.simulated_m_s, 3, "m/s"),
-        }
-        for m in file.measured
-    ]
-    caption = "Mean speed over the last beats of log and simulation."
-    return blocks.table("measured", "Measured trials on the map", rows, caption)
 
 
 def _drawn(file: MapFile) -> list[str]:
@@ -494,10 +378,6 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
         (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in (along, down))
         frame = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
         traces.append(ev.Trace(**frame, style="dashed", label="identified inside", group=N_LEVELS + 1))
-    inside = [m for m in file.measured if m.inside]
-    if inside:
-        points = blocks.points(inside, lambda m: m.at[along.name], lambda m: m.at[down.name], label="trials")
-        traces.append(points)
     return blocks.panel(_axis_title(along), _axis_title(down), traces, title=title)
 
 
@@ -509,11 +389,6 @@ def _curve(file: MapFile, name: str) -> ev.Panel:
     if q.stderr is not None:
         half = 2 * numbers.in_degrees(q.unit)[0] * np.array(q.stderr, dtype=float)[:, 0]
         traces = [blocks.band(x, y, half, label="model, 2 sd")]
-    measured = [m for m in file.measured if m.measured_m_s is not None]
-    if measured and name == "mean_speed_m_s":
-        traces.append(
-            blocks.points(measured, lambda m: m.at[axis.name], lambda m: m.measured_m_s, label="measured")
-        )
     spans = []
     if axis.name in file.identified:
         low, high = file.identified[axis.name]

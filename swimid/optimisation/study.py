@@ -299,9 +299,7 @@ class Study:
         return result
 
 
-def study_of(
-    performance: Performance, options: GaitOptions, output: Path | None, more: Sequence[Input] = ()
-) -> Study:
+def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> Study:
     """Return the study that these options describe.
 
     Raises
@@ -310,7 +308,7 @@ def study_of(
         If the output cannot be written.
     """
     applied, given = performance.applied, options.params
-    inputs: list[Input] = [*more]
+    inputs: list[Input] = []
     name, folder, params = options.robot, None, None
     if given is not None:
         inputs.append(parameters_format.origin(given))
