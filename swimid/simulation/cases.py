@@ -19,8 +19,8 @@ from swimid.blackbox.model import ArxModel
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
-from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SurgeInput, SwimInput
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SwimInput
+from swimid.fitting.model import Array, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs import trials as trials_format
@@ -29,7 +29,7 @@ from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.logs.trials import StrokeDrive, TrialSet
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
-from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
+from swimid.propulsion.model import SPEED, RecoilModel, velocity_ratio
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
@@ -122,20 +122,6 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
     return np.arange(max(round(duration * rate), 1) + 1) / rate
 
 
-def _needed(options: SimulateOptions, what: str, *names: str) -> list[Any]:
-    """Return the values of the named options, which the kind of run in ``what`` requires.
-
-    Raises
-    ------
-    UsageError
-        If one of the options is missing.
-    """
-    for name in names:
-        if getattr(options, name) is None:
-            raise UsageError(f"{what} needs --{name.replace('_', '-')}")
-    return [getattr(options, name) for name in names]
-
-
 def case_of_options(options: SimulateOptions) -> Case:
     """Return the case of the run that the options describe.
 
@@ -156,20 +142,15 @@ def case_of_options(options: SimulateOptions) -> Case:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
     if file.model == "arma":
         return _arma(options, file, path)
-    makers = {
-        "falling-weight": _falling_weight,
-        RecoilModel.name: _cruise,
-        SurgeModel.name: _surge,
-    }
-    if file.model not in makers:
+    if file.model not in ("falling-weight", RecoilModel.name):
         raise UsageError(
             f"the model '{file.model}' can be simulated for recorded trials only",
             hint="give them with --trials",
         )
     robot = robot_format.read(*catalogue.robot_of_parameters(file, path, options.robot))
-    model, trial, metadata, more = makers[file.model](options, file, path, robot)
-    applied = Applied(model, file, path, options.chosen)
-    return Case(applied, applied.values(), trial, _metadata(options, robot.name, **metadata), **more)
+    if file.model == RecoilModel.name:
+        return _cruise(options, file, path, robot)
+    return _falling_weight(options, file, path, robot)
 
 
 def cases_of_trials(
@@ -624,22 +605,21 @@ def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[s
 
 # ------------------------------------------------------------ other models
 
-#: Model, trial, metadata, and further attributes of a case.
-_Made = tuple[Model, Trial, dict[str, Any], dict[str, Any]]
 
-
-def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    (pulling,) = _needed(options, "a falling weight", "pulling_mass_kg")
+def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
+    """Return the case of a robot on a rig that a weight pulls."""
+    if options.pulling_mass_kg is None:
+        raise UsageError("a falling weight needs --pulling-mass-kg")
+    pulling = options.pulling_mass_kg
     mass, area = robot.body.inertial_mass_kg, robot.body.frontal_area_m2
     known = "drag_coefficient" in file.parameters
-    if known and area is None:
-        raise InputError(f"the robot '{robot.name}' has no body.frontal_area_m2 for its drag coefficient")
-    if mass is None:
-        raise InputError(f"the robot '{robot.name}' has no body.inertial_mass_kg")
-    factor = 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
+    if mass is None or (known and area is None):
+        text = "needs body.inertial_mass_kg, and body.frontal_area_m2 for a drag coefficient"
+        raise InputError(f"the robot '{robot.name}' {text}")
     force = pulling * robot.fluid.gravity_m_s2
     inertia = mass + pulling + robot.rig.pulley_inertia_kg
     model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
+    factor = 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
     on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
     trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
 
@@ -654,8 +634,9 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
             ends = {"terminal_speed_m_s": Quantity(top, "m/s"), **ends}
         return ends
 
-    metadata = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
-    return model, trial, metadata, {"quantities": _each(compute)}
+    applied = Applied(model, file, path, options.chosen)
+    metadata = _metadata(options, robot.name, experiment="falling-weight", pulling_mass_kg=pulling)
+    return Case(applied, applied.values(), trial, metadata, quantities=_each(compute))
 
 
 def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
@@ -678,37 +659,40 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
     return Case(applied, applied.values(), trial, metadata, trial.inputs)
 
 
-def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    frequency, amplitude, fin = _needed(options, "cruising", "frequency_hz", "amplitude_deg", "fin")
+def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
+    """Return the case of a robot that cruises by the recoil law of a fin."""
+    fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg
+    if fin is None or frequency is None or amplitude is None:
+        raise UsageError("cruising needs --fin, --frequency-hz and --amplitude-deg")
     unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
     drag, place = catalogue.drag_file(file, path), robot_format.locate(robot.name)
     model = propulsion.recoil_model(robot, [fin, *unknown], drag, unknown=unknown, path=place)
+    applied = Applied(model, file, path, options.chosen)
+    values = applied.values()
     for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
-        value = options.chosen.get(name, law)
-        if name in file.parameters and name not in options.chosen:
-            value = file.parameters[name].value
-        if value != law:
+        if values[model.index(name)] != law:
             raise UsageError(
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )
+    distance = options.distance_m or FAR_M
     inputs = {
         "frequency_hz": np.array([frequency]),
-        "amplitude_rad": np.deg2rad([float(amplitude)]),
-        "distance_m": np.array([options.distance_m or FAR_M]),
+        "amplitude_rad": np.deg2rad([amplitude]),
+        "distance_m": np.array([distance]),
     }
     trial = Trial(fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=CruiseInput(fin, model.fins[fin]))
 
     def compute(values: Array) -> dict[str, Quantity]:
         mean = float(model.simulate(values, trial)[SPEED][0])
-        terminal = mean / float(velocity_ratio(model.b1, 0.0, options.distance_m or FAR_M))
+        terminal = mean / float(velocity_ratio(model.b1, 0.0, distance))
         quantities = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
         if options.distance_m is not None:
             quantities[SPEED] = Quantity(mean, "m/s")
         return {**quantities, "propulsive_force_N": Quantity(model.drag_area_kg_m * terminal**2, "N")}
 
     extra = _table(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
-    extra["amplitude_deg"] = np.array([amplitude])
-    return model, trial, {"experiment": "cruise"}, {"extra": extra, "quantities": _each(compute)}
+    metadata = _metadata(options, robot.name, experiment="cruise")
+    return Case(applied, values, trial, metadata, extra, _each(compute))
 
 
 def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
@@ -719,16 +703,3 @@ def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
         "amplitude_deg": np.rad2deg(inputs["amplitude_rad"]),
         "distance_m": inputs["distance_m"],
     }
-
-
-def _surge(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    frequency, amplitude = _needed(options, "a beat", "frequency_hz", "amplitude_deg")
-    model = SurgeModel(amplitudes_rad=[1.0], frequencies_hz=[1.0], speed_m_s=0.1)
-    catalogue.set_references(model, file, path)
-    trial = Trial("run", "fit", _times(options), {}, surge=SurgeInput(frequency, math.radians(amplitude)))
-
-    def compute(values: Array) -> dict[str, Quantity]:
-        return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}
-
-    drive = {"frequency_hz": frequency, "amplitude_deg": amplitude}
-    return model, trial, {"experiment": "free-swim", "drive": drive}, {"quantities": _each(compute)}
