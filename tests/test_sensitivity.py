@@ -238,7 +238,6 @@ class TestCommand:
             assert set(o.shares) == set(file.ranges)
             for s in o.shares.values():
                 assert s.total.ci95[0] <= s.total.ci95[1]
-                assert s.first_told == (s.first.ci95[0] > 0)
         beside = evidence.read(evidence.sidecar(out))
         assert {f.id for f in beside.figures} == {"indices"}
         assert any("Saltelli" in line for line in beside.methods)

@@ -110,7 +110,7 @@ def test_the_command_writes_and_reads(swimid: Callable[..., Ran], tmp_path: Path
     assert "K_s" in ran.out
     rule = package.load_result(out)
     assert isinstance(rule, StiffnessRule)
-    assert rule.figure_names == ["rule", "speeds"]
+    assert rule.figure_names == ["rule"]
     assert rule.evidence.facts["Stiffness"] == "K_s, 0.1 … 2 N·m/rad"
     assert max(len(line) for line in ran.out.splitlines()) <= 100
     assert ran.out.splitlines()[-2].startswith("GOOD: ")

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from swimid.errors import NoTrustworthyResult, UsageError, suggestion
+from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
@@ -41,8 +41,6 @@ BOUND_TOL = 1e-3
 MIN_DRAWS, N_DRAW_RUNS = 20, 12
 #: Maximum relative loss of speed, or relative increase of cost, by using the rule instead of its optima.
 MAX_LOSS = 0.02
-#: Maximum number of amplitudes that are plotted in the figure of speeds.
-MAX_PANELS = 6
 
 Outside = Literal["refuse", "hold"]
 
@@ -309,18 +307,13 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
     """Return the name of the coefficient that is the stiffness."""
-    name, found = options.coefficient, performance.model.yielding()
-    if name is None and len(found) == 1:
-        return found[0]
-    if name is None:
+    found = performance.model.yielding()
+    name = options.coefficient or "".join(found[: len(found) == 1])
+    if name not in found:
         known = ", ".join(found) or "no coefficient"
         raise UsageError(
-            f"the passive joints' laws contain {known}; one of them must be the stiffness",
-            hint="name it: --coefficient NAME",
-        )
-    if name not in found:
-        raise UsageError(
-            f"--coefficient: {name} stands in no passive joint's law", hint=suggestion(name, found)
+            f"'{name}' stands in no passive joint's law; these laws contain {known}",
+            hint="name the stiffness: --coefficient NAME",
         )
     return name
 
@@ -425,12 +418,6 @@ def _loss(file: RuleFile) -> Array:
         return np.asarray(costs - 1.0)
 
 
-def _largest_speeds(file: RuleFile) -> tuple[float, float]:
-    """Return the maximum speed with the rule and with the reference stiffness, m/s (tendon fish, V.C)."""
-    ruled, fixed = (np.nanmax(_column(file, f"{p}_speed_m_s")) for p in ("rule", "reference"))
-    return float(ruled), float(fixed)
-
-
 def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
     """Return the evidence of a rule."""
     first, second = (name.replace("_", " ") for name in file.objectives)
@@ -450,7 +437,7 @@ def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any
     return studies.evidence(
         file, "optimise stiffness", answer(file), _checks(file), facts, notices, origin,
         tables=[_curve_table(file), _optima_table(file)],
-        figures=[_rule_figure(file), _speed_figure(file)],
+        figures=[_rule_figure(file)],
         methods=methods,
     )  # fmt: skip
 
@@ -492,12 +479,9 @@ def answer(file: RuleFile) -> str:
     ends = f"{numbers.number(low, 3)} to {numbers.number(high, 3, file.unit)}"
     text = f"{file.coefficient} {ends} over frequency"
     if file.objective == "speed":
-        ruled, fixed = _largest_speeds(file)
-        gain = f"{100 * (ruled / fixed - 1):+.3g}".replace("-", "−")
-        text += (
-            f"; highest speed {numbers.number(ruled, 3, 'm/s')} against {numbers.number(fixed, 3, 'm/s')} "
-            f"with {numbers.number(file.reference, 3, file.unit)} ({gain} %)"
-        )
+        columns = (_column(file, f"{p}_speed_m_s") for p in ("rule", "reference"))
+        ruled, fixed = (numbers.number(float(np.nanmax(speeds)), 3, "m/s") for speeds in columns)
+        text += f"; highest speed {ruled} against {fixed} with {numbers.number(file.reference, 3, file.unit)}"
     return f"{text}."
 
 
@@ -549,19 +533,3 @@ def _rule_figure(file: RuleFile) -> ev.Figure:
     caption = "Points are the optima, curves the rule."
     y_label = f"{file.coefficient} ({numbers.unit_text(file.unit) or '1'})"
     return blocks.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
-
-
-def _speed_figure(file: RuleFile) -> ev.Figure:
-    panels = []
-    fixed = numbers.number(file.reference, 3, file.unit)
-    for c in file.curves[:MAX_PANELS]:
-        optima = [o for o in file.optima if o.amplitude_deg == c.amplitude_deg]
-        x = [o.frequency_hz for o in optima]
-        traces = [
-            ev.Trace(x=x, y=[o.rule_speed_m_s for o in optima], label="rule"),
-            ev.Trace(x=x, y=[o.reference_speed_m_s for o in optima], style="dashed", label=fixed),
-        ]
-        title = f"{c.amplitude_deg:g} deg"
-        panels.append(blocks.panel("frequency (Hz)", "mean speed (m/s)", traces, title=title))
-    caption = f"Each point is a run of {file.duration_s:g} s from rest (tendon fish, Fig 11)."
-    return blocks.panels("speeds", "Speed with the rule and with a fixed stiffness", caption, panels)

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
 #: Maximum ratio of the standard deviation of an output to its mean, for an output that counts as constant.
 CONSTANT_SHARE = 1e-9
-#: Threshold of the total index: a coefficient is negligible if its 95 % interval lies below this value.
-NEGLIGIBLE = 0.01
 #: Maximum width of the 95 % interval of a total index.
 MAX_WIDTH = 0.3
 #: Maximum change of an output when the integration step is halved, divided by the standard deviation of the
@@ -82,10 +80,6 @@ class Shares(yamlio.Document):
 
     first: Index
     total: Index
-    #: Whether the interval of the first-order index lies above zero.
-    first_told: bool
-    #: Whether the interval of the total index lies below 0.01.
-    negligible: bool
 
 
 class Output(yamlio.Document):
@@ -516,12 +510,10 @@ def _outputs(study: Study, centre: Array, estimates: Sobol) -> list[Output]:
 
 
 def _shares(sobol: Sobol, row: int, k: int) -> Shares:
-    first, total = (
-        Index(value=float(index[row, k]), ci95=ends[:, row, k].tolist())
-        for index, ends in ((sobol.first, sobol.first_ci), (sobol.total, sobol.total_ci))
-    )
-    negligible = total.ci95[1] < NEGLIGIBLE
-    return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)
+    def index(values: Array, ends: Array) -> Index:
+        return Index(value=float(values[row, k]), ci95=ends[:, row, k].tolist())
+
+    return Shares(first=index(sobol.first, sobol.first_ci), total=index(sobol.total, sobol.total_ci))
 
 
 # ------------------------------------------------------------ evidence
