@@ -2,7 +2,7 @@
 
 ``catalogue`` combines trials with a parameter file: it gives the parameters of each trial and their
 covariance. ``simulate`` is the command of this name, with ``cases`` (the runs to simulate and their
-quantities) and ``animation``. ``compare`` is the other command, with ``compare_series`` (channels of
+quantities). ``compare`` is the other command, with ``compare_series`` (channels of
 each trial, and the comparison file).
 ``options`` has the options of both commands.
 """

@@ -26,7 +26,7 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import remove_outdated
 from swimid.results.result import Result
-from swimid.simulation import animation, cases
+from swimid.simulation import cases
 from swimid.simulation.cases import Case, value_text
 from swimid.simulation.catalogue import Quantity
 from swimid.simulation.options import SimulateOptions
@@ -39,6 +39,15 @@ LOG_ENDINGS = (".csv", *tabular.PARQUET)
 #: Maximum change of a channel when the integration step is halved, relative to the range of the channel. A
 #: larger change gives a warning.
 STEP_LIMIT = 1e-3
+#: Frame rate of a film, Hz, and width of a frame for each file ending, px.
+FILM_RATE_HZ, FILM_PX = 25.0, {".mp4": 960, ".gif": 560}
+#: Width of the view of a film, and width of a link, in body lengths.
+FILM_WIDTH, LINK_WIDTH = 2.4, 0.08
+#: Colours of a film, each as blue, green and red. Links are driven or passive.
+WATER, GRID, INK, PATH = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
+LINKS = ((150, 105, 45), (80, 130, 225))
+#: Number of fractional bits of the pixel coordinates that OpenCV draws.
+SHIFT = 4
 
 
 @dataclass(frozen=True)
@@ -388,22 +397,70 @@ def _refuse_film(asked: Sequence[Case], path: Path) -> None:
         raise UsageError("an animation shows one trial: name it with --trial")
     if asked[0].applied.model.body is None:
         raise UsageError("an animation needs a robot with links in one plane")
-    if path.suffix.lower() not in animation.SIZE_PX:
-        endings = " or ".join(animation.SIZE_PX)
+    if path.suffix.lower() not in FILM_PX:
+        endings = " or ".join(FILM_PX)
         raise UsageError(f"'{path.name}' can be no animation", hint=f"let it end in {endings}")
 
 
 def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
-    """Write the film of a run, and return remarks for the user."""
-    case = done.case
+    """Write the film of a run, and return remarks for the user.
+
+    The film shows the links to scale, the path of the front and a grid. The view follows the robot.
+    """
+    # the codecs take long to load
+    import cv2
+
+    from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
+
+    case, time_s = done.case, done.case.trial.time_s
     body, drive, title = case.applied.model.body, case.metadata.get("drive"), case.metadata["robot"]
     assert body is not None
     if isinstance(drive, dict):
         title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
     frames = body.frames(case.values, done.columns)
+    # front end and rear end of every link, each with x and y
     ends = np.array([frames[:2], body.rear_ends(frames)])
-    remark = animation.write(path, case.trial.time_s, ends, body, title, progress=progress)
-    return [remark] if remark else []
+    length, width = sum(body.lengths_m), FILM_PX[path.suffix.lower()]
+    height, scale = 2 * round(0.3 * width), width / (FILM_WIDTH * length)
+    thickness, passive = max(round(LINK_WIDTH * length * scale), 3), {axis.link for axis in body.passive}
+
+    def draw(now_s: float) -> Frame:
+        place = np.array([np.interp(now_s, time_s, row) for row in ends.reshape(-1, len(time_s))])
+        place = place.reshape(ends.shape[:3])
+        corner = place.mean(axis=(0, 2)) - 0.5 * np.array([width, height]) / scale
+
+        def pixels(points: Array) -> Any:
+            x, y = (points.T - corner[:, None]) * scale
+            return np.round(np.column_stack([x, height - y]) * 2**SHIFT).astype(np.int32)
+
+        frame = np.full((height, width, 3), WATER, dtype=np.uint8)
+        for at in np.arange(-corner[0] % length, width / scale, length) * scale:
+            cv2.line(frame, (round(at), 0), (round(at), height), GRID, 1)
+        for at in height - np.arange(-corner[1] % length, height / scale, length) * scale:
+            cv2.line(frame, (0, round(at)), (width, round(at)), GRID, 1)
+        travelled = np.vstack([ends[0, :, 0, time_s <= now_s], place[0, :, 0]])
+        cv2.polylines(frame, [pixels(travelled)], False, PATH, 2, cv2.LINE_AA, SHIFT)
+        # draw from the tail forward, so that each link overlaps the link behind it
+        for link in reversed(range(len(body.lengths_m))):
+            front, rear = pixels(place[:, :, link]).tolist()
+            cv2.line(frame, front, rear, INK, thickness + 2, cv2.LINE_AA, SHIFT)
+            cv2.line(frame, front, rear, LINKS[link in passive], thickness, cv2.LINE_AA, SHIFT)
+        # the OpenCV font has ASCII characters only
+        for text, base in ((f"{now_s:.2f} s, grid {length:.3g} m", 26), (title, height - 14)):
+            plain = text.encode("ascii", "replace").decode()
+            cv2.putText(frame, plain, (12, base), cv2.FONT_HERSHEY_SIMPLEX, 0.55, INK, 1, cv2.LINE_AA)
+        return frame
+
+    times = np.arange(time_s[0], time_s[-1] + 1e-9, 1.0 / FILM_RATE_HZ)
+    with atomic.replacing(path) as temporary, progress("animation", total=len(times)) as step:
+        writer = open_writer(temporary, FILM_RATE_HZ, width, height)
+        try:
+            for time in times:
+                writer.write(float(time - times[0]), draw(float(time)))
+                step()
+        finally:
+            writer.close()
+    return [REMARK.format("animation")] * isinstance(writer, Mpeg4)
 
 
 # ------------------------------------------------------------ evidence
