@@ -235,7 +235,7 @@ def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress
     with progress("search", total=MAX_STEPS) as step:
         found = problem.minimise(starts, advance=step)
     ((quantity, sign),) = problem.goals
-    x, units = found.points[found.best], problem.performance.units
+    x, units = found.points[int(np.argmin(found.values))], problem.performance.units
     table = problem.table(x[None])
     if not problem.keeps_limits(table).all():
         raise NoTrustworthyResult("no gait keeps to the limits", hint="widen what is varied, or the limits")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,24 +96,11 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
 # ------------------------------------------------------------ gradient search
 
 
-@dataclass(frozen=True)
-class Minima:
-    """Final points of several searches.
-
-    Attributes
-    ----------
-    points : ndarray, shape (k, d)
-    values : ndarray, shape (k,)
-        Goal plus the penalties of violated limits.
-    """
+class Minima(NamedTuple):
+    """Final points of several searches, shape (k, d), and the goal plus the penalties there, shape (k,)."""
 
     points: Array
     values: Array
-
-    @property
-    def best(self) -> int:
-        """Index of the search with the minimum value."""
-        return int(np.argmin(self.values))
 
 
 def merit(parts: Array) -> Array:

@@ -22,7 +22,7 @@ from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Trial
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
-from swimid.notices import Notice, recorded
+from swimid.notices import recorded
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -357,9 +357,27 @@ def sensitivity(
             ),
             provenance=origin,
         )
-    evidence = _evidence(file, _checks(file, step_change, _correlated(applied, over)), notices)
-    evidence.references += experiment.robot.sources
-    file.verdict = evidence.verdict.level
+    checks = _checks(file, step_change, _correlated(applied, over))
+    verdict = ev.judged(_answer(file), checks)
+    file.verdict = verdict.level
+    evidence = ev.Evidence(
+        command="sensitivity",
+        title=f"Sensitivity of {file.robot}, {file.experiment}",
+        verdict=verdict,
+        facts={
+            "Robot": file.robot,
+            "Parameters": file.params or "the robot file's",
+            "Trials": str(len(file.trials)),
+            "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
+        },
+        checks=checks,
+        tables=[_totals(file), _range_table(file)],
+        figures=[_map(file)],
+        notices=blocks.notices(notices),
+        methods=[_method(file)],
+        references=[*REFERENCES, *experiment.robot.sources],
+        provenance=origin,
+    )
     saved = Sensitivity.of(file, evidence).saved(output)
     keep.done()
     return saved
@@ -519,28 +537,6 @@ def _shares(sobol: Sobol, row: int, k: int) -> Shares:
 # ------------------------------------------------------------ evidence
 
 
-def _evidence(file: SensitivityFile, checks: list[ev.Check], notices: Sequence[Notice]) -> ev.Evidence:
-    """Return the evidence of a sensitivity analysis."""
-    return ev.Evidence(
-        command="sensitivity",
-        title=f"Sensitivity of {file.robot}, {file.experiment}",
-        verdict=ev.judged(_answer(file), checks),
-        facts={
-            "Robot": file.robot,
-            "Parameters": file.params or "the robot file's",
-            "Trials": str(len(file.trials)),
-            "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
-        },
-        checks=checks,
-        tables=[_totals(file), _range_table(file)],
-        figures=[_map(file)],
-        notices=blocks.notices(notices),
-        methods=[_method(file)],
-        references=list(REFERENCES),
-        provenance=file.provenance,
-    )
-
-
 def _headline(file: SensitivityFile) -> list[Output]:
     """Return one output for each quantity: of all trials together, or of the only trial with the quantity."""
     outputs: dict[str, Output] = {}
@@ -574,26 +570,22 @@ def _checks(
     totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _ranked(o)]
     widths = [(index.ci95[1] - index.ci95[0], f"{name} in {output}") for name, output, index in totals]
     width, where = max(widths, default=(0.0, ""))
-    replaced, samples = "", ""
-    if runs.broken:
-        replaced = f"{runs.left_out} rows of the design left out"
-    if width > MAX_WIDTH:
-        samples = f"{where}: take more --samples"
+    left_out = f"{runs.left_out} rows of the design left out" * bool(runs.broken)
+    samples = f"{where}: take more --samples" * bool(width > MAX_WIDTH)
     broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.number(width, 2)} wide"
     change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
     halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
     none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
     checks = [
-        ev.check("simulations that broke down", broken, not runs.broken, none, replaced),
+        ev.check("simulations that broke down", broken, not runs.broken, none, left_out),
         ev.check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
         ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
     ]
     if strongest is not None:
         size, one, other = strongest
         value = f"correlation up to {numbers.number(size, 2)} ({one}, {other})"
-        sound, text = abs(size) <= MAX_CORRELATION, ""
-        if not sound:
-            text = "the estimates are correlated: the ranges hold more than is uncertain"
+        sound = abs(size) <= MAX_CORRELATION
+        text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
         checks.append(ev.check("ranges independent", value, sound, f"≤ {MAX_CORRELATION:g} in size", text))
     return checks
 
@@ -655,20 +647,11 @@ def _map(file: SensitivityFile) -> ev.Figure:
 
 def _method(file: SensitivityFile) -> str:
     """Return a sentence for the methods section of a paper."""
-    shares = [text for text in file.provenance["settings"]["range"] if text.endswith("%")]
-    sources = {
-        "bounds": "their bounds",
-        "stderr": "two standard errors on either side",
-        "share": f"±{' '.join(shares).removesuffix('%')} % of their values within their bounds",
-        "given": "given ranges",
-    }
-    used = " or ".join(dict.fromkeys(sources[r.source] for r in file.ranges.values()))
-    over = f"{', '.join(file.ranges)}, independent and uniform over {used}"
     runs, trials = file.simulations, f"{len(file.trials)} {file.experiment} trials"
     return (
-        f"First-order and total Sobol indices of the outputs of {trials} to {over}, were estimated from "
-        f"{file.samples} rows of a scrambled Sobol sequence ({runs.evaluated} points, {runs.broken} of which "
-        "broke down) by the estimators of Saltelli et al. (2010), with intervals by "
-        "the bootstrap over the rows; those of all trials together are shares of their summed variance "
-        "(Gamboa et al. 2014)."
+        f"First-order and total Sobol indices of the outputs of {trials} to {', '.join(file.ranges)}, "
+        f"independent and uniform over their ranges, were estimated from {file.samples} rows of a scrambled "
+        f"Sobol sequence ({runs.evaluated} points, {runs.broken} of which broke down) by the estimators of "
+        "Saltelli et al. (2010), with intervals by the bootstrap over the rows; those of all trials together "
+        "are shares of their summed variance (Gamboa et al. 2014)."
     )

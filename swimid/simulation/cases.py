@@ -316,17 +316,13 @@ def drive_block(trial: Trial) -> dict[str, Any]:
     beat, stroke = trial.swim.beat, trial.swim.stroke
     block: dict[str, Any] = swimmer.drive_of(trial)
     if stroke is not None:
-        block = {"stroke": stroke.name, **block, "ramp_s": stroke.ramp_s}
-        if math.isfinite(stroke.cycles):
-            block["cycles"] = stroke.cycles
+        block = {"stroke": stroke.name, **block, "ramp_s": stroke.ramp_s, "cycles": stroke.cycles}
     elif beat is not None:
-        block = {"waveform": beat.waveform, **block, "ramp_s": beat.ramp_s}
-        optional = {"lag_deg": beat.lag_rad, "phase_deg": beat.phase_rad}
-        for key, angle in optional.items():
-            block.pop(key, None)
-            if angle:
-                block[key] = math.degrees(angle)
-    return block
+        phase = math.degrees(beat.phase_rad)
+        block = {"waveform": beat.waveform, **block, "ramp_s": beat.ramp_s, "phase_deg": phase}
+    # entries that have no effect are left out
+    unused = [key for key in ("lag_deg", "phase_deg") if not block.get(key)]
+    return {key: value for key, value in block.items() if key not in unused and value != math.inf}
 
 
 def setting_text(key: str, value: float | str) -> str:
