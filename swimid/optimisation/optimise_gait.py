@@ -20,7 +20,17 @@ from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.problem import DRAW_STEPS, MAX_STEPS, Limit, Problem, drawn, interval95, merit
+from swimid.optimisation.problem import (
+    DRAW_LAST,
+    DRAW_RADIUS,
+    DRAW_STEPS,
+    MAX_STEPS,
+    Limit,
+    Problem,
+    drawn,
+    interval95,
+    merit,
+)
 from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -265,13 +275,16 @@ def _set_intervals(
 ) -> None:
     """Set the intervals of the best gait and of its goal over random samples of the coefficients."""
     vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
-    file.draws, nominal = len(vectors), problem.place(file.at)
+    file.draws = len(vectors)
+    nominal = np.tile(problem.place(file.at), (len(vectors), 1))
     with progress("gaits of draws", total=DRAW_STEPS) as step:
-        best = problem.minimise_in_draws(vectors, nominal, step)
+        best = problem.minimise(
+            nominal, vectors, first=DRAW_RADIUS, last=DRAW_LAST, steps=DRAW_STEPS, advance=step
+        )
     file.drawn = [list(problem.at(x).values()) for x in best.points]
     ends = interval95(np.array(file.drawn, dtype=float)).T.tolist()
     file.at_ci95 = {name: (a, b) for name, (a, b) in zip(problem.vary, ends, strict=True)}
-    table, _ = problem.costs(nominal, vectors)
+    table = problem.table(nominal, vectors)
     file.best_ci95 = tuple(interval95(problem.goal_values(table)[:, 0]).tolist())
     if problem.limits:
         file.kept_in_draws = float(problem.keeps_limits(table).mean())

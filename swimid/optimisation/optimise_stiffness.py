@@ -16,12 +16,12 @@ from pydantic import Field, model_validator
 
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import yamlio
-from swimid.files.yamlio import Number, Pair, Rows
+from swimid.files.yamlio import Number, Rows
 from swimid.fitting.model import Array
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.problem import Problem, drawn, interval95
+from swimid.optimisation.problem import Problem
 from swimid.optimisation.study import BEAT, Performance, StudyFile, in_parallel, points_of, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -37,8 +37,6 @@ SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
 #: Maximum distance of a stiffness from its bound, as a fraction of the range, at which the stiffness counts
 #: as at its bound.
 BOUND_TOL = 1e-3
-#: Minimum number of coefficient samples, and number of simulations for each sample and grid point.
-MIN_DRAWS, N_DRAW_RUNS = 20, 12
 #: Maximum relative loss of speed, or relative increase of cost, by using the rule instead of its optima.
 MAX_LOSS = 0.02
 
@@ -60,10 +58,6 @@ class Optimum(yamlio.Document):
     frequency_hz: float
     amplitude_deg: float
     stiffness: float
-    #: 95 % interval of the best stiffness over random samples of the robot's coefficients.
-    stiffness_ci95: Pair = (None, None)
-    #: 90 % quantile of the relative loss by using the rule, over random samples of the robot's coefficients.
-    loss_90: Number = None
     at_bound: bool = False
     #: Mean speed (m/s) and cost of transport (J/m): with this stiffness, with the rule, and with the
     #: reference.
@@ -97,9 +91,8 @@ class RuleFile(StudyFile):
     amplitude_deg: tuple[float, float]
     curves: list[Curve]
     optima: list[Optimum]
-    #: Number of random samples of the coefficients, and fraction of the samples that lie within the bounds.
-    draws: int = 0
-    inside: Number = None
+    #: Whether the coefficients have standard errors. The rule does not contain this uncertainty.
+    uncertain: bool = False
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -158,9 +151,8 @@ def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Cu
     >>> [round(c, 6) for c in made.coefficients]
     [1.0, 0.0, 2.0]
     """
-    design = np.vander(frequency_hz, DEGREE + 1, increasing=True)
-    found, *_ = np.linalg.lstsq(design, stiffness)
-    residuals = stiffness - design @ found
+    found = np.polynomial.polynomial.polyfit(frequency_hz, stiffness, DEGREE)
+    residuals = stiffness - np.polynomial.polynomial.polyval(frequency_hz, found)
     rms = float(np.sqrt(np.mean(residuals**2)))
     return Curve(amplitude_deg=amplitude_deg, coefficients=tuple(found.tolist()), rms=rms)
 
@@ -240,8 +232,7 @@ def optimise_stiffness(
         problems = [replace(problem, fixed=point) for point in points]
         study = study_of(performance, options, output)
         keep = study.checkpoint
-        known = bool(options.draws and performance.applied.uncertain()[0])
-        runs = len(points) * (options.population * options.generations + known * options.draws * N_DRAW_RUNS)
+        runs = len(points) * options.population * options.generations
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
         reference = float(performance.values[performance.model.index(coefficient)])
 
@@ -262,21 +253,9 @@ def optimise_stiffness(
             amplitude_deg=(amplitudes[0], amplitudes[-1]),
             curves=[_curve(optima, amplitude) for amplitude in amplitudes],
             optima=optima,
+            uncertain=bool(performance.applied.uncertain()[0]),
         )
         _assess(performance, file)
-        if known:
-            performance.applied.warn_without_error("the intervals")
-            vectors, file.inside = drawn(performance.applied, options.draws, options.seed)
-            file.draws = len(vectors)
-
-            def search(k: int) -> Array:
-                found = keep.kept(f"draws {k}", lambda: _search_in_draws(problems[k], file, k, vectors))
-                return found.reshape(2, -1)
-
-            tables = in_parallel(search, len(optima), options.jobs, "rule in draws", progress)
-            for one, (stiffness, lost) in zip(file.optima, tables, strict=True):
-                one.stiffness_ci95 = tuple(interval95(stiffness).tolist())
-                one.loss_90 = max(float(np.quantile(lost, 0.9, method="higher")), 0.0)
     return study.saved(StiffnessRule, file, evidence_of(file, notices, study.origin))
 
 
@@ -291,8 +270,6 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
         raise UsageError(
             "--over: a quadratic rule needs three frequencies or more, and two amplitudes or none"
         )
-    if 0 < options.draws < MIN_DRAWS:
-        raise UsageError(f"--draws: {MIN_DRAWS} or more, or 0 for none")
     name = _coefficient(performance, options)
     p = performance.model.parameters[performance.model.index(name)]
     low, high = options.between or (p.lower, p.upper)
@@ -383,22 +360,6 @@ def _assess(performance: Performance, file: RuleFile) -> None:
         one.settling_time_s = columns["settling_time_s"][k, 0]
 
 
-def _search_in_draws(problem: Problem, file: RuleFile, number: int, vectors: Sequence[Array]) -> Array:
-    """Search an optimum again for each random sample of the coefficients.
-
-    Returns
-    -------
-    ndarray, shape (2 draws,)
-        Best stiffness in each draw, and then the relative losses by using the rule instead of these.
-    """
-    one, (name,) = file.optima[number], problem.vary
-    ruled = file.stiffness_for(one.frequency_hz, one.amplitude_deg, outside="hold")
-    best = problem.minimise_in_draws(vectors, problem.place({name: one.stiffness}))
-    _, cost = problem.costs(problem.place({name: ruled}), vectors)
-    stiffness = [problem.at(x)[name] for x in best.points]
-    return np.concatenate([stiffness, (cost - best.values) / np.abs(best.values)])
-
-
 # ------------------------------------------------------------ evidence
 
 
@@ -431,8 +392,7 @@ def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any
         f"At {len(file.optima)} points of frequency and amplitude NSGA-II (Deb et al. 2002, as implemented "
         f"in pymoo) searched the Pareto front of {first} and {second} over {file.coefficient}; each run of "
         f"{file.duration_s:g} s began at rest. A quadratic function of the frequency for each amplitude was "
-        "fitted to the best values of the first objective. Intervals, where known, are percentiles "
-        f"over {file.draws} draws of the coefficients from their covariance."
+        "fitted to the best values of the first objective."
     ]
     return studies.evidence(
         file, "optimise stiffness", answer(file), _checks(file), facts, notices, origin,
@@ -446,8 +406,11 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     count, inside = len(file.optima), sum(not one.at_bound for one in file.optima)
     name, text = "optima within the range searched", "a better stiffness may lie beyond the range"
     checks = [studies.count_check(name, inside, count, text)]
-    text = "the optima do not follow a quadratic function there"
-    checks.append(_loss_check("loss of the rule against its own optima", np.nanmax(_loss(file)), text))
+    worst = float(np.nanmax(_loss(file)))
+    text = "the optima do not follow a quadratic function there" * (worst > MAX_LOSS)
+    value, limit = f"at most {numbers.percent(worst, 2)}", f"≤ {numbers.percent(MAX_LOSS)}"
+    name = "loss of the rule against its own optima"
+    checks.append(ev.check(name, value, worst <= MAX_LOSS, limit, text))
     if file.objective == "speed":
         ruled, fixed = _column(file, "rule_speed_m_s"), _column(file, "reference_speed_m_s")
         name = f"the rule is as fast as {numbers.number(file.reference, 3, file.unit)}"
@@ -459,17 +422,11 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT}
     grid = [{**drive, "frequency_hz": o.frequency_hz, "amplitude_deg": o.amplitude_deg} for o in file.optima]
     checks.append(studies.region_check(file.identified, grid))
-    if file.inside is None:
+    if not file.uncertain:
         return [*checks, studies.unknown_check("uncertainty of the rule")]
-    worst = max(one.loss_90 or 0.0 for one in file.optima)
-    text = "the fit does not determine the best stiffness: see its intervals"
-    name = "loss of the rule in nine of ten draws of the coefficients"
-    return [*checks, studies.draws_check(file.inside), _loss_check(name, worst, text)]
-
-
-def _loss_check(name: str, worst: float, text: str) -> ev.Check:
-    value, limit = f"at most {numbers.percent(worst, 2)}", f"≤ {numbers.percent(MAX_LOSS)}"
-    return ev.check(name, value, worst <= MAX_LOSS, limit, text * bool(worst > MAX_LOSS))
+    name, text = "uncertainty of the rule", "optimise gait gives the interval of the stiffness at one gait"
+    reason = "the standard errors of the coefficients are not in the rule"
+    return [*checks, ev.check(name, "not computed", False, text=text, reason=reason)]
 
 
 def answer(file: RuleFile) -> str:
@@ -504,7 +461,6 @@ def _optima_table(file: RuleFile) -> ev.Table:
             "frequency": numbers.number(o.frequency_hz, 3, "Hz"),
             "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
             file.coefficient: numbers.number(o.stiffness, 3, file.unit),
-            "95 %": numbers.interval(*o.stiffness_ci95),
             "speed": numbers.number(o.speed_m_s, 3, "m/s"),
             "with the rule": numbers.number(o.rule_speed_m_s, 3, "m/s"),
             "with the reference": numbers.number(o.reference_speed_m_s, 3, "m/s"),

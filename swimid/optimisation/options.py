@@ -82,10 +82,7 @@ class OptimiseStiffnessOptions(
     )
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
-    draws: int = option(
-        40, ge=0, help="Draws of the coefficients from their covariance, for intervals; 0: none."
-    )
-    seed: int = option(0, ge=0, help="Seed of search and draws: the same seed gives the same file.")
+    seed: int = option(0, ge=0, help="Seed of the search: the same seed gives the same file.")
 
 
 Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]

@@ -317,27 +317,19 @@ class Problem:
         """Return the first goal as it is minimised and the penalty of each limit, shape (n, 1 + limits)."""
         return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
 
-    def minimise(self, starts: Array, **how: Any) -> Minima:
-        """Minimise the first goal from several starting points (see :func:`descend`)."""
-        return descend(lambda x, _owner: self.parts(self.table(x)), starts, **how)
+    def minimise(self, starts: Array, vectors: Sequence[Array] | None = None, **how: Any) -> Minima:
+        """Minimise the first goal from several starting points (see :func:`descend`).
 
-    def minimise_in_draws(
-        self, vectors: Sequence[Array], start: Array, advance: Callable[[], Any] = lambda: None
-    ) -> Minima:
-        """Minimise the first goal for each of several parameter vectors, all from the same starting point."""
-        return descend(
-            lambda x, owner: self.parts(self.table(x, [vectors[k] for k in owner])),
-            np.tile(start, (len(vectors), 1)),
-            first=DRAW_RADIUS,
-            last=DRAW_LAST,
-            steps=DRAW_STEPS,
-            advance=advance,
-        )
+        With ``vectors``, the search from each starting point has a parameter vector of its own.
+        """
 
-    def costs(self, x: Array, vectors: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the quantities and the penalised goal of one point, for several parameter vectors."""
-        table = self.table(np.tile(x, (len(vectors), 1)), vectors)
-        return table, merit(self.parts(table))
+        def evaluate(x: Array, owner: NDArray[np.int64]) -> Array:
+            values = None
+            if vectors is not None:
+                values = [vectors[k] for k in owner]
+            return self.parts(self.table(x, values))
+
+        return descend(evaluate, starts, **how)
 
     def front(self, population: int, generations: int, seed: int, first: Array) -> Array:
         """Search the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.
