@@ -20,17 +20,7 @@ from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.problem import (
-    DRAW_LAST,
-    DRAW_RADIUS,
-    DRAW_STEPS,
-    MAX_STEPS,
-    Limit,
-    Problem,
-    drawn,
-    interval95,
-    merit,
-)
+from swimid.optimisation.problem import MAX_STEPS, Limit, Problem, drawn, interval95, merit
 from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -44,6 +34,9 @@ from swimid.simulation.cases import value_text
 BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
 #: Maximum relative difference of the goal between two starting points of the search that agree.
 AGREE_RTOL = 0.005
+#: First and last radius and maximum number of steps of the searches for coefficient samples. These searches
+#: start from the optimum for the estimated coefficients.
+DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
 #: Minimum fraction of the coefficient samples in which a gait must satisfy its limits.
 MIN_KEPT = 0.9
 #: Number of points of the Sobol sequence per starting point of the search.

@@ -22,17 +22,7 @@ from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, recorded
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.study import (
-    BATCH,
-    BEAT,
-    STROKE,
-    Performance,
-    Point,
-    StudyFile,
-    in_parallel,
-    points_of,
-    study_of,
-)
+from swimid.optimisation.study import BATCH, BEAT, STROKE, Performance, Point, StudyFile, points_of
 from swimid.options import takes
 from swimid.progress import Progress, silent
 from swimid.results import blocks, numbers
@@ -167,7 +157,7 @@ def performance_map(
         if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:
             raise UsageError(f"a map has at most {MAX_POINTS} points")
         axes = {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
-        study = study_of(performance, options, output)
+        study = studies.study_of(performance, options, output)
         keep = study.checkpoint
         points = points_of(axes)
         uncertain = performance.applied.uncertain()[0]
@@ -224,7 +214,7 @@ def _simulate(
     def one(k: int) -> Array:
         return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
 
-    found = in_parallel(one, len(parts), jobs, "gaits", progress)
+    found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
     return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
 
 

@@ -34,10 +34,6 @@ N_MODEL_POINTS, N_ZOOMS = 512, 3
 PENALTY = 10.0
 #: Maximum relative violation at which a limit still counts as satisfied.
 LIMIT_RTOL = 1e-3
-#: First and last radius and maximum number of steps of the searches for coefficient samples. These searches
-#: start from the optimum for the estimated coefficients.
-DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
-
 #: Objective function. Its arguments are points in the unit cube, shape (n, d), and the index of the search to
 #: which each point belongs, shape (n,). It returns the goal and the violation of each limit, shape (n, 1 +
 #: limits). The violation is negative if the limit is satisfied.

@@ -32,16 +32,7 @@ from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series
 from swimid.simulation.cases import value_text
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.compare_series import (
-    HALF_WIDTH_BEATS,
-    HALF_WIDTH_S,
-    SIDES,
-    ChannelScore,
-    Compared,
-    ComparisonFile,
-    CycleComparison,
-    ProfileComparison,
-)
+from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
 from swimid.simulation.options import CompareOptions
 
 if TYPE_CHECKING:
@@ -240,7 +231,7 @@ class Profile(NamedTuple):
     time_s: Array
     repeats: dict[str, dict[str, Array]]
     means: dict[str, dict[str, Array]]
-    record: ProfileComparison
+    record: compare_series.ProfileComparison
 
 
 def _compare_profiles(experiment: Experiment, done: Sequence[Compared]) -> list[Profile]:
@@ -256,7 +247,7 @@ def _compare_profiles(experiment: Experiment, done: Sequence[Compared]) -> list[
 
 def _with_speeds(done: Compared, side: str) -> dict[str, Array]:
     """Return the channels of a trial together with the pitch rate and the speed in the vertical plane."""
-    stroke, time, half = done.trial.swim.stroke, done.trial.time_s, HALF_WIDTH_S
+    stroke, time, half = done.trial.swim.stroke, done.trial.time_s, compare_series.HALF_WIDTH_S
     if stroke is not None:
         half = HALF_WIDTH_CYCLES / stroke.frequency_hz
     columns = {name: getattr(pair, side) for name, pair in done.pairs.items()}
@@ -286,7 +277,7 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
             repeats[side][n] = np.array(rows)
     means = {side: {n: rows.mean(axis=0) for n, rows in known.items()} for side, known in repeats.items()}
     errors = {n: means["measured"][n] - means["simulated"][n] for n in common}
-    record = ProfileComparison(
+    record = compare_series.ProfileComparison(
         name=name,
         trials=[done.trial.id for done in members],
         cycles=_cycles(members, series),
@@ -340,7 +331,7 @@ def _cycles(
     return comparisons
 
 
-def _profile_tables(profiles: Sequence[ProfileComparison]) -> list[ev.Table]:
+def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> list[ev.Table]:
     """Return the table of the profiles and the table of their strokes."""
     rows: list[list[Any]] = []
     strokes: list[list[Any]] = []
@@ -505,7 +496,7 @@ def _methods(file: ComparisonFile) -> list[str]:
     if any(s.source == "pose" for t in file.trials for s in t.channels.values()):
         sentences.append(
             "Surge, sway and turning rate were derived from the measured pose and, in the same way, from the "
-            f"simulated one, by a cubic fitted over {2 * HALF_WIDTH_BEATS:g} beats around each sample."
+            f"simulated one, by a cubic fitted over {2 * compare_series.HALF_WIDTH_BEATS:g} beats around each sample."
         )
     if any(t.start == "estimated" for t in file.trials):
         sentences.append(
