@@ -392,22 +392,10 @@ def _each(compute: Callable[[Array], dict[str, Quantity]]) -> Compute:
 
 
 def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
-    """Return the function for the quantities of the last beats, or of each stroke; None without a beat."""
+    """Return the function for the quantities of the last beats or strokes; None without a beat."""
     frequency = beat_frequency(model, trial, values)
     if frequency is None:
         return None
-    if model.body is None:
-        windows = kinematics.whole_cycles(trial.time_s, frequency)
-
-        def by_stroke(values: Array) -> dict[str, Quantity]:
-            columns = model.attempt(values, trial)
-            found: dict[str, Quantity] = {}
-            for k, window in enumerate(windows, 1):
-                of_cycle = kinematics.cycle_quantities(trial.time_s, columns, window)
-                found |= {f"cycle_{k}_{name}": quantity(name, value) for name, value in of_cycle.items()}
-            return found
-
-        return _each(by_stroke) if windows else None
     run = SwimRun.of(model, trial, frequency)
     if run is None:
         return None
@@ -424,11 +412,6 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
 
 
 # ------------------------------------------------------------ quantities of a run
-
-
-def quantity(name: str, value: float) -> Quantity:
-    """Return a quantity with the unit that :data:`swimid.logs.kinematics.QUANTITIES` has for it."""
-    return Quantity(value, QUANTITIES[name].unit)
 
 
 def value_text(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
@@ -482,8 +465,11 @@ class SwimRun:
         begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
         beat = trial.swim.beat
         if model.in_space:
-            cycles = kinematics.whole_cycles(trial.time_s, frequency_hz)
-            window = cycles[-1] if cycles else None
+            ends, stroke = trial.time_s, trial.swim.stroke
+            if stroke is not None:
+                # a stroke with a limited number of cycles rests afterwards
+                ends = np.minimum(ends, stroke.cycles / frequency_hz)
+            window = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
         else:
             ramp = 0.0 if beat is None else beat.ramp_s
             window = kinematics.last_cycles(max(begin, ramp), end, frequency_hz)

@@ -496,7 +496,8 @@ def _methods(file: ComparisonFile) -> list[str]:
     if any(s.source == "pose" for t in file.trials for s in t.channels.values()):
         sentences.append(
             "Surge, sway and turning rate were derived from the measured pose and, in the same way, from the "
-            f"simulated one, by a cubic fitted over {2 * compare_series.HALF_WIDTH_BEATS:g} beats around each sample."
+            f"simulated one, by a cubic fitted over {2 * compare_series.HALF_WIDTH_BEATS:g} beats around "
+            "each sample."
         )
     if any(t.start == "estimated" for t in file.trials):
         sentences.append(

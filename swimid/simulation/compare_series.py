@@ -166,13 +166,12 @@ class Pair:
 
 
 class Compared(NamedTuple):
-    """One trial: its channels, the parameters of its simulation, and its entry in the comparison file."""
+    """One trial: its channels, and its entry in the comparison file."""
 
     trial: Trial
     pairs: dict[str, Pair]
     #: ``pairs`` with positions along and across the mean heading (:func:`swimid.fitting.metrics.own_axes`).
     own: dict[str, Pair]
-    values: Array
     record: TrialComparison
 
     @property
@@ -241,7 +240,7 @@ def compare_trial(
         mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
     )
-    return Compared(trial, pairs, own, values, record)
+    return Compared(trial, pairs, own, record)
 
 
 def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:

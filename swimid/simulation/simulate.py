@@ -483,8 +483,9 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         rows: list[list[Any]] = [list(row) for row in _texts(first).items()]
         answer = f"{robot}: {' '.join(rows[0])}."
     else:
-        of_cycles = [name for name in first.quantities if name.startswith("cycle_")]
-        kept = [*TABLE_QUANTITIES, *of_cycles[-len(CYCLE_QUANTITIES) :]]
+        kept = TABLE_QUANTITIES
+        if first.case.applied.model.in_space:
+            kept = CYCLE_QUANTITIES
         shown = {d.case.id: _texts(d, kept) for d in done}
         names = list(dict.fromkeys(name for row in shown.values() for name in row))
         columns = ["run", *names]
