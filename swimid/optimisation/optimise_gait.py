@@ -376,10 +376,8 @@ def _draws_figure(file: GaitFile) -> ev.Figure:
 
 
 def _methods(file: GaitFile) -> list[str]:
-    varied = ", ".join(
-        f"{name} ({numbers.number(v.low)} to {numbers.number(v.high, 4, v.unit)})"
-        for name, v in file.vary.items()
-    )
+    ranges = {name: numbers.interval(v.low, v.high, None, v.unit) for name, v in file.vary.items()}
+    varied = ", ".join(f"{name} ({ends})" for name, ends in ranges.items())
     sentences = [
         f"The {file.goal} of {file.robot} was optimised over {varied} by finite differences from several "
         f"starts; each run of {file.duration_s:g} s began at rest and was judged by its last whole beats."

@@ -60,9 +60,6 @@ class Cruise(yamlio.Document):
 
     #: Steady speed of the model, m/s; null if the speed never becomes steady.
     settled: Number = None
-    #: Time in which the difference from the steady speed falls by a factor e, s; null if there is no steady
-    #: speed.
-    settling_s: Number = None
     #: Whether the measured speed is steady, so that it can be compared with ``settled``.
     steady: bool
 
@@ -483,4 +480,4 @@ def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, P
     steady = False
     if early is not None and late is not None:
         steady = abs(late.measured - early.measured) <= metrics.GOOD_SPEED * abs(late.measured)
-    return Cruise(settled=settled.speed_m_s, settling_s=settled.settling_s, steady=steady)
+    return Cruise(settled=settled.speed_m_s, steady=steady)
