@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 import swimid
-from swimid.errors import InputError, NoTrustworthyResult, UsageError
+from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import atomic, tabular
 from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
+from swimid.fitting.fit_common import warned_check
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
 from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
@@ -76,11 +77,6 @@ def simulate_case(case: Case) -> Simulated:
     ------
     NoTrustworthyResult
         If the simulation breaks down.
-
-    Warns
-    -----
-    SWM016
-        Halving the step changes a channel by more than :data:`STEP_LIMIT` of its range.
     """
     model = case.applied.model
     simulated = model.attempt(case.values, case.trial)
@@ -125,7 +121,7 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float]:
-    """Return the effect of halving the integration step on each channel; warn if it is large."""
+    """Return the effect of halving the integration step on each channel, relative to its range."""
     finer = case.applied.model.refined()
     if finer is None:
         return {}
@@ -139,13 +135,6 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float
         changes[name] = 0.0
         if span > 1e-9:
             changes[name] = change / span
-    worst = max(changes, key=changes.__getitem__, default=None)
-    if worst is not None and changes[worst] > STEP_LIMIT:
-        warn(
-            "SWM016",
-            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst]:.2g} % "
-            "of its range; take a smaller step with --dt",
-        )
     return changes
 
 
@@ -348,11 +337,8 @@ def simulate(
     if options.animate is not None:
         _refuse_film(asked, options.animate)
         allow(atomic.check_writable(options.animate, inputs=inputs))
-    folder = output if output is not None and targets != [output] else None
-    if folder is not None and not folder.parent.is_dir():
-        raise InputError(f"the folder {folder.parent} does not exist", file=folder)
     for place in targets:
-        if folder is None or folder.is_dir():
+        if place == output or place.parent.is_dir():
             allow(atomic.check_writable(place, inputs=inputs))
     done = []
     with progress("simulating", total=len(asked)) as step:
@@ -515,7 +501,8 @@ def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
     text = "maximum change of a channel, relative to its range, when the step is halved"
     reason = f"halving the integration step changes {name} of {run} by {numbers.percent(share, 2)}"
     limit = f"≤ {numbers.percent(STEP_LIMIT)}"
-    return [ev.check("integration step", value, share <= STEP_LIMIT, limit, text, reason=reason)]
+    passed, name = share <= STEP_LIMIT, "integration step"
+    return [warned_check("SWM016", name, value, passed, limit, text, f"{reason}; take a smaller --dt")]
 
 
 def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
