@@ -11,7 +11,7 @@ import pytest
 
 import swimid as package
 from swimid.errors import InputError, UsageError
-from swimid.optimisation.optimise_stiffness import RuleFile, StiffnessRule
+from swimid.optimisation.optimise_stiffness import SPEED, RuleFile, StiffnessRule
 from tests.conftest import Ran, interrupting
 
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0, "between": (0.1, 2.0)}
@@ -63,9 +63,9 @@ def test_the_rule_follows_its_optima(rule: StiffnessRule) -> None:
     assert np.all(np.diff(stiff) > 0)
     for one in rule.file.optima:
         assert rule.stiffness_for(one.frequency_hz) == pytest.approx(one.stiffness, abs=0.05)
-        assert one.rule_speed_m_s == pytest.approx(one.speed_m_s, rel=0.01)
+        assert one.ruled[SPEED] == pytest.approx(one.best[SPEED], rel=0.01)
         # what is searched is the mean from rest (Eq 12), a little off the speed at the end
-        assert one.speed_m_s >= one.reference_speed_m_s * 0.98
+        assert one.best[SPEED] >= one.reference[SPEED] * 0.98
     f = np.array([one.frequency_hz for one in rule.file.optima])
     assert rule.file.curves[0].coefficients == pytest.approx(np.polyfit(f, stiff, 2)[::-1], abs=1e-9)
 
@@ -122,7 +122,7 @@ def test_the_cheapest_stiffness_costs_less_than_the_fastest(rule: StiffnessRule)
     cheap = package.optimise_stiffness(objective="cost-of-transport", **SMALL)
     for a, b in zip(cheap.file.optima, rule.file.optima, strict=True):
         assert a.cost_of_transport_J_m <= b.cost_of_transport_J_m
-        assert a.speed_m_s <= b.speed_m_s * 1.001
+        assert a.best[SPEED] <= b.best[SPEED] * 1.001
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,9 @@ BOUND_TOL = 1e-3
 #: Maximum relative loss of speed, or relative increase of cost, by using the rule instead of its optima.
 MAX_LOSS = 0.02
 
+#: Names of the quantities that are compared.
+SPEED, COST = "mean_speed_m_s", "cost_of_transport_J_m"
+
 Outside = Literal["refuse", "hold"]
 
 
@@ -59,17 +62,10 @@ class Optimum(yamlio.Document):
     amplitude_deg: float
     stiffness: float
     at_bound: bool = False
-    #: Mean speed (m/s) and cost of transport (J/m): with this stiffness, with the rule, and with the
-    #: reference.
-    speed_m_s: Number = None
-    rule_speed_m_s: Number = None
-    reference_speed_m_s: Number = None
-    cost_of_transport_J_m: Number = None
-    rule_cost_of_transport_J_m: Number = None
-    #: Range of the turning rate with this stiffness and with the reference stiffness, rad/s.
-    turn_rate_range_rad_s: Number = None
-    reference_turn_rate_range_rad_s: Number = None
-    settling_time_s: Number = None
+    #: Quantities of a run, in SI units: with this stiffness, with the rule, and with the reference.
+    best: dict[str, Number] = {}
+    ruled: dict[str, Number] = {}
+    reference: dict[str, Number] = {}
     #: Pareto front: each row has the stiffness and both objectives, as they are minimised.
     front: Rows = []
 
@@ -276,7 +272,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
     if not (math.isfinite(low) and math.isfinite(high)):
         raise UsageError(f"{name} has no bounds", hint="give them: --between LOW,HIGH")
     performance.check({name: (low, high)}, "--between")
-    goals = [("cost_of_transport_J_m", 1.0), ("mean_speed_m_s", -1.0)]
+    goals = [(COST, 1.0), (SPEED, -1.0)]
     if options.objective == "speed":
         goals = [("mean_surge_from_start_m_s", -1.0), (f"{performance.turn}_rate_range_rad_s", 1.0)]
     return Problem(performance, {name: (low, high)}, goals, {})
@@ -341,7 +337,7 @@ def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
 
 
 def _assess(performance: Performance, file: RuleFile) -> None:
-    """Set speed and cost of every optimum: with its own stiffness, with the rule, and with the reference."""
+    """Set the quantities at every optimum: with its own stiffness, with the rule, and with the reference."""
     gaits = []
     for one in file.optima:
         beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
@@ -349,22 +345,16 @@ def _assess(performance: Performance, file: RuleFile) -> None:
         gaits += [{**beat, file.coefficient: k} for k in (one.stiffness, ruled, file.reference)]
     found = performance.many(gaits)
     performance.insist(found)
-    table = np.array(yamlio.plain(found, finite=True), dtype=object).reshape(len(file.optima), 3, -1)
-    columns = {name: table[:, :, k] for k, name in enumerate(performance.units)}
-    turn = f"{performance.turn}_rate_range_rad_s"
+    rows = [dict(zip(performance.units, row, strict=True)) for row in yamlio.plain(found, finite=True)]
     for k, one in enumerate(file.optima):
-        speeds, costs = columns["mean_speed_m_s"][k], columns["cost_of_transport_J_m"][k]
-        one.speed_m_s, one.rule_speed_m_s, one.reference_speed_m_s = speeds
-        one.cost_of_transport_J_m, one.rule_cost_of_transport_J_m, _ = costs
-        one.turn_rate_range_rad_s, _, one.reference_turn_rate_range_rad_s = columns[turn][k]
-        one.settling_time_s = columns["settling_time_s"][k, 0]
+        one.best, one.ruled, one.reference = rows[3 * k : 3 * k + 3]
 
 
 # ------------------------------------------------------------ evidence
 
 
-def _column(file: RuleFile, name: str) -> Array:
-    return np.array([getattr(one, name) for one in file.optima], dtype=float)
+def _column(file: RuleFile, way: str, name: str = SPEED) -> Array:
+    return np.array([getattr(one, way)[name] for one in file.optima], dtype=float)
 
 
 def _loss(file: RuleFile) -> Array:
@@ -374,9 +364,8 @@ def _loss(file: RuleFile) -> Array:
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         if file.objective == "speed":
-            return np.asarray(1.0 - _column(file, "rule_speed_m_s") / _column(file, "speed_m_s"))
-        costs = _column(file, "rule_cost_of_transport_J_m") / _column(file, "cost_of_transport_J_m")
-        return np.asarray(costs - 1.0)
+            return np.asarray(1.0 - _column(file, "ruled") / _column(file, "best"))
+        return np.asarray(_column(file, "ruled", COST) / _column(file, "best", COST) - 1.0)
 
 
 def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
@@ -412,13 +401,14 @@ def _checks(file: RuleFile) -> list[ev.Check]:
     name = "loss of the rule against its own optima"
     checks.append(ev.check(name, value, worst <= MAX_LOSS, limit, text))
     if file.objective == "speed":
-        ruled, fixed = _column(file, "rule_speed_m_s"), _column(file, "reference_speed_m_s")
+        ruled, fixed = _column(file, "ruled"), _column(file, "reference")
         name = f"the rule is as fast as {numbers.number(file.reference, 3, file.unit)}"
         as_fast = int((ruled >= (1.0 - MAX_LOSS) * fixed).sum())
         checks.append(studies.count_check(name, as_fast, count, "use the fixed stiffness at the others"))
-        surge = [-min(row[1] for row in o.front if row[1] is not None) for o in file.optima]
-        checks += studies.forwards_check(surge)
-    checks.append(studies.steady_check(sum(one.settling_time_s is not None for one in file.optima), count))
+        checks += studies.forwards_check([one.best["mean_surge_from_start_m_s"] for one in file.optima])
+    checks.append(
+        studies.steady_check(sum(one.best["settling_time_s"] is not None for one in file.optima), count)
+    )
     drive = {name: float(value) for name, value in file.drive.items() if name in BEAT}
     grid = [{**drive, "frequency_hz": o.frequency_hz, "amplitude_deg": o.amplitude_deg} for o in file.optima]
     checks.append(studies.region_check(file.identified, grid))
@@ -431,13 +421,12 @@ def _checks(file: RuleFile) -> list[ev.Check]:
 
 def answer(file: RuleFile) -> str:
     """Return the range of the rule, and the increase of speed with the rule, as a sentence."""
-    stiffness = _column(file, "stiffness")
-    low, high = float(stiffness.min()), float(stiffness.max())
-    ends = f"{numbers.number(low, 3)} to {numbers.number(high, 3, file.unit)}"
+    stiffness = [one.stiffness for one in file.optima]
+    ends = f"{numbers.number(min(stiffness), 3)} to {numbers.number(max(stiffness), 3, file.unit)}"
     text = f"{file.coefficient} {ends} over frequency"
     if file.objective == "speed":
-        columns = (_column(file, f"{p}_speed_m_s") for p in ("rule", "reference"))
-        ruled, fixed = (numbers.number(float(np.nanmax(speeds)), 3, "m/s") for speeds in columns)
+        speeds = [float(np.nanmax(_column(file, way))) for way in ("ruled", "reference")]
+        ruled, fixed = (numbers.number(speed, 3, "m/s") for speed in speeds)
         text += f"; highest speed {ruled} against {fixed} with {numbers.number(file.reference, 3, file.unit)}"
     return f"{text}."
 
@@ -461,12 +450,12 @@ def _optima_table(file: RuleFile) -> ev.Table:
             "frequency": numbers.number(o.frequency_hz, 3, "Hz"),
             "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
             file.coefficient: numbers.number(o.stiffness, 3, file.unit),
-            "speed": numbers.number(o.speed_m_s, 3, "m/s"),
-            "with the rule": numbers.number(o.rule_speed_m_s, 3, "m/s"),
-            "with the reference": numbers.number(o.reference_speed_m_s, 3, "m/s"),
+            "speed": numbers.number(o.best[SPEED], 3, "m/s"),
+            "with the rule": numbers.number(o.ruled[SPEED], 3, "m/s"),
+            "with the reference": numbers.number(o.reference[SPEED], 3, "m/s"),
             "loss of the rule": numbers.percent(float(lost), 2),
-            "cost": numbers.number(o.cost_of_transport_J_m, 3, "J/m"),
-            "settles in": numbers.number(o.settling_time_s, 3, "s"),
+            "cost": numbers.number(o.best[COST], 3, "J/m"),
+            "settles in": numbers.number(o.best["settling_time_s"], 3, "s"),
         }
         for o, lost in zip(file.optima, _loss(file), strict=True)
     ]

@@ -224,13 +224,12 @@ MIN_BIAS_SHARE = 1e-3
 class Profile(NamedTuple):
     """Trials that repeat one motion, at the sample times of the first trial that all trials cover.
 
-    ``repeats`` has the channels of each side, each with the shape (trials, n), and ``means`` their means over
-    the trials. ``record`` is the entry of the comparison file.
+    ``channels`` has the values of each channel, each with the shape (trials, 2, n): measured and simulated.
+    ``record`` is the entry of the comparison file.
     """
 
     time_s: Array
-    repeats: dict[str, dict[str, Array]]
-    means: dict[str, dict[str, Array]]
+    channels: dict[str, Array]
     record: compare_series.ProfileComparison
 
 
@@ -268,27 +267,26 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
     times = [done.trial.time_s for done in members]
     begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
     clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
-    series = {side: [_with_speeds(done, side) for done in members] for side in SIDES}
-    common = [n for n in series["measured"][0] if all(n in columns for columns in series["measured"])]
-    repeats: dict[str, dict[str, Array]] = {side: {} for side in SIDES}
-    for side, each in series.items():
-        for n in common:
-            rows = [_resampled(clock, t, columns[n]) for t, columns in zip(times, each, strict=True)]
-            repeats[side][n] = np.array(rows)
-    means = {side: {n: rows.mean(axis=0) for n, rows in known.items()} for side, known in repeats.items()}
-    errors = {n: means["measured"][n] - means["simulated"][n] for n in common}
+    series = [[_with_speeds(done, side) for side in SIDES] for done in members]
+    channels: dict[str, Array] = {}
+    for n in series[0][0]:
+        if all(n in sides[0] for sides in series):
+            pairs = zip(times, series, strict=True)
+            channels[n] = np.array([[_resampled(clock, t, c[n]) for c in sides] for t, sides in pairs])
+    means = {n: values.mean(axis=0) for n, values in channels.items()}
     record = compare_series.ProfileComparison(
         name=name,
         trials=[done.trial.id for done in members],
         cycles=_cycles(members, series),
-        position_rmse_m=_distance(errors, ("x_m", "y_m", "z_m")),
-        orientation_rmse_rad=_distance(errors, ("roll_rad", "pitch_rad", "yaw_rad")),
+        position_rmse_m=_distance(means, ("x_m", "y_m", "z_m")),
+        orientation_rmse_rad=_distance(means, ("roll_rad", "pitch_rad", "yaw_rad")),
     )
     for n, ways in (("x_m", record.surge_m), ("z_m", record.heave_m)):
-        known = np.flatnonzero(np.isfinite(errors.get(n, np.empty(0))))
-        if len(known):
-            ways |= {side: float(np.diff(means[side][n][known[[0, -1]]])[0]) for side in SIDES}
-    return Profile(clock, repeats, means, record)
+        values = means.get(n, np.empty((2, 0)))
+        known = values[:, np.isfinite(values).all(axis=0)]
+        if known.size:
+            ways |= dict(zip(SIDES, (known[:, -1] - known[:, 0]).tolist(), strict=True))
+    return Profile(clock, channels, record)
 
 
 def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
@@ -299,9 +297,9 @@ def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
     return np.asarray(np.interp(clock, time_s[known], values[known], left=np.nan, right=np.nan))
 
 
-def _distance(errors: Mapping[str, Array], names: Sequence[str]) -> float | None:
-    """Return the root-mean-square distance of two series from the errors of their components."""
-    squares = [errors[name] ** 2 for name in names if name in errors]
+def _distance(means: Mapping[str, Array], names: Sequence[str]) -> float | None:
+    """Return the root-mean-square distance of two series from their components, each shape (2, n)."""
+    squares = [np.diff(means[name], axis=0)[0] ** 2 for name in names if name in means]
     total = np.sum(squares, axis=0)
     if not np.isfinite(total).any() or not squares:
         return None
@@ -309,15 +307,14 @@ def _distance(errors: Mapping[str, Array], names: Sequence[str]) -> float | None
 
 
 def _cycles(
-    members: Sequence[Compared], series: Mapping[str, Sequence[Mapping[str, Array]]]
+    members: Sequence[Compared], series: Sequence[Sequence[Mapping[str, Array]]]
 ) -> list[CycleComparison]:
     """Return the quantities of every whole stroke, averaged over the trials."""
     each = []
-    for k, done in enumerate(members):
+    for done, sides in zip(members, series, strict=True):
         time, stroke = done.trial.time_s, done.trial.swim.stroke
         windows = [] if stroke is None else kinematics.whole_cycles(time, stroke.frequency_hz)
-        columns = [series[side][k] for side in SIDES]
-        each.append([[kinematics.cycle_quantities(time, c, window) for c in columns] for window in windows])
+        each.append([[kinematics.cycle_quantities(time, c, window) for c in sides] for window in windows])
     comparisons = []
     for k, repeats in enumerate(zip(*each, strict=False), 1):
         one = CycleComparison(cycle=k, measured={}, simulated={})
@@ -377,16 +374,16 @@ def _profile_figure(profile: Profile) -> ev.Figure:
     keep = slice(None, None, max(len(profile.time_s) // MAX_PROFILE_SAMPLES, 1))
     time, panels = profile.time_s[keep], []
     for name in FIGURE_CHANNELS:
-        values = profile.means["measured"].get(name, np.empty(0))
+        measured = profile.channels.get(name, np.empty((1, 2, 0)))[:, 0]
+        known = measured.mean(axis=0)[np.isfinite(measured).all(axis=0)]
         # leave out channels without motion: a symmetric stroke has neither roll nor yaw
-        if not np.isfinite(values).any() or np.nanmax(values) - np.nanmin(values) <= 1e-9:
+        if not len(known) or np.ptp(known) <= 1e-9:
             continue
-        factor, error = numbers.in_degrees(numbers.split_unit(name)[1])[0], None
+        values = numbers.in_degrees(numbers.split_unit(name)[1])[0] * profile.channels[name][..., keep]
+        error = None
         if count > 1:
-            spread = np.std(profile.repeats["measured"][name], axis=0, ddof=1)
-            error = factor * np.nan_to_num(spread[keep])
-        curves = [factor * profile.means[side][name][keep] for side in SIDES]
-        traces = _pair((time, time), curves, y_error=error)
+            error = np.nan_to_num(np.std(values[:, 0], axis=0, ddof=1))
+        traces = _pair((time, time), values.mean(axis=0), y_error=error)
         panels.append(ev.Panel(x_label="time (s)", y_label=numbers.column_title(name), traces=traces))
     return ev.Figure(id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels)
 
