@@ -23,10 +23,9 @@ from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SwimInput
 from swimid.fitting.model import Array, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
-from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
 from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
-from swimid.logs.trials import StrokeDrive, TrialSet
+from swimid.logs.trials import StrokeDrive
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
 from swimid.propulsion.model import SPEED, RecoilModel, velocity_ratio
@@ -153,9 +152,7 @@ def case_of_options(options: SimulateOptions) -> Case:
     return _falling_weight(options, file, path, robot)
 
 
-def cases_of_trials(
-    trials: str | Path | TrialSet, options: SimulateOptions, only: str | None
-) -> tuple[list[Case], Sequence[Input]]:
+def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
     """Return recorded trials as cases, with their own drives and start states, and the inputs of the trials.
 
     Raises
@@ -167,11 +164,10 @@ def cases_of_trials(
     """
     if options.params is None:
         raise UsageError("--trials needs a parameter file: --params")
-    experiment, applied = catalogue.load(trials, options)
-    names = [t.id for t in experiment.trials]
+    experiment, applied = catalogue.load(options.trials, options)
+    only, names = options.trial, [t.id for t in experiment.trials]
     if only is not None and only not in names:
-        name = trials_format.place(trials).name
-        raise UsageError(f"there is no trial '{only}' in {name}", hint=suggestion(only, names))
+        raise UsageError(f"there is no trial '{only}'", hint=suggestion(only, names))
     cases = []
     for trial in experiment.trials:
         if only not in (None, trial.id):

@@ -332,7 +332,7 @@ def simulate(
         asked = [cases.case_of_options(options)]
     else:
         _refuse_run_options(options)
-        asked, inputs = cases.cases_of_trials(options.trials, options, options.trial)
+        asked, inputs = cases.cases_of_trials(options)
     targets = places(output, [case.id for case in asked])
     if options.animate is not None:
         _refuse_film(asked, options.animate)
