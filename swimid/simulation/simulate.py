@@ -157,19 +157,6 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
     return [output / name for name in file_names(ids, LOG_ENDINGS)]
 
 
-def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
-    """Write runs as logs, all or none. The metadata of a log has the parameters and the drive."""
-    paths = places(output, [one.case.id for one in done])
-    with atomic.together():
-        if output is not None and paths != [output]:
-            atomic.make_folder(output)
-        for path, one in zip(paths, done, strict=False):
-            metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
-            remove_outdated(path)
-            log_format.write(path, one.columns, metadata)
-    return paths
-
-
 @dataclass(frozen=True, eq=False)
 class Simulation(Result):
     """Result of ``simulate``: one simulated run, or one for each recorded trial.
@@ -246,10 +233,19 @@ class Simulation(Result):
             If the path is neither the log of one run nor a folder, or if a log of the trials would be
             replaced.
         """
-        for place in places(Path(path), list(self.runs)):
+        output = Path(path)
+        targets = places(output, list(self.runs))
+        for place in targets:
             if place.parent.is_dir():
                 atomic.check_writable(place, inputs=self.inputs)
-        return replace(self, outputs=[*self.outputs, *write(Path(path), self.document)])
+        with atomic.together():
+            if targets != [output]:
+                atomic.make_folder(output)
+            for place, one in zip(targets, self.document, strict=True):
+                metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
+                remove_outdated(place)
+                log_format.write(place, one.columns, metadata)
+        return replace(self, outputs=[*self.outputs, *targets])
 
 
 #: Options that are allowed together with recorded trials.
@@ -345,23 +341,18 @@ def simulate(
         for case in asked:
             done.append(simulate_case(case))
             step()
-    notes: list[str] = []
-    with atomic.together():
-        outputs = write(output, done)
-        if options.animate is not None:
-            notes = _write_film(options.animate, done[0], progress)
-            outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
-    return Simulation(
-        "simulate",
-        "",
-        _data(done, options),
-        outputs,
-        evidence=_evidence(done, options, notes),
-        document=done,
-        inputs=inputs,
-    )
+    notes: list[str] = []
+    films = [path for path in [options.animate] if path is not None]
+    with atomic.together():
+        for film in films:
+            notes = _write_film(film, done[0], progress)
+        evidence = _evidence(done, options, notes)
+        made = Simulation("simulate", "", _data(done, options), (), evidence, done, inputs)
+        if output is not None:
+            made = made.save(output)
+    return replace(made, outputs=[*made.outputs, *films])
 
 
 def _refuse_run_options(options: SimulateOptions) -> None:
