@@ -169,7 +169,7 @@ def optimise_gait(
 def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> Problem:
     if not options.vary:
         raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
-    performance.check(options.vary, "--vary")
+    performance.check_gaits(options.vary, "--vary")
     turn = "yaw" if performance.model.in_space else performance.turn
     quantity, sign = {
         "speed": ("mean_speed_m_s", -1.0),

@@ -261,7 +261,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
         raise UsageError("a stiffness rule is for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
         raise UsageError("--over takes frequency_hz, and amplitude_deg where the rule depends on it")
-    performance.check({name: axis[:2] for name, axis in options.over.items()}, "--over")
+    performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
     if options.over["frequency_hz"][2] <= DEGREE or options.over.get("amplitude_deg", (0, 0, 2))[2] < 2:
         raise UsageError(
             "--over: a quadratic rule needs three frequencies or more, and two amplitudes or none"

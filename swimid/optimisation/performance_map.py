@@ -151,7 +151,7 @@ def performance_map(
         performance = Performance.of_options(options)
         if len(options.over) > 2:
             raise UsageError("a map has one axis or two")
-        performance.check({name: axis[:2] for name, axis in options.over.items()}, "--over")
+        performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
         if any(axis[2] < 2 for axis in options.over.values()):
             raise UsageError("--over: an axis has two points or more")
         if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:

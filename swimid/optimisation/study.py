@@ -155,6 +155,10 @@ class Performance:
                 least, most = parameters[name].lower, parameters[name].upper
             if low < least or high > most or (name == "frequency_hz" and low == 0):
                 raise UsageError(f"{option} {name}: lies between {least:g} and {most:g}")
+
+    def check_gaits(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
+        """Raise an error as :meth:`check` does, and for a drive that is not complete with ``varied``."""
+        self.check(varied, option)
         check_drive(self.options, varied, option)
 
     def swim(self, point: Point) -> SwimInput:
