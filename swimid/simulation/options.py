@@ -57,21 +57,15 @@ class DriveOptions(Options):
 
     params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
     robot: str | None = robot("Robot; without --params the values of its file are used.")
-    frequency_hz: float | None = option(None, gt=0, help="Beat frequency, if it is not varied.")
-    amplitude_deg: float | None = option(
-        None, ge=0, help="Beat amplitude, if it is not varied (T-Fish: of the whole tail)."
-    )
+    frequency_hz: float | None = option(None, gt=0, help="Beat frequency.")
+    amplitude_deg: float | None = option(None, ge=0, help="Beat amplitude (T-Fish: of the whole tail).")
     waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Waveform of the beat.")
-    bias_deg: float | None = option(None, help="Turning bias, if it is not varied.")
-    asymmetry: float | None = option(
-        None, gt=-1, lt=1, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10), if it is not varied."
-    )
-    lag_deg: float | None = option(
-        None, help="Phase by which each driven joint lags the one before it, if it is not varied."
-    )
+    bias_deg: float | None = option(None, help="Turning bias.")
+    asymmetry: float | None = option(None, gt=-1, lt=1, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10).")
+    lag_deg: float | None = option(None, help="Phase by which each driven joint lags the one before it.")
     ramp_s: float = option(1.0, ge=0, help="Time in which the beat grows to its amplitude.")
     stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
-    scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke, if it is not varied.")
+    scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke.")
     duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
     chosen: Mapping[str, float] = chosen("Hold a parameter at this value. Repeatable.")
     readings: Mapping[str, str] = swimmers.readings()
