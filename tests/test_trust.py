@@ -14,7 +14,7 @@ from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.problem import drawn
 from swimid.optimisation.study import Performance
 from swimid.results.parameters import ParameterFile
-from swimid.simulation.catalogue import Applied, Quantity
+from swimid.simulation.catalogue import Applied
 
 VALUES = {
     "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,
@@ -142,8 +142,12 @@ def test_a_slope_that_is_not_known_is_not_zero(tmp_path: Path) -> None:
     options = OptimiseStiffnessOptions.model_validate({"params": path, **RULE})
     applied: Applied = Performance.of_options(options).applied
     assert isinstance(applied.file, ParameterFile)
-    centre, other = {"v": Quantity(1.0, "1")}, {"v": Quantity(1.1, "1")}
-    whole = applied.with_errors(applied.values(), lambda vectors: [centre, centre, other, centre, other])
-    parted = applied.with_errors(applied.values(), lambda vectors: [centre, centre, other, centre, {}])
-    assert whole["v"].stderr is not None
-    assert parted["v"].stderr is None
+    centre, other, lost = [1.0], [1.1], [np.nan]
+    _, whole = applied.with_errors(
+        applied.values(), lambda vectors: np.array([centre, centre, other, centre, other])
+    )
+    _, parted = applied.with_errors(
+        applied.values(), lambda vectors: np.array([centre, centre, other, centre, lost])
+    )
+    assert np.isfinite(whole).all()
+    assert np.isnan(parted).all()

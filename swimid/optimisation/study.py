@@ -32,9 +32,9 @@ from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.robots import file as robot_format
-from swimid.simulation import catalogue
-from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_drive, swim_input, units_of
-from swimid.simulation.catalogue import Applied, Quantity
+from swimid.simulation import cases, catalogue
+from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_drive, swim_input
+from swimid.simulation.catalogue import Applied
 from swimid.swimmer.model import Swimmer
 
 #: Minimum and maximum values of drive parameters.
@@ -116,7 +116,7 @@ class Performance:
     @cached_property
     def units(self) -> dict[str, str]:
         """Quantities of a simulation with their units, in the order of :meth:`table`."""
-        return units_of(self.model)
+        return cases.units_of(self.model)
 
     @property
     def axes(self) -> dict[str, str]:
@@ -181,10 +181,8 @@ class Performance:
                 moved[self.model.index(name)] = value
         return moved
 
-    def quantities(
-        self, points: Sequence[Point], values: Sequence[Array] | None = None
-    ) -> list[dict[str, Quantity]]:
-        """Return the quantities of gaits, by name; empty for a simulation that breaks down.
+    def table(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
+        """Return the quantities of gaits, shape (n, quantities); NaN for a quantity that is not available.
 
         Parameters
         ----------
@@ -194,22 +192,9 @@ class Performance:
         runs = [self.run(point) for point in points]
         given = [self.values] * len(points) if values is None else values
         vectors = [self.at(point, vector) for point, vector in zip(points, given, strict=True)]
-        pairs = [(vector, run.trial) for vector, run in zip(vectors, runs, strict=True)]
-        simulated = self.model.with_energetics(pairs, [run.window.duration_s for run in runs])
-        found: list[dict[str, Quantity]] = []
-        for run, vector, (columns, energetics) in zip(runs, vectors, simulated, strict=True):
-            quantities = {}
-            if energetics is not None:
-                quantities = run.quantities(self.model, vector, columns, energetics)
-            found.append(quantities)
+        found = cases.quantities_of(self.model, runs, vectors)
         self.model.forget([run.trial for run in runs])
         return found
-
-    def table(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """Return the quantities of gaits, shape (n, quantities); NaN for a quantity that is not available."""
-        lost = Quantity(math.nan, "")
-        found = self.quantities(points, values)
-        return np.array([[quantities.get(name, lost).value for name in self.units] for quantities in found])
 
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
         """Return the quantities of gaits as :meth:`table` does, computed in several threads."""
@@ -222,12 +207,11 @@ class Performance:
 
     def with_errors(self, point: Point) -> Array:
         """Return the quantities of a gait and their standard errors, shape (quantities, 2)."""
-        carried = self.applied.with_errors(
-            self.at(point), lambda vectors: self.quantities([point] * len(vectors), vectors)
+        return np.column_stack(
+            self.applied.with_errors(
+                self.at(point), lambda vectors: self.table([point] * len(vectors), vectors)
+            )
         )
-        lost = Quantity(math.nan, "")
-        told = [carried.get(name, lost) for name in self.units]
-        return np.array([[quantity.value, quantity.stderr] for quantity in told], dtype=float)
 
     def insist(self, table: Array) -> None:
         """Raise an error if every simulation breaks down, or if the robot never moves.

@@ -188,7 +188,7 @@ class Run:
         if self.swim is not None:
             known, units = self.swim.quantities(model, values, columns, None), units_of(model)
             for name in _swim_outputs(model, self.swim):
-                outputs[name] = known.get(name, Quantity(math.nan, units[name]))
+                outputs[name] = Quantity(known.get(name, math.nan), units[name])
         for name, channel in self.measured.items():
             error = math.nan
             if np.isfinite(columns[name]).all():

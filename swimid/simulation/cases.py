@@ -36,7 +36,7 @@ from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
-from swimid.simulation.catalogue import Applied, Compute, Quantity
+from swimid.simulation.catalogue import Applied, Compute
 from swimid.simulation.options import DriveOptions, SimulateOptions
 from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer
@@ -67,8 +67,10 @@ class Case:
         Metadata of the log.
     extra : dict of str to ndarray, each shape (n,)
         Columns of the log in addition to the simulated channels: commands, forces, measured inputs.
+    units : dict of str to str
+        Names of the quantities of the run, with their units.
     quantities : callable or None
-        Function from parameter vectors to the quantities of the run.
+        Function from parameter vectors to the quantities of the run, in the order of ``units``.
     """
 
     applied: Applied
@@ -76,6 +78,7 @@ class Case:
     trial: Trial
     metadata: Mapping[str, Any]
     extra: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     quantities: Compute | None = None
 
     @property
@@ -197,7 +200,7 @@ def _swimming(
         metadata["drive"] = drive_block(trial)
     metadata["dt_s"] = model.max_step
     extra, quantities = commands(model, trial, values), _swim_quantities(model, trial, values)
-    return Case(applied, values, trial, metadata, extra, quantities)
+    return Case(applied, values, trial, metadata, extra, units_of(model), quantities)
 
 
 def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
@@ -382,9 +385,9 @@ def beat_frequency(
     return None
 
 
-def _each(compute: Callable[[Array], dict[str, Quantity]]) -> Compute:
+def _each(compute: Callable[[Array], list[float]]) -> Compute:
     """Return a function of several parameter vectors that calls ``compute`` for each vector."""
-    return lambda vectors: [compute(values) for values in vectors]
+    return lambda vectors: np.array([compute(values) for values in vectors])
 
 
 def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
@@ -396,15 +399,7 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
     if run is None:
         return None
 
-    def of_last_beats(vectors: Sequence[Array]) -> list[dict[str, Quantity]]:
-        pairs = [(values, run.trial) for values in vectors]
-        simulated = model.with_energetics(pairs, [run.window.duration_s] * len(pairs))
-        return [
-            run.quantities(model, values, columns, energetics)
-            for values, (columns, energetics) in zip(vectors, simulated, strict=True)
-        ]
-
-    return of_last_beats
+    return lambda vectors: quantities_of(model, [run] * len(vectors), vectors)
 
 
 # ------------------------------------------------------------ quantities of a run
@@ -506,7 +501,7 @@ class SwimRun:
 
     def quantities(
         self, model: Swimmer, values: Array, columns: Mapping[str, Array], energetics: Energetics | None
-    ) -> dict[str, Quantity]:
+    ) -> dict[str, float]:
         """Return the quantities of the run by name. They are among the quantities of :func:`units_of`.
 
         Parameters
@@ -527,8 +522,7 @@ class SwimRun:
                 found = self._of_last_cycles(body, values, last) | self._of_whole_run(body, columns) | found
         if energetics is not None and model.driven:
             found |= _power_quantities(energetics, found.get("mean_speed_m_s"))
-        units = units_of(model)
-        return {name: Quantity(value, units[name]) for name, value in found.items()}
+        return found
 
     def _of_last_cycles(self, body: Body, values: Array, columns: Mapping[str, Array]) -> dict[str, float]:
         """Return the quantities of the last whole cycles, from the channels in the window."""
@@ -559,6 +553,20 @@ class SwimRun:
             "settling_time_s": kinematics.settling_time(time, surge, self.window.frequency_hz),
             "path_extent_m": max(float(np.ptp(columns[name])) for name in body.pose[:2]),
         }
+
+
+def quantities_of(model: Swimmer, runs: Sequence[SwimRun], vectors: Sequence[Array]) -> Array:
+    """Simulate runs, and return the quantities of :func:`units_of`, shape (n, quantities).
+
+    A quantity that is undefined is NaN.
+    """
+    pairs = [(values, run.trial) for values, run in zip(vectors, runs, strict=True)]
+    simulated = model.with_energetics(pairs, [run.window.duration_s for run in runs])
+    units, table = units_of(model), []
+    for run, values, (columns, energetics) in zip(runs, vectors, simulated, strict=True):
+        found = run.quantities(model, values, columns, energetics)
+        table.append([found.get(name, math.nan) for name in units])
+    return np.array(table)
 
 
 def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[str, float]:
@@ -601,20 +609,15 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
     on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
     trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
 
-    def compute(values: Array) -> dict[str, Quantity]:
+    def compute(values: Array) -> list[float]:
         simulated = model.simulate(values, trial)
-        ends = {
-            "last_speed_m_s": Quantity(float(simulated[model.speed][-1]), "m/s"),
-            "distance_m": Quantity(float(simulated["x_m"][-1]), "m"),
-        }
         top = rig.terminal_speed(model.coefficients(values, on_rig), force)
-        if not math.isnan(top):
-            ends = {"terminal_speed_m_s": Quantity(top, "m/s"), **ends}
-        return ends
+        return [top, float(simulated[model.speed][-1]), float(simulated["x_m"][-1])]
 
+    units = {"terminal_speed_m_s": "m/s", "last_speed_m_s": "m/s", "distance_m": "m"}
     applied = Applied(model, file, path, options.chosen)
     metadata = _metadata(options, robot.name, experiment="falling-weight", pulling_mass_kg=pulling)
-    return Case(applied, applied.values(), trial, metadata, quantities=_each(compute))
+    return Case(applied, applied.values(), trial, metadata, {}, units, _each(compute))
 
 
 def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
@@ -660,17 +663,17 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
     }
     trial = Trial(fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=CruiseInput(fin, model.fins[fin]))
 
-    def compute(values: Array) -> dict[str, Quantity]:
+    def compute(values: Array) -> list[float]:
         mean = float(model.simulate(values, trial)[SPEED][0])
         terminal = mean / float(velocity_ratio(model.b1, 0.0, distance))
-        quantities = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
-        if options.distance_m is not None:
-            quantities[SPEED] = Quantity(mean, "m/s")
-        return {**quantities, "propulsive_force_N": Quantity(model.drag_area_kg_m * terminal**2, "N")}
+        if options.distance_m is None:
+            mean = math.nan
+        return [terminal, mean, model.drag_area_kg_m * terminal**2]
 
+    units = {"terminal_speed_m_s": "m/s", SPEED: "m/s", "propulsive_force_N": "N"}
     extra = _table(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
     metadata = _metadata(options, robot.name, experiment="cruise")
-    return Case(applied, values, trial, metadata, extra, _each(compute))
+    return Case(applied, values, trial, metadata, extra, units, _each(compute))
 
 
 def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 
 import swimid
 from swimid.errors import NoTrustworthyResult, UsageError
-from swimid.files import atomic, tabular
+from swimid.files import atomic, tabular, yamlio
 from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
 from swimid.fitting.fit_common import warned_check
@@ -85,7 +85,12 @@ def simulate_case(case: Case) -> Simulated:
     step = _step_changes(case, simulated)
     quantities = {}
     if case.quantities is not None:
-        quantities = case.applied.with_errors(case.values, case.quantities)
+        found = np.column_stack(case.applied.with_errors(case.values, case.quantities))
+        for (name, unit), (value, stderr) in zip(
+            case.units.items(), yamlio.plain(found, finite=True), strict=True
+        ):
+            if value is not None:
+                quantities[name] = Quantity(value, unit, stderr)
     columns: dict[str, Any] = {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
     added = {k: v for k, v in case.extra.items() if k not in columns}
     if case.per_run:
