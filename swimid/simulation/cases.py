@@ -460,7 +460,7 @@ class SwimRun:
             if stroke is not None:
                 # a stroke with a limited number of cycles rests afterwards
                 ends = np.minimum(ends, stroke.cycles / frequency_hz)
-            window = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
+            window: Window | None = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
         else:
             ramp = 0.0 if beat is None else beat.ramp_s
             window = kinematics.last_cycles(max(begin, ramp), end, frequency_hz)
@@ -488,6 +488,7 @@ class SwimRun:
         frequency. The run begins up to one sample before the drive. For a robot that moves in 3-D, the
         duration is rounded up to whole cycles.
         """
+        assert swim.drive is not None
         end, frequency_hz = duration_s, float(swim.drive.frequency_hz)
         if swim.beat is not None:
             end = max(end, swim.beat.ramp_s + (1.0 + 1e-6) / frequency_hz)
