@@ -150,8 +150,8 @@ def compare(
             provenance=provenance.collect(experiment.inputs, settings=options.settings()),
         )
         if file.mean_speeds:
-            errors = [measured - simulated for _, measured, simulated in file.mean_speeds]
-            file.mean_speed_rmse_m_s = float(np.sqrt(np.mean(np.square(errors))))
+            _, measured, simulated = zip(*file.mean_speeds, strict=True)
+            file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
         fitted: Iterable[str] = file.channels
         if applied.file is not None and applied.file.fit is not None:
             fitted = applied.file.fit.channels
@@ -440,8 +440,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         limit = "steady swimming in a trial"
         return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
     measured, settles = np.array(rows, dtype=float).T
-    share = float(np.sqrt(np.mean((measured - settles) ** 2) / np.mean(measured**2)))
-    return [_speed_check("cruising speed", share, text)]
+    return [_speed_check("cruising speed", _rms(measured - settles) / _rms(measured), text)]
 
 
 def _speed_share(file: ComparisonFile) -> float | None:
@@ -449,7 +448,11 @@ def _speed_share(file: ComparisonFile) -> float | None:
     measured = [speed for _, speed, _ in file.mean_speeds]
     if not any(measured) or file.mean_speed_rmse_m_s is None:
         return None
-    return file.mean_speed_rmse_m_s / float(np.sqrt(np.mean(np.square(measured))))
+    return file.mean_speed_rmse_m_s / _rms(measured)
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _answer(file: ComparisonFile) -> str:
