@@ -283,9 +283,9 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
     found = performance.model.yielding()
     name = options.coefficient or "".join(found[: len(found) == 1])
     if name not in found:
-        known = ", ".join(found) or "no coefficient"
+        text = f"{name} stands in no passive joint's law; " * bool(name)
         raise UsageError(
-            f"'{name}' stands in no passive joint's law; these laws contain {known}",
+            f"--coefficient: {text}the passive joints' laws contain {', '.join(found) or 'no coefficient'}",
             hint="name the stiffness: --coefficient NAME",
         )
     return name
