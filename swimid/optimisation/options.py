@@ -13,6 +13,7 @@ from swimid.simulation import options as simulations
 class GaitOptions(simulations.DriveOptions):
     """Options of every command of gaits: the robot and the drive."""
 
+    duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
     jobs: int | None = fits.jobs()
 
 

@@ -66,7 +66,6 @@ class DriveOptions(Options):
     ramp_s: float = option(1.0, ge=0, help="Time in which the beat grows to its amplitude.")
     stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
     scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke.")
-    duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
     chosen: Mapping[str, float] = chosen("Hold a parameter at this value. Repeatable.")
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()

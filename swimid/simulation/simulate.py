@@ -465,7 +465,7 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         rows: list[list[Any]] = [list(row) for row in _texts(first).items()]
         answer = f"{robot}: {' '.join(rows[0])}."
     else:
-        kept = TABLE_QUANTITIES
+        kept: Sequence[str] = TABLE_QUANTITIES
         if first.case.applied.model.in_space:
             kept = CYCLE_QUANTITIES
         shown = {d.case.id: _texts(d, kept) for d in done}
