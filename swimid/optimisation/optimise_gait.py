@@ -17,15 +17,14 @@ from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
 from swimid.logs.kinematics import UNSTEADY
-from swimid.notices import Notice, recorded
+from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
 from swimid.optimisation.problem import MAX_STEPS, Limit, Problem, drawn, interval95, merit
 from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.result import FileResult
 from swimid.simulation.cases import value_text
 
@@ -344,23 +343,23 @@ def _gait_table(file: GaitFile) -> ev.Table:
     """Return the varied parameters of the best gait and its goal, with their intervals."""
     units = {name: v.unit for name, v in file.vary.items()} | {file.goal: file.unit}
     known = {**file.at_ci95, file.goal: file.best_ci95}
-    rows: list[dict[str, blocks.Cell]] = []
+    rows: list[dict[str, ev.Cell]] = []
     for name, value in {**file.at, file.goal: file.best}.items():
         factor, shown = numbers.in_degrees(units[name])
         low, high = factor * np.array(known.get(name, (None, None)), dtype=float)
-        row: dict[str, blocks.Cell] = {"": name, "best gait": value_text(value, units[name], digits=4)}
+        row: dict[str, ev.Cell] = {"": name, "best gait": value_text(value, units[name], digits=4)}
         rows.append({**row, "95 %": numbers.interval(low, high, None, shown)})
     caption = "Intervals are over draws of the coefficients."
-    return blocks.table("gait", "Gait", rows, caption * bool(file.draws))
+    return ev.table("gait", "Gait", rows, caption * bool(file.draws))
 
 
 def _quantity_table(file: GaitFile) -> ev.Table:
-    rows: list[dict[str, blocks.Cell]] = []
+    rows: list[dict[str, ev.Cell]] = []
     for name, value in file.quantities.items():
         if value is not None:
             bare, unit = numbers.split_unit(name)
             rows.append({"quantity": bare.replace("_", " "), "value": value_text(value, unit, digits=4)})
-    return blocks.table("quantities", "Quantities of the best gait", rows)
+    return ev.table("quantities", "Quantities of the best gait", rows)
 
 
 def _draws_figure(file: GaitFile) -> ev.Figure:
@@ -370,9 +369,9 @@ def _draws_figure(file: GaitFile) -> ev.Figure:
         mark = ev.Mark(at=file.at[name], axis="x", label="best gait")
         trace = ev.Trace(x=np.sort(column), y=share, style="step", label="share of draws below")
         label = f"{name} ({numbers.unit_text(file.vary[name].unit) or '1'})"
-        panels.append(blocks.panel(label, "share of draws", [trace], marks=[mark]))
+        panels.append(ev.panel(label, "share of draws", [trace], marks=[mark]))
     caption = "Distribution of the best gait over draws of the coefficients; a steep step is a certain gait."
-    return blocks.panels("draws", "Uncertainty of the best gait", caption, panels)
+    return ev.panels("draws", "Uncertainty of the best gait", caption, panels)
 
 
 def _methods(file: GaitFile) -> list[str]:

@@ -18,15 +18,14 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Rows
 from swimid.fitting.model import Array
-from swimid.notices import Notice, recorded
+from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseStiffnessOptions
 from swimid.optimisation.problem import Problem
 from swimid.optimisation.study import BEAT, Performance, StudyFile, in_parallel, points_of, study_of
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.result import FileResult
 
 #: Maximum power of the frequency in a curve of the rule (tendon fish, Algorithm 1).
@@ -434,18 +433,18 @@ def answer(file: RuleFile) -> str:
 def _curve_table(file: RuleFile) -> ev.Table:
     rows = []
     for c in file.curves:
-        row: dict[str, blocks.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
+        row: dict[str, ev.Cell] = {"amplitude": numbers.number(c.amplitude_deg, 3, "deg")}
         row |= {f"c{k}": numbers.number(value, 6) for k, value in enumerate(c.coefficients)}
         rows.append({**row, "RMS of residuals": numbers.number(c.rms, 2, file.unit)})
     caption = (
         f"{file.coefficient} = c0 + c1 f + c2 f², f in Hz, held within {numbers.interval(*file.between)}; "
         "linear interpolation between amplitudes."
     )
-    return blocks.table("rule", "The rule", rows, caption)
+    return ev.table("rule", "The rule", rows, caption)
 
 
 def _optima_table(file: RuleFile) -> ev.Table:
-    rows: list[dict[str, blocks.Cell]] = [
+    rows: list[dict[str, ev.Cell]] = [
         {
             "frequency": numbers.number(o.frequency_hz, 3, "Hz"),
             "amplitude": numbers.number(o.amplitude_deg, 3, "deg"),
@@ -461,7 +460,7 @@ def _optima_table(file: RuleFile) -> ev.Table:
     ]
     reference = numbers.number(file.reference, 3, file.unit)
     caption = f"The reference is {reference}. A run without a settling time still gains speed at its end."
-    return blocks.table("optima", "Optima over the grid", rows, caption)
+    return ev.table("optima", "Optima over the grid", rows, caption)
 
 
 def _rule_figure(file: RuleFile) -> ev.Figure:
@@ -472,9 +471,9 @@ def _rule_figure(file: RuleFile) -> ev.Figure:
         label = f"{numbers.number(c.amplitude_deg, 3)} deg"
         y = [file.stiffness_for(float(f), c.amplitude_deg, outside="hold") for f in x]
         traces += [
-            blocks.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
+            ev.points(optima, lambda o: o.frequency_hz, lambda o: o.stiffness, label=label, group=group),
             ev.Trace(x=x, y=y, group=group),
         ]
     caption = "Points are the optima, curves the rule."
     y_label = f"{file.coefficient} ({numbers.unit_text(file.unit) or '1'})"
-    return blocks.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)
+    return ev.figure("rule", "Stiffness rule", caption, "frequency (Hz)", y_label, traces)

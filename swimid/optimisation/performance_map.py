@@ -19,14 +19,13 @@ from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Rows
 from swimid.fitting.model import Array
 from swimid.logs.kinematics import UNSTEADY
-from swimid.notices import Notice, recorded
+from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
 from swimid.optimisation.study import BATCH, BEAT, STROKE, Performance, Point, StudyFile, points_of
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.result import FileResult
 from swimid.simulation.cases import value_text
 
@@ -283,7 +282,7 @@ def _best_table(file: MapFile) -> ev.Table:
     """
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):
-        row: dict[str, blocks.Cell] = {first.name: numbers.number(at)}
+        row: dict[str, ev.Cell] = {first.name: numbers.number(at)}
         if len(file.axes) == 1:
             row |= {name: _cell(file, name, i, 0) for name in _drawn(file)}
         for name in BEST if len(file.axes) == 2 else ():
@@ -294,7 +293,7 @@ def _best_table(file: MapFile) -> ev.Table:
                 row[f"{word} at {file.axes[1].name}"] = numbers.number(file.axes[1].values[j])
                 row[word] = _cell(file, name, i, j)
         rows.append(row)
-    return blocks.table("best", f"Best points at each {first.name}", rows)
+    return ev.table("best", f"Best points at each {first.name}", rows)
 
 
 def _cell(file: MapFile, name: str, row: int, column: int) -> str:
@@ -313,13 +312,13 @@ def _figures(file: MapFile) -> list[ev.Figure]:
     caption = f"Runs of {file.duration_s:g} s from rest, over their last whole beats; {drive}."
     if len(file.axes) == 1:
         curves = [_curve(file, name) for name in _drawn(file)]
-        return [blocks.panels("map", "Over the gait", caption, curves)]
+        return [ev.panels("map", "Over the gait", caption, curves)]
     heats = [_heat(file, name) for name in _drawn(file)]
     contours = [_contours(file, name) for name in _drawn(file)]
     lines = "Lines of equal value; outside the frame of the identification trials they are extrapolation."
     return [
-        blocks.panels("map", "Over the grid of gaits", caption, heats),
-        blocks.panels("contours", "Contours", lines, contours),
+        ev.panels("map", "Over the grid of gaits", caption, heats),
+        ev.panels("contours", "Contours", lines, contours),
     ]
 
 
@@ -348,7 +347,7 @@ def _heat(file: MapFile, name: str) -> ev.Panel:
     cells = [[float(f"{v:.3g}") for v in row] for row in values]
     heat = ev.Heat(rows=rows, columns=columns, values=cells, scale="linear")  # type: ignore[arg-type]
     down, along = (_axis_title(axis) for axis in file.axes)
-    return blocks.panel(along, down, [], title=title, heat=heat)
+    return ev.panel(along, down, [], title=title, heat=heat)
 
 
 def _contours(file: MapFile, name: str) -> ev.Panel:
@@ -368,7 +367,7 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
         (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in (along, down))
         frame = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
         traces.append(ev.Trace(**frame, style="dashed", label="identified inside", group=N_LEVELS + 1))
-    return blocks.panel(_axis_title(along), _axis_title(down), traces, title=title)
+    return ev.panel(_axis_title(along), _axis_title(down), traces, title=title)
 
 
 def _curve(file: MapFile, name: str) -> ev.Panel:
@@ -378,9 +377,9 @@ def _curve(file: MapFile, name: str) -> ev.Panel:
     traces = [ev.Trace(x=x, y=y, label="model")]
     if q.stderr is not None:
         half = 2 * numbers.in_degrees(q.unit)[0] * np.array(q.stderr, dtype=float)[:, 0]
-        traces = [blocks.band(x, y, half, label="model, 2 sd")]
+        traces = [ev.band(x, y, half, label="model, 2 sd")]
     spans = []
     if axis.name in file.identified:
         low, high = file.identified[axis.name]
         spans = [ev.Span(start=low, end=high, label="range of the identification trials")]
-    return blocks.panel(_axis_title(axis), title, traces, spans=spans)
+    return ev.panel(_axis_title(axis), title, traces, spans=spans)

@@ -24,11 +24,10 @@ from swimid.files.provenance import Input
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
-from swimid.notices import Notice
+from swimid.notices import Notice, Progress, silent
 from swimid.optimisation.options import GaitOptions
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.robots import file as robot_format
@@ -364,7 +363,7 @@ def evidence(
         verdict=ev.judged(answer, checks),
         facts={**robot, "Runs": f"{file.duration_s:g} s from rest", **facts},
         checks=list(checks),
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         references=REFERENCES,
         provenance=origin,
         **shown,

@@ -11,7 +11,7 @@ from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 
 #: Maximum fraction of the evaluations that may break down.
 MAX_BROKEN_SHARE = 0.01

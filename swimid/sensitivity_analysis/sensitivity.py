@@ -22,11 +22,10 @@ from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Trial
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.sensitivity_analysis.indices import Sobol, sobol
@@ -373,7 +372,7 @@ def sensitivity(
         checks=checks,
         tables=[_totals(file), _range_table(file)],
         figures=[_map(file)],
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=[_method(file)],
         references=[*REFERENCES, *experiment.robot.sources],
         provenance=origin,
@@ -606,18 +605,18 @@ def _answer(file: SensitivityFile) -> str:
 def _totals(file: SensitivityFile) -> ev.Table:
     """Return a table of the most influential coefficients of each output."""
     ranks = ("largest", "second", "third")
-    rows: list[dict[str, blocks.Cell]] = []
+    rows: list[dict[str, ev.Cell]] = []
     for o in _headline(file):
-        row: dict[str, blocks.Cell] = {"output": o.quantity, **dict.fromkeys(ranks, "")}
+        row: dict[str, ev.Cell] = {"output": o.quantity, **dict.fromkeys(ranks, "")}
         for rank, (name, index) in zip(ranks, _ranked(o), strict=False):
             low, high = (numbers.number(end, 2) for end in index.ci95)
             row[rank] = f"{name} {numbers.number(index.value, 2)} ({low} … {high})"
         rows.append(row)
-    return blocks.table("totals", "Total indices, 95 %", rows)
+    return ev.table("totals", "Total indices, 95 %", rows)
 
 
 def _range_table(file: SensitivityFile) -> ev.Table:
-    rows: list[dict[str, blocks.Cell]] = [
+    rows: list[dict[str, ev.Cell]] = [
         {
             "coefficient": name,
             "given": numbers.number(r.value),
@@ -629,7 +628,7 @@ def _range_table(file: SensitivityFile) -> ev.Table:
         for name, r in file.ranges.items()
     ]
     caption = "Uniform and independent of each other; a wider range of a coefficient raises its share."
-    return blocks.table("ranges", "Ranges of the coefficients", rows, caption)
+    return ev.table("ranges", "Ranges of the coefficients", rows, caption)
 
 
 # ------------------------------------------------------------ figures
@@ -642,7 +641,7 @@ def _map(file: SensitivityFile) -> ev.Figure:
     heat = ev.Heat(rows=[o.quantity for o in outputs], columns=names, values=values, scale="linear")  # type: ignore[arg-type]
     caption = "Total Sobol indices: the share of an output's variance that a coefficient takes part in."
     title = "Sensitivity of each output"
-    return blocks.panels("indices", title, caption, [blocks.panel("", "", [], heat=heat)])
+    return ev.panels("indices", title, caption, [ev.panel("", "", [], heat=heat)])
 
 
 def _method(file: SensitivityFile) -> str:

@@ -22,11 +22,10 @@ from swimid.logs import kinematics
 from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES
 from swimid.logs.sampling import slope
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series
@@ -172,7 +171,7 @@ def compare(
         checks=checks,
         tables=_tables(file),
         figures=_figures(experiment, done, profiles, file),
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=_methods(file),
         references=list(experiment.robot.sources),
         provenance=file.provenance,

@@ -20,9 +20,8 @@ from swimid.fitting.fit_common import warned_check
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
 from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
-from swimid.notices import warn
+from swimid.notices import Progress, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import remove_outdated
