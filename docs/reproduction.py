@@ -362,10 +362,10 @@ def stiffness_rule() -> StiffnessRule:
 
 def tfish_rule() -> str:
     file = stiffness_rule().file
-    ruled = max(float(o.rule_speed_m_s or 0.0) for o in file.optima)
-    fixed = max(float(o.reference_speed_m_s or 0.0) for o in file.optima)
+    ruled = max(float(o.ruled["mean_speed_m_s"] or 0.0) for o in file.optima)
+    fixed = max(float(o.reference["mean_speed_m_s"] or 0.0) for o in file.optima)
     wider = sum(
-        float(o.turn_rate_range_rad_s or 0.0) > float(o.reference_turn_rate_range_rad_s or 0.0)
+        float(o.best["yaw_rate_range_rad_s"] or 0.0) > float(o.reference["yaw_rate_range_rad_s"] or 0.0)
         for o in file.optima
         if float(o.stiffness or 0.0) > file.reference
     )

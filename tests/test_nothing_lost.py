@@ -393,10 +393,10 @@ class TestInputs:
         assert (tmp_path / "far" / "real.txt").read_text() == "one"
 
     def test_two_outputs_are_two_files(self, swimid: Run, tmp_path: Path) -> None:
-        out = tmp_path / "rule.h"
+        out = tmp_path / "run.gif"
         ran = swimid(
-            "optimise", "stiffness", "--robot", "dolphin", "--over", "frequency_hz=2:4:3", "-o", out,
-            "--header", out,
+            "simulate", "--robot", "dolphin", "--frequency-hz", "2", "--amplitude-deg", "20", "-o", out,
+            "--animate", out,
         )  # fmt: skip
         assert ran.status == 2
         assert "two outputs would be written to" in ran.err

@@ -12,8 +12,7 @@ import pytest
 import swimid as package
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
-from swimid.optimisation.performance import Performance
-from swimid.optimisation.performance_map import MapFile
+from swimid.optimisation.study import Performance
 from tests.conftest import Ran, interrupting
 
 Swimid = Callable[..., Ran]
@@ -63,25 +62,18 @@ def test_an_interrupted_map_continues_to_the_same_file(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_recorded_trials_beside_the_map(swimid: Swimid, samples: Path, tmp_path: Path) -> None:
-    """The map shows their speeds and the region they cover."""
-    ran = swimid(
-        "map", "--robot", "tfish", "--trials", samples / "tfish" / "trials.yaml",
-        "--over", "frequency_hz=1:2:3", "--over", "amplitude_deg=15:35:3",
-        "-o", tmp_path / "map.yaml", "--json",
-    )  # fmt: skip
-    file = MapFile.read(tmp_path / "map.yaml")
-    # trials without bias are on the map; the region is that of all fitted trials
-    assert {m.trial for m in file.measured} >= {"f10a20", "f14a25", "f14a20"}
-    assert file.identified["frequency_hz"] == (1.0, 1.8)
-    one = next(m for m in file.measured if m.trial == "f14a25")
-    assert one.at == {"frequency_hz": 1.4, "amplitude_deg": 25.0}
-    assert one.measured_m_s == pytest.approx(one.simulated_m_s, rel=0.2)
-    assert ran.status == 0
-    checks = package.load_result(tmp_path / "map.yaml").checks().set_index("name")
+def test_the_range_of_the_fit_is_framed(samples: Path) -> None:
+    """Points outside the frame are extrapolation."""
+    fitted = package.fit_graybox(samples / "tfish" / "trials.yaml", share=["c_f"])
+    made = package.performance_map(
+        params=fitted, over={"frequency_hz": (1, 2, 2), "amplitude_deg": (15, 35, 2)}, duration_s=5.0
+    )
+    assert made.file.identified["frequency_hz"] == (1.0, 1.8)
+    checks = made.checks().set_index("name")
     assert "extrapolation" in checks.loc["inside the range of the identification trials", "text"]
-    figures = {figure.id: figure for figure in package.load_result(tmp_path / "map.yaml").evidence.figures}
-    assert {t.label for t in figures["contours"].panels[0].traces} >= {"identified inside", "trials"}
+    assert made.evidence is not None
+    figures = {figure.id: figure for figure in made.evidence.figures}
+    assert "identified inside" in {t.label for t in figures["contours"].panels[0].traces}
 
 
 def test_standard_deviations_follow_the_covariance(tmp_path: Path) -> None:
@@ -146,7 +138,7 @@ def test_lag_delays_each_joint_behind_the_one_before() -> None:
          "ramp_s": 0.0}
     )  # fmt: skip
     performance = Performance.of_options(options)
-    swim, _ = performance.swim({"lag_deg": 40.0})
+    swim = performance.swim({"lag_deg": 40.0})
     time = np.linspace(0.0, 2.0, 50)
     for k in range(3):
         told = performance.model.command(k, swim, time, 0.0)

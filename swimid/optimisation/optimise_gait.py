@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.files import atomic, yamlio
+from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number, Pair, Rows
 from swimid.fitting.model import Array
@@ -21,20 +20,22 @@ from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.performance import BEAT, STROKE, Performance
-from swimid.optimisation.problem import DRAW_STEPS, MAX_STEPS, Limit, Problem, drawn, interval95, merit
-from swimid.optimisation.study import Study, StudyFile, study_of
+from swimid.optimisation.problem import MAX_STEPS, Limit, Problem, drawn, interval95, merit
+from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
-from swimid.simulation.swim_quantities import value_text
+from swimid.simulation.cases import value_text
 
 #: Tolerances: for a gait at its bound, as a fraction of the range of the parameter, and for an active limit,
 #: as a fraction of the limit.
 BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
 #: Maximum relative difference of the goal between two starting points of the search that agree.
 AGREE_RTOL = 0.005
+#: First and last radius and maximum number of steps of the searches for coefficient samples. These searches
+#: start from the optimum for the estimated coefficients.
+DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
 #: Minimum fraction of the coefficient samples in which a gait must satisfy its limits.
 MIN_KEPT = 0.9
 #: Number of points of the Sobol sequence per starting point of the search.
@@ -148,24 +149,17 @@ def optimise_gait(
     """
     with recorded(repeat=True) as notices:
         performance = Performance.of_options(options)
-        study = study_of(performance, options)
-        if output is not None:
-            atomic.check_writable(output, inputs=study.inputs)
-        keep = Checkpoint.beside(output, study.key)
-        problem = _problem(performance, options, keep)
+        study = study_of(performance, options, output)
+        problem = _problem(performance, options, study.checkpoint)
         known = bool(performance.applied.uncertain()[0])
         runs = options.starts * MAX_STEPS + options.draws * DRAW_STEPS * known
         simulated_s = runs * (2 * len(options.vary) + 1) * options.duration_s
-        performance.model.prepare(progress, simulated_s=simulated_s, checkpoint=keep)
+        performance.model.prepare(progress, simulated_s=simulated_s, checkpoint=study.checkpoint)
         file = _find(problem, options, study, progress)
         if known:
             performance.applied.warn_without_error("the intervals")
             _set_intervals(problem, file, options, progress)
-    evidence = evidence_of(file, notices, study.origin)
-    file.verdict = evidence.verdict.level
-    saved = BestGait.of(file, evidence).saved(output)
-    keep.done()
-    return saved
+    return study.saved(BestGait, file, evidence_of(file, notices, study.origin))
 
 
 # ------------------------------------------------------------ the problem
@@ -174,8 +168,7 @@ def optimise_gait(
 def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Checkpoint) -> Problem:
     if not options.vary:
         raise UsageError("say what may be varied: --vary NAME=LOW,HIGH")
-    performance.check(options.vary, "--vary")
-    performance.check_drive(options.vary, "--vary")
+    performance.check_gaits(options.vary, "--vary")
     turn = "yaw" if performance.model.in_space else performance.turn
     quantity, sign = {
         "speed": ("mean_speed_m_s", -1.0),
@@ -194,8 +187,7 @@ def _problem(performance: Performance, options: OptimiseGaitOptions, keep: Check
             raise UsageError(f"--limit {name} is not for this robot")
     if options.goal == "power" and options.reach_speed_m_s is None:
         raise UsageError("the least power is that of no motion", hint="give the speed: --reach-speed-m-s")
-    jobs = options.jobs or os.cpu_count() or 1
-    return Problem(performance, options.vary, [(quantity, sign)], limits, jobs=jobs, checkpoint=keep)
+    return Problem(performance, options.vary, [(quantity, sign)], limits, checkpoint=keep)
 
 
 def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str, Limit]:
@@ -245,7 +237,7 @@ def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress
     with progress("search", total=MAX_STEPS) as step:
         found = problem.minimise(starts, advance=step)
     ((quantity, sign),) = problem.goals
-    x, units = found.points[found.best], problem.performance.units
+    x, units = found.points[int(np.argmin(found.values))], problem.performance.units
     table = problem.table(x[None])
     if not problem.keeps_limits(table).all():
         raise NoTrustworthyResult("no gait keeps to the limits", hint="widen what is varied, or the limits")
@@ -275,13 +267,16 @@ def _set_intervals(
 ) -> None:
     """Set the intervals of the best gait and of its goal over random samples of the coefficients."""
     vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
-    file.draws, nominal = len(vectors), problem.place(file.at)
+    file.draws = len(vectors)
+    nominal = np.tile(problem.place(file.at), (len(vectors), 1))
     with progress("gaits of draws", total=DRAW_STEPS) as step:
-        best = problem.minimise_in_draws(vectors, nominal, step)
+        best = problem.minimise(
+            nominal, vectors, first=DRAW_RADIUS, last=DRAW_LAST, steps=DRAW_STEPS, advance=step
+        )
     file.drawn = [list(problem.at(x).values()) for x in best.points]
     ends = interval95(np.array(file.drawn, dtype=float)).T.tolist()
     file.at_ci95 = {name: (a, b) for name, (a, b) in zip(problem.vary, ends, strict=True)}
-    table, _ = problem.costs(nominal, vectors)
+    table = problem.table(nominal, vectors)
     file.best_ci95 = tuple(interval95(problem.goal_values(table)[:, 0]).tolist())
     if problem.limits:
         file.kept_in_draws = float(problem.keeps_limits(table).mean())
@@ -380,10 +375,8 @@ def _draws_figure(file: GaitFile) -> ev.Figure:
 
 
 def _methods(file: GaitFile) -> list[str]:
-    varied = ", ".join(
-        f"{name} ({numbers.number(v.low)} to {numbers.number(v.high, 4, v.unit)})"
-        for name, v in file.vary.items()
-    )
+    ranges = {name: numbers.interval(v.low, v.high, None, v.unit) for name, v in file.vary.items()}
+    varied = ", ".join(f"{name} ({ends})" for name, ends in ranges.items())
     sentences = [
         f"The {file.goal} of {file.robot} was optimised over {varied} by finite differences from several "
         f"starts; each run of {file.duration_s:g} s began at rest and was judged by its last whole beats."

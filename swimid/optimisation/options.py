@@ -3,39 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Literal
 
 import swimid.options as fits
-from swimid.options import Options, Source, option
+from swimid.options import option
 from swimid.simulation import options as simulations
-from swimid.swimmer import options as swimmers
 
 
-class GaitOptions(Options):
+class GaitOptions(simulations.DriveOptions):
     """Options of every command of gaits: the robot and the drive."""
 
-    params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
-    robot: str | None = simulations.robot("Robot; without --params the values of its file are used.")
-    frequency_hz: float | None = option(None, gt=0, help="Beat frequency, if it is not varied.")
-    amplitude_deg: float | None = option(
-        None, ge=0, help="Beat amplitude, if it is not varied (T-Fish: of the whole tail)."
-    )
-    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Waveform of the beat.")
-    bias_deg: float | None = option(None, help="Turning bias, if it is not varied.")
-    asymmetry: float | None = option(
-        None, gt=-1, lt=1, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10), if it is not varied."
-    )
-    lag_deg: float | None = option(
-        None, help="Phase by which each driven joint lags the one before it, if it is not varied."
-    )
-    ramp_s: float = option(1.0, ge=0, help="Time in which the beat grows to its amplitude.")
-    stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
-    scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke, if it is not varied.")
     duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
-    chosen: Mapping[str, float] = simulations.chosen("Hold a parameter at this value. Repeatable.")
-    readings: Mapping[str, str] = swimmers.readings()
-    dt: float = swimmers.step()
     jobs: int | None = fits.jobs()
 
 
@@ -50,14 +28,13 @@ class MapOptions(
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
     Speed, cost of transport, Strouhal number, turning, power and torque are computed over one or two of
-    frequency, amplitude, bias, asymmetry and any coefficient. The map shows recorded trials and marks their
-    range. An interrupted run continues when it is started again.
+    frequency, amplitude, bias, asymmetry and any coefficient. The map marks the range of the identification
+    trials. An interrupted run continues when it is started again.
 
     Examples:
       swimid map --robot dolphin --amplitude-deg 27 \
           --over frequency_hz=1:5:9 --over K_s=0.2:3.0:15 -o map.yaml
-      swimid map --params tfish.yaml --trials trials.yaml --over frequency_hz=0.6:2:8 \
-          --over amplitude_deg=15:35:5 -o map.yaml
+      swimid map --params tfish.yaml --over frequency_hz=0.6:2:8 --over amplitude_deg=15:35:5 -o map.yaml
       swimid map --robot tfish --waveform a-cpg --frequency-hz 1 --amplitude-deg 35 \
           --over bias_deg=25:35:3 --over asymmetry=0:0.4:2 --duration-s 20 -o steering.yaml
     """
@@ -67,7 +44,6 @@ class MapOptions(
         help="Axis: frequency_hz, amplitude_deg, bias_deg, asymmetry, lag_deg, scale of a stroke, or a "
         "coefficient (K_s). One or two.",
     )
-    trials: Source = option(None, help="Trials file: the map shows its measured speeds and marks its range.")
 
 
 class OptimiseStiffnessOptions(
@@ -80,12 +56,12 @@ class OptimiseStiffnessOptions(
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
     NSGA-II searches the stiffness at every point of the grid. The rule is a quadratic function of the
-    frequency for each amplitude; a controller reads it as YAML or as a C header. An interrupted run
-    continues when it is started again.
+    frequency for each amplitude, which a controller reads as YAML. An interrupted run continues when it is
+    started again.
 
     Examples:
       swimid optimise stiffness --params tfish.yaml --over frequency_hz=0.6:2:8 \
-          --over amplitude_deg=15:35:5 -o rule.yaml --header rule.h
+          --over amplitude_deg=15:35:5 -o rule.yaml
       swimid optimise stiffness --robot dolphin --amplitude-deg 27 --over frequency_hz=1:5:9 \
           --between 0.1,3 --objective cost-of-transport -o rule.yaml
     """
@@ -107,13 +83,7 @@ class OptimiseStiffnessOptions(
     )
     population: int = option(24, ge=4, help="NSGA-II: population size.")
     generations: int = option(12, ge=1, help="NSGA-II: number of generations.")
-    draws: int = option(
-        40, ge=0, help="Draws of the coefficients from their covariance, for intervals; 0: none."
-    )
-    seed: int = option(0, ge=0, help="Seed of search and draws: the same seed gives the same file.")
-    header: Path | None = option(
-        None, written=True, recorded=False, help="C header of the rule to write (.h)."
-    )
+    seed: int = option(0, ge=0, help="Seed of the search: the same seed gives the same file.")
 
 
 Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]

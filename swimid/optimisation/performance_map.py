@@ -1,9 +1,9 @@
-"""``map``: quantities of a robot over a grid of gaits, compared with recorded trials."""
+"""``map``: quantities of a robot over a grid of gaits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -14,32 +14,24 @@ from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
 from swimid.errors import UsageError
-from swimid.files import atomic, yamlio
+from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
-from swimid.files.provenance import Input
-from swimid.files.yamlio import Number, Rows
-from swimid.fitting.model import Array, Trial
+from swimid.files.yamlio import Rows
+from swimid.fitting.model import Array
 from swimid.logs.kinematics import UNSTEADY
-from swimid.logs.trials import TrialSet
 from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
-from swimid.optimisation.performance import BATCH, BEAT, STROKE, Performance, Point, points_of
-from swimid.optimisation.study import StudyFile, in_parallel, study_of
+from swimid.optimisation.study import BATCH, BEAT, STROKE, Performance, Point, StudyFile, points_of
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
-from swimid.simulation import compare_series
-from swimid.simulation.catalogue import Applied
-from swimid.simulation.swim_quantities import value_text
-from swimid.swimmer import trials as swimmer
+from swimid.simulation.cases import value_text
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Maximum relative and maximum absolute difference between the drive of a trial and the drive of the map.
-DRIVE_RTOL, DRIVE_ATOL = 0.02, 1e-3
 #: Maximum number of points of a map.
 MAX_POINTS = 100_000
 #: Quantities that are plotted and tabulated, in this order, if the robot has them.
@@ -72,19 +64,6 @@ class Mapped(yamlio.Document):
     stderr: Rows | None = None
 
 
-class MeasuredPoint(yamlio.Document):
-    """A recorded trial that is compared with the map."""
-
-    trial: str
-    role: Literal["fit", "validate"]
-    #: Position of the trial on the axes of the map.
-    at: dict[str, float]
-    inside: bool
-    #: Mean speed over the last whole beats, m/s: in the log, and in a simulation of the trial.
-    measured_m_s: Number = None
-    simulated_m_s: Number = None
-
-
 class MapFile(StudyFile):
     """Map file: quantities of a robot over a grid of gaits."""
 
@@ -95,7 +74,6 @@ class MapFile(StudyFile):
     #: Number of simulations that broke down, and number of simulations whose speed still changes at the end.
     broken: int
     unsettled: int
-    measured: list[MeasuredPoint] = []
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -108,7 +86,7 @@ class PerformanceMap(FileResult[MapFile]):
     frame : DataFrame
         One row for each point: its position on the axes, and every quantity in SI units (NaN if unknown).
     file : MapFile
-        All results, including standard deviations and measured trials. :meth:`save` writes this file.
+        All results, including standard deviations. :meth:`save` writes this file.
     """
 
     file_type = MapFile
@@ -172,22 +150,14 @@ def performance_map(
         performance = Performance.of_options(options)
         if len(options.over) > 2:
             raise UsageError("a map has one axis or two")
-        performance.check({name: axis[:2] for name, axis in options.over.items()}, "--over")
-        performance.check_drive(options.over, "--over")
+        performance.check_gaits({name: axis[:2] for name, axis in options.over.items()}, "--over")
         if any(axis[2] < 2 for axis in options.over.values()):
             raise UsageError("--over: an axis has two points or more")
         if math.prod(axis[2] for axis in options.over.values()) > MAX_POINTS:
             raise UsageError(f"a map has at most {MAX_POINTS} points")
         axes = {name: np.linspace(*axis).tolist() for name, axis in options.over.items()}
-        inputs: Sequence[Input] = ()
-        region: Mapping[str, tuple[float, float]] = {}
-        measured: list[MeasuredPoint] = []
-        if options.trials is not None:
-            inputs, region, measured = recorded_trials(options.trials, performance, axes)
-        study = study_of(performance, options, inputs)
-        if output is not None:
-            atomic.check_writable(output, inputs=study.inputs)
-        keep = Checkpoint.beside(output, study.key)
+        study = studies.study_of(performance, options, output)
+        keep = study.checkpoint
         points = points_of(axes)
         uncertain = performance.applied.uncertain()[0]
         runs = len(points) * (1 + 2 * len(uncertain))
@@ -210,20 +180,14 @@ def performance_map(
         change = np.zeros(len(values))
         if "speed_change_per_beat_m_s" in units:
             change = values[:, units.index("speed_change_per_beat_m_s")]
-        study.head["identified"] |= region
         file = MapFile(
             **study.head,
             axes=[Axis(name=n, unit=performance.axes[n], values=v) for n, v in axes.items()],
             quantities=quantities,
             broken=int((~np.isfinite(values)).all(axis=1).sum()),
             unsettled=int((np.abs(change) > UNSTEADY * np.abs(speed)).sum()),
-            measured=measured,
         )
-    evidence = evidence_of(file, notices, study.origin)
-    file.verdict = evidence.verdict.level
-    saved = PerformanceMap.of(file, evidence).saved(output)
-    keep.done()
-    return saved
+    return study.saved(PerformanceMap, file, evidence_of(file, notices, study.origin))
 
 
 def _simulate(
@@ -249,91 +213,8 @@ def _simulate(
     def one(k: int) -> Array:
         return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
 
-    found = in_parallel(one, range(len(parts)), jobs, "gaits", progress)
+    found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
     return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
-
-
-# ------------------------------------------------------------ recorded trials
-
-
-def recorded_trials(
-    source: str | Path | TrialSet, performance: Performance, axes: Mapping[str, Sequence[float]]
-) -> tuple[list[Input], dict[str, tuple[float, float]], list[MeasuredPoint]]:
-    """Return the trials of a trials file that can be compared with a map.
-
-    Parameters
-    ----------
-    source : path or TrialSet
-    performance : Performance
-        Model and drive of the same robot.
-    axes : dict of str to sequence of float
-        Axes of the map.
-
-    Returns
-    -------
-    inputs : list of Input
-        Files that were read.
-    region : dict of str to (float, float)
-        Range of each axis in the trials of role ``fit``.
-    points : list of MeasuredPoint
-        Trials whose drive differs from the drive of the map only in parameters that are axes.
-
-    Raises
-    ------
-    UsageError, InputError
-        For a trials file of another robot, and for any error in the file.
-    """
-    model, given = performance.model, performance.applied
-    readings: dict[str, str] = {}
-    if given.file is not None:
-        readings = dict(given.file.settings.get("readings", {}))
-    experiment = swimmer.load(source, readings=readings, max_step=model.max_step)
-    if experiment.robot.name != model.robot.name:
-        raise UsageError(
-            f"these are trials of the robot '{experiment.robot.name}', the map is of '{model.robot.name}'"
-        )
-    applied = Applied(experiment.model, given.file, given.path, given.chosen)
-    places = {trial.id: _place(applied, trial, axes) for trial in experiment.trials}
-    fitted = [places[t.id] for t in experiment.trials if t.role == "fit" and places[t.id]]
-    region = {n: (min(p[n] for p in fitted), max(p[n] for p in fitted)) for n in axes if fitted}
-    points = []
-    for trial in experiment.trials:
-        at = places[trial.id]
-        if not at or not _has_drive_of(trial, performance, axes):
-            continue
-        compared = compare_series.compare_trial(experiment, applied, trial, refit=True)
-        point = MeasuredPoint(
-            trial=trial.id,
-            role=trial.role,  # type: ignore[arg-type]
-            at=at,
-            inside=all(min(values) <= at[name] <= max(values) for name, values in axes.items()),
-        )
-        speed = compared.record.mean_speed
-        if speed is not None:
-            point.measured_m_s, point.simulated_m_s = speed.measured, speed.simulated
-        points.append(point)
-    return experiment.inputs, region, points
-
-
-def _place(applied: Applied, trial: Trial, names: Iterable[str]) -> dict[str, float]:
-    """Return the position of a trial on the named axes; empty if the trial lacks one of these quantities."""
-    drive = swimmer.drive_of(trial)
-    values = applied.values(trial.id).tolist()
-    known = dict(zip((p.name for p in applied.model.parameters), values, strict=True))
-    known |= {**(trial.swim.coefficients or {}), **drive}
-    if not drive or not set(names) <= set(known):
-        return {}
-    return {name: known[name] for name in names}
-
-
-def _has_drive_of(trial: Trial, performance: Performance, axes: Iterable[str]) -> bool:
-    """Return whether the drive of a trial is the drive of the map, apart from parameters that are axes."""
-    known, own = swimmer.drive_of(trial), performance.drive
-    names = [name for name in BEAT | STROKE if name in known and name not in axes]
-    return all(
-        abs(known[name] - own.get(name, 0.0)) <= max(DRIVE_RTOL * abs(known[name]), DRIVE_ATOL)
-        for name in names
-    )
 
 
 # ------------------------------------------------------------ evidence
@@ -346,9 +227,6 @@ def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]
         f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} × {len(a.values)}"
         for a in file.axes
     ]
-    tables = [_best_table(file)]
-    if file.measured:
-        tables.append(_measured_table(file))
     methods = [
         f"The gait of {file.robot} was varied over {axes}; each run of {file.duration_s:g} s began at "
         "rest and was judged by its last whole beats. The power of driven joints is that of their "
@@ -357,8 +235,8 @@ def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]
     ]
     return studies.evidence(
         file, "map", answer(file), _checks(file),
-        {"Grid": ", ".join(grid), "Trials beside it": str(len(file.measured))},
-        notices, origin, tables=tables, figures=_figures(file), methods=methods,
+        {"Grid": ", ".join(grid)},
+        notices, origin, tables=[_best_table(file)], figures=_figures(file), methods=methods,
     )  # fmt: skip
 
 
@@ -377,12 +255,6 @@ def _checks(file: MapFile) -> list[ev.Check]:
         checks += studies.forwards_check(np.array(surge.values, dtype=object).ravel().tolist())
     if all(q.stderr is None for q in file.quantities.values()):
         checks.append(studies.unknown_check("uncertainty of the map"))
-    pairs = [(m.measured_m_s, m.simulated_m_s) for m in file.measured]
-    errors = [a - b for a, b in pairs if None not in (a, b)]  # type: ignore[operator]
-    if errors:
-        rmse = float(np.sqrt(np.mean(np.square(errors))))
-        value = f"{numbers.number(rmse, 3, 'm/s')} over {len(errors)} trials"
-        checks.append(ev.check("measured mean speeds, RMSE", value, None))
     return checks
 
 
@@ -429,21 +301,6 @@ def _cell(file: MapFile, name: str, row: int, column: int) -> str:
     if q.stderr is not None:
         sd = q.stderr[row][column]
     return value_text(q.values[row][column], q.unit, sd)
-
-
-def _measured_table(file: MapFile) -> ev.Table:
-    rows: list[dict[str, ev.Cell]] = [
-        {
-            "trial": m.trial,
-            "role": {"fit": "fit", "validate": "held out"}[m.role],
-            **{name: numbers.number(at) for name, at in m.at.items()},
-            "measured": numbers.number(m.measured_m_s, 3, "m/s"),
-            "simulated": numbers.number(m.simulated_m_s, 3, "m/s"),
-        }
-        for m in file.measured
-    ]
-    caption = "Mean speed over the last beats of log and simulation."
-    return ev.table("measured", "Measured trials on the map", rows, caption)
 
 
 def _drawn(file: MapFile) -> list[str]:
@@ -510,10 +367,6 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
         (x0, x1), (y0, y1) = (file.identified[axis.name] for axis in (along, down))
         frame = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
         traces.append(ev.Trace(**frame, style="dashed", label="identified inside", group=N_LEVELS + 1))
-    inside = [m for m in file.measured if m.inside]
-    if inside:
-        points = ev.points(inside, lambda m: m.at[along.name], lambda m: m.at[down.name], label="trials")
-        traces.append(points)
     return ev.panel(_axis_title(along), _axis_title(down), traces, title=title)
 
 
@@ -525,11 +378,6 @@ def _curve(file: MapFile, name: str) -> ev.Panel:
     if q.stderr is not None:
         half = 2 * numbers.in_degrees(q.unit)[0] * np.array(q.stderr, dtype=float)[:, 0]
         traces = [ev.band(x, y, half, label="model, 2 sd")]
-    measured = [m for m in file.measured if m.measured_m_s is not None]
-    if measured and name == "mean_speed_m_s":
-        traces.append(
-            ev.points(measured, lambda m: m.at[axis.name], lambda m: m.measured_m_s, label="measured")
-        )
     spans = []
     if axis.name in file.identified:
         low, high = file.identified[axis.name]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Number
 from swimid.fitting import global_search
 from swimid.fitting.model import Array
-from swimid.optimisation.performance import Performance, Point
+from swimid.optimisation.study import Performance, Point
 from swimid.simulation.catalogue import Applied, is_possible
 
 #: Number of coefficient samples that are drawn at once, and maximum number of samples drawn.
@@ -34,10 +34,6 @@ N_MODEL_POINTS, N_ZOOMS = 512, 3
 PENALTY = 10.0
 #: Maximum relative violation at which a limit still counts as satisfied.
 LIMIT_RTOL = 1e-3
-#: First and last radius and maximum number of steps of the searches for coefficient samples. These searches
-#: start from the optimum for the estimated coefficients.
-DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
-
 #: Objective function. Its arguments are points in the unit cube, shape (n, d), and the index of the search to
 #: which each point belongs, shape (n,). It returns the goal and the violation of each limit, shape (n, 1 +
 #: limits). The violation is negative if the limit is satisfied.
@@ -96,24 +92,11 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
 # ------------------------------------------------------------ gradient search
 
 
-@dataclass(frozen=True)
-class Minima:
-    """Final points of several searches.
-
-    Attributes
-    ----------
-    points : ndarray, shape (k, d)
-    values : ndarray, shape (k,)
-        Goal plus the penalties of violated limits.
-    """
+class Minima(NamedTuple):
+    """Final points of several searches, shape (k, d), and the goal plus the penalties there, shape (k,)."""
 
     points: Array
     values: Array
-
-    @property
-    def best(self) -> int:
-        """Index of the search with the minimum value."""
-        return int(np.argmin(self.values))
 
 
 def merit(parts: Array) -> Array:
@@ -265,7 +248,6 @@ class Problem:
     goals: Sequence[tuple[str, float]]
     limits: Mapping[str, Limit]
     fixed: Point = field(default_factory=dict)
-    jobs: int = 1
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     scale: float = 1.0
     calls: int = field(default=0, init=False)
@@ -285,7 +267,7 @@ class Problem:
         gaits = [{**self.fixed, **self.at(x)} for x in points]
         self.calls += 1
         found = self.checkpoint.kept(
-            f"runs {self.calls}", lambda: self.performance.many(gaits, values, jobs=self.jobs).ravel()
+            f"runs {self.calls}", lambda: self.performance.many(gaits, values).ravel()
         )
         return found.reshape(-1, len(self.performance.units))
 
@@ -331,27 +313,19 @@ class Problem:
         """Return the first goal as it is minimised and the penalty of each limit, shape (n, 1 + limits)."""
         return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
 
-    def minimise(self, starts: Array, **how: Any) -> Minima:
-        """Minimise the first goal from several starting points (see :func:`descend`)."""
-        return descend(lambda x, _owner: self.parts(self.table(x)), starts, **how)
+    def minimise(self, starts: Array, vectors: Sequence[Array] | None = None, **how: Any) -> Minima:
+        """Minimise the first goal from several starting points (see :func:`descend`).
 
-    def minimise_in_draws(
-        self, vectors: Sequence[Array], start: Array, advance: Callable[[], Any] = lambda: None
-    ) -> Minima:
-        """Minimise the first goal for each of several parameter vectors, all from the same starting point."""
-        return descend(
-            lambda x, owner: self.parts(self.table(x, [vectors[k] for k in owner])),
-            np.tile(start, (len(vectors), 1)),
-            first=DRAW_RADIUS,
-            last=DRAW_LAST,
-            steps=DRAW_STEPS,
-            advance=advance,
-        )
+        With ``vectors``, the search from each starting point has a parameter vector of its own.
+        """
 
-    def costs(self, x: Array, vectors: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the quantities and the penalised goal of one point, for several parameter vectors."""
-        table = self.table(np.tile(x, (len(vectors), 1)), vectors)
-        return table, merit(self.parts(table))
+        def evaluate(x: Array, owner: NDArray[np.int64]) -> Array:
+            values = None
+            if vectors is not None:
+                values = [vectors[k] for k in owner]
+            return self.parts(self.table(x, values))
+
+        return descend(evaluate, starts, **how)
 
     def front(self, population: int, generations: int, seed: int, first: Array) -> Array:
         """Search the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.

@@ -1,27 +1,47 @@
-"""Common parts of maps, rules and gaits: keys of their files, parallel work, evidence and checks.
+"""Robot with a drive for many gaits at once, and the common parts of maps, rules and gaits.
 
-A study is the computation of one map, stiffness rule or best gait.
+A study is the computation of one map, stiffness rule or best gait. A quantity is a result of a simulation,
+such as the mean speed.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
-from swimid.files import provenance, yamlio
+import numpy as np
+
+from swimid.errors import NoTrustworthyResult, UsageError, suggestion
+from swimid.files import atomic, provenance, yamlio
+from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
+from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
-from swimid.notices import Notice, Progress
+from swimid.notices import Notice, Progress, silent
 from swimid.optimisation.options import GaitOptions
-from swimid.optimisation.performance import Performance
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
+from swimid.results.result import FileResult
 from swimid.robots import file as robot_format
+from swimid.simulation import cases, catalogue
+from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_drive, swim_input
+from swimid.simulation.catalogue import Applied
+from swimid.swimmer.model import Swimmer
 
+#: Minimum and maximum values of drive parameters.
+LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
+#: Number of gaits that are simulated together.
+BATCH = 8
+
+Point = Mapping[str, float]
 #: Warnings about the coefficients: they lie outside their bounds, or their fit did not converge or could not
 #: identify them.
 DOUBTFUL_CODES = ("SWM053", "SWM062")
@@ -36,6 +56,191 @@ REFERENCES = [
     "Deb, Pratap, Agarwal, Meyarivan (2002): A fast and elitist multiobjective genetic algorithm: NSGA-II. "
     "IEEE Transactions on Evolutionary Computation 6, doi:10.1109/4235.996017",
 ]
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Robot with its coefficients and its drive. A gait varies some of the drive parameters or coefficients.
+
+    Attributes
+    ----------
+    applied : Applied
+        Model and coefficients of a robot with links.
+    drive : mapping of str to float
+        Values of the parameters in :data:`BEAT`, or in :data:`STROKE` for a stroke. Gaits must vary the
+        parameters that are missing here.
+    options : GaitOptions
+        Waveform or stroke, ramp, and duration of each simulation. Simulations start from rest.
+    """
+
+    applied: Applied
+    drive: Mapping[str, float]
+    options: GaitOptions
+
+    @classmethod
+    def of_options(cls, options: GaitOptions) -> Performance:
+        """Return the robot and the drive that the options of a command describe.
+
+        Raises
+        ------
+        UsageError, InputError
+            For missing options, and for bad files.
+        """
+        file = None
+        if options.params is not None:
+            file = catalogue.read_parameters(options.params)
+            if file.model not in ("multilink", "multibody"):
+                raise UsageError(f"gaits are those of a robot with links, not of the model '{file.model}'")
+        made = cls(catalogue.load_robot(options, file), given_drive(options), options)
+        if not made.model.driven:
+            raise UsageError(f"the robot '{made.model.robot.name}' has no driven joint: there is no gait")
+        return made
+
+    @property
+    def model(self) -> Swimmer:
+        """Model of the robot."""
+        assert self.applied.model.swimmer is not None
+        return self.applied.model.swimmer
+
+    @property
+    def turn(self) -> str:
+        """Name of the rotation in the plane of the robot: ``yaw`` or ``pitch``."""
+        return self.model.pose[2].removesuffix("_rad")
+
+    @cached_property
+    def values(self) -> Array:
+        """Parameter vector with the given coefficients. Per-trial parameters have their neutral values."""
+        return self.applied.values()
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Quantities of a simulation with their units, in the order of :meth:`table`."""
+        return cases.units_of(self.model)
+
+    @property
+    def axes(self) -> dict[str, str]:
+        """Drive parameters and coefficients of the robot that may be varied, with their units."""
+        drive = STROKE if self.options.stroke is not None else BEAT
+        shared = {p.name: p.unit for p in self.model.parameters if not p.per_trial}
+        return {**drive, **shared}
+
+    @property
+    def identified(self) -> dict[str, tuple[float, float]]:
+        """Range of each drive parameter in the identification trials; empty if unknown."""
+        file = self.applied.file
+        if file is None or file.fit is None:
+            return {}
+        drives = (file.fit.model_extra or {}).get("drives", {})
+        return {name: (float(low), float(high)) for name, (low, high) in drives.items()}
+
+    def check(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
+        """Raise an error for names that cannot be varied, and for impossible ranges.
+
+        Raises
+        ------
+        UsageError
+        """
+        parameters = {p.name: p for p in self.model.parameters}
+        for name, (low, high) in varied.items():
+            if name not in self.axes:
+                hint = suggestion(name, list(self.axes), "there are")
+                raise UsageError(f"{option}: there is no '{name}'", hint=hint)
+            if name in self.applied.chosen:
+                raise UsageError(f"{option}: {name} is held by --set")
+            if not low < high:
+                raise UsageError(f"{option} {name}: {low:g} is not below {high:g}")
+            least, most = LIMITS.get(name, (-math.inf, math.inf))
+            if name in parameters:
+                least, most = parameters[name].lower, parameters[name].upper
+            if low < least or high > most or (name == "frequency_hz" and low == 0):
+                raise UsageError(f"{option} {name}: lies between {least:g} and {most:g}")
+
+    def check_gaits(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
+        """Raise an error as :meth:`check` does, and for a drive that is not complete with ``varied``."""
+        self.check(varied, option)
+        check_drive(self.options, varied, option)
+
+    def swim(self, point: Point) -> SwimInput:
+        """Return the drive of a gait."""
+        varied = {name: value for name, value in point.items() if name in BEAT | STROKE}
+        return swim_input(self.model, self.options, {**self.drive, **varied})
+
+    def run(self, point: Point) -> SwimRun:
+        """Return the simulation settings of a gait."""
+        name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
+        return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
+
+    def at(self, point: Point, values: Array | None = None) -> Array:
+        """Return the parameter vector for a gait."""
+        if values is None:
+            values = self.values
+        moved = values.copy()
+        for name, value in point.items():
+            if name not in BEAT | STROKE:
+                moved[self.model.index(name)] = value
+        return moved
+
+    def table(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
+        """Return the quantities of gaits, shape (n, quantities); NaN for a quantity that is not available.
+
+        Parameters
+        ----------
+        values : sequence of ndarray, optional
+            Parameter vector for each gait. Coefficients that the gait varies replace its entries.
+        """
+        runs = [self.run(point) for point in points]
+        given = [self.values] * len(points) if values is None else values
+        vectors = [self.at(point, vector) for point, vector in zip(points, given, strict=True)]
+        found = cases.quantities_of(self.model, runs, vectors)
+        self.model.forget([run.trial for run in runs])
+        return found
+
+    def many(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
+        """Return the quantities of gaits as :meth:`table` does, computed in several threads."""
+        given = [self.values] * len(points) if values is None else values
+        parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
+        tables = in_parallel(
+            lambda k: self.table(points[parts[k]], given[parts[k]]), len(parts), self.options.jobs
+        )
+        return np.concatenate(tables)
+
+    def with_errors(self, point: Point) -> Array:
+        """Return the quantities of a gait and their standard errors, shape (quantities, 2)."""
+        return np.column_stack(
+            self.applied.with_errors(
+                self.at(point), lambda vectors: self.table([point] * len(vectors), vectors)
+            )
+        )
+
+    def insist(self, table: Array) -> None:
+        """Raise an error if every simulation breaks down, or if the robot never moves.
+
+        Parameters
+        ----------
+        table : ndarray, shape (n, quantities)
+
+        Raises
+        ------
+        NoTrustworthyResult
+        """
+        if not np.isfinite(table).any():
+            raise NoTrustworthyResult(
+                "every simulation breaks down",
+                hint="check the parameters' signs and units, narrow the ranges, or take a smaller --dt",
+            )
+        units = list(self.units)
+        if "mean_speed_m_s" in units and not np.nanmax(table[:, units.index("mean_speed_m_s")]) > 0:
+            raise NoTrustworthyResult(
+                "the robot rests under each of these beats", hint="give a beat it swims by: --amplitude-deg"
+            )
+
+
+def points_of(axes: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
+    """Return the points of a grid. The last axis varies fastest."""
+    return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+
+
+# ------------------------------------------------------------ study
 
 
 class StudyFile(yamlio.ResultFile):
@@ -53,34 +258,44 @@ class StudyFile(yamlio.ResultFile):
     identified: dict[str, tuple[float, float]] = {}
 
 
+Made = TypeVar("Made", bound=FileResult[Any])
+
+
 @dataclass(frozen=True)
 class Study:
-    """Inputs, provenance and first keys of the file of a map, rule or gait.
+    """Inputs, provenance, checkpoint and first keys of the file of a map, rule or gait.
 
     Attributes
     ----------
-    inputs : list of Input
-        Files that were read.
     origin : dict
         Provenance with the time and the command.
     head : dict
         First keys of the file. The provenance in the file has no time, so that equal inputs give equal files.
     """
 
-    inputs: list[Input]
+    output: Path | None
+    checkpoint: Checkpoint
     origin: dict[str, Any]
     head: dict[str, Any]
 
-    @property
-    def key(self) -> list[Any]:
-        """Key of the checkpoint, by which an unfinished study is resumed."""
-        return [self.origin["inputs"], self.origin["settings"]]
+    def saved(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
+        """Return the result with this file and this evidence, after both were written to the output."""
+        file.verdict = evidence.verdict.level
+        result = made.of(file, evidence).saved(self.output)
+        self.checkpoint.done()
+        return result
 
 
-def study_of(performance: Performance, options: GaitOptions, more: Sequence[Input] = ()) -> Study:
-    """Return inputs, provenance and first file keys for the study that these options describe."""
+def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> Study:
+    """Return the study that these options describe.
+
+    Raises
+    ------
+    InputError
+        If the output cannot be written.
+    """
     applied, given = performance.applied, options.params
-    inputs: list[Input] = [*more]
+    inputs: list[Input] = []
     name, folder, params = options.robot, None, None
     if given is not None:
         inputs.append(parameters_format.origin(given))
@@ -89,36 +304,41 @@ def study_of(performance: Performance, options: GaitOptions, more: Sequence[Inpu
         if name is None and applied.file is not None:
             name, folder = applied.file.robot, place.parent
     inputs.append(robot_format.locate(str(name), folder))
+    if output is not None:
+        atomic.check_writable(output, inputs=inputs)
     origin = provenance.collect(inputs, settings=options.settings())
-    drive: dict[str, Any] = {"stroke": performance.stroke, **performance.drive}
-    if performance.stroke is None:
-        drive = {"waveform": performance.waveform, **performance.drive, "ramp_s": performance.ramp_s}
+    drive: dict[str, Any] = {"stroke": options.stroke, **performance.drive}
+    if options.stroke is None:
+        drive = {"waveform": options.waveform, **performance.drive, "ramp_s": options.ramp_s}
     head = {
         "verdict": "caution",
         "robot": performance.model.robot.name,
         "model": performance.model.name,
         "params": params,
         "drive": drive,
-        "duration_s": performance.duration_s,
+        "duration_s": options.duration_s,
         "identified": performance.identified,
         "provenance": {key: origin[key] for key in ("version", "inputs", "settings")},
     }
-    return Study(inputs, origin, head)
+    return Study(output, Checkpoint.beside(output, [origin["inputs"], origin["settings"]]), origin, head)
 
 
 def in_parallel(
-    work: Callable[[int], Array], items: Sequence[int], jobs: int | None, label: str, progress: Progress
+    work: Callable[[int], Array], count: int, jobs: int | None, label: str = "", progress: Progress = silent
 ) -> list[Array]:
     """Return the results of work on numbered items, in ``jobs`` threads (default: one per processor)."""
     done = []
     with (
-        progress(label, total=len(items)) as step,
-        map_in_threads(work, items, jobs or os.cpu_count() or 1) as results,
+        progress(label, total=count) as step,
+        map_in_threads(work, range(count), jobs or os.cpu_count() or 1) as results,
     ):
         for found in results:
             done.append(found)
             step()
     return done
+
+
+# ------------------------------------------------------------ evidence
 
 
 def evidence(

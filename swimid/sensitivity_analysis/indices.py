@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
@@ -36,7 +34,7 @@ class Sobol:
         Mean and standard deviation of the outputs over the ranges.
     evaluations, broken, left_out : int
         Number of evaluations, number of evaluations that broke down, and number of rows of the design that
-        were replaced.
+        were left out.
     first, total : ndarray, shape (s + g, d)
         First-order and total indices.
     first_ci, total_ci : ndarray, shape (2, s + g, d)
@@ -62,7 +60,6 @@ def sobol(
     samples: int = 256,
     seed: int = 0,
     groups: Sequence[Sequence[int]] = (),
-    names: Sequence[str] = (),
     jobs: int = 1,
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
@@ -82,8 +79,6 @@ def sobol(
     groups : sequence of sequences of int
         Groups of outputs. The indices of a group refer to the sum of the variances of its outputs (Gamboa et
         al. 2014, doi:10.1214/14-EJS895).
-    names : sequence of str
-        Names of the parameters, for error messages.
     jobs : int
         Number of threads. The result does not depend on it.
     checkpoint : Checkpoint, optional
@@ -93,8 +88,8 @@ def sobol(
     Returns
     -------
     Sobol
-        Indices with intervals from the percentile bootstrap over the rows. If a point of a row breaks down,
-        the row is replaced by the next row of the sequence.
+        Indices with intervals from the percentile bootstrap over the rows. Rows with a point that breaks down
+        are left out.
 
     Raises
     ------
@@ -110,94 +105,61 @@ def sobol(
         raise UsageError("Sobol indices share an output's variance between parameters: vary two or more")
     if samples < 2 or samples & (samples - 1):
         raise UsageError(f"the number of samples must be a power of two, not {samples}")
-    # the second half of the rows replaces rows with points that break down
-    unit = qmc.Sobol(2 * d, scramble=True, bits=64, rng=np.random.default_rng(seed)).random(2 * samples)
+    unit = qmc.Sobol(2 * d, scramble=True, bits=64, rng=np.random.default_rng(seed)).random(samples)
     a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
     design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
     design[:, 2 + np.arange(d), np.arange(d)] = b
-    keep = checkpoint or Checkpoint()
-    tried: list[Array] = []
-    sound: list[NDArray[np.bool_]] = []
+    points, keep, broken = design.reshape(-1, d), checkpoint or Checkpoint(), 0
+    parts = [points[k : k + BATCH] for k in range(0, len(points), BATCH)]
 
-    def of_rows(rows: NDArray[np.intp]) -> Array:
-        points = design[rows].reshape(-1, d)
-        parts = [points[k : k + BATCH] for k in range(0, len(points), BATCH)]
+    def one(k: int) -> Array:
+        found = keep.kept(f"points {k}", lambda: evaluate(parts[k]).ravel())
+        return found.reshape(len(parts[k]), -1)
 
-        def one(k: int) -> Array:
-            found = keep.kept(f"{rows[0]}.{k}", lambda: evaluate(parts[k]).ravel())
-            return found.reshape(len(parts[k]), -1)
-
-        outputs = []
-        with (
-            progress("sensitivity", total=len(parts)) as step,
-            map_in_threads(one, range(len(parts)), jobs) as results,
-        ):
-            for part, found in zip(parts, results, strict=True):
-                outputs.append(found)
-                tried.append(part)
-                sound.append(np.asarray(np.isfinite(found).all(axis=1)))
-                if np.sum(~np.concatenate(sound)) > MAX_BROKEN_SHARE * samples * (d + 2):
-                    _refuse(np.concatenate(tried), np.concatenate(sound), names)
-                step()
-        return np.concatenate(outputs).reshape(len(rows), d + 2, -1)
-
-    unused = samples
-    values = of_rows(np.arange(samples))
-    while (bad := np.flatnonzero(~np.isfinite(values).all(axis=(1, 2)))).size:
-        values[bad] = of_rows(np.arange(unused, unused + len(bad)))
-        unused += len(bad)
-    outputs = np.moveaxis(values, 0, -1)  # (d + 2, s, n)
+    done: list[Array] = []
+    with (
+        progress("sensitivity", total=len(parts)) as step,
+        map_in_threads(one, range(len(parts)), jobs) as results,
+    ):
+        for found in results:
+            done.append(found)
+            broken += int((~np.isfinite(found).all(axis=1)).sum())
+            if broken > MAX_BROKEN_SHARE * len(points):
+                raise NoTrustworthyResult(
+                    f"{broken} of the first {sum(map(len, done))} simulations break down, more than "
+                    f"{100 * MAX_BROKEN_SHARE:g} % of all",
+                    hint="narrow the ranges (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
+                )
+            step()
+    values = np.concatenate(done).reshape(samples, d + 2, -1)
+    sound = np.isfinite(values).all(axis=(1, 2))
+    outputs = np.moveaxis(values[sound], 0, -1)  # (d + 2, s, rows)
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
-    rng = np.random.default_rng([seed, 1])
-    drawn = [_indices(outputs[..., rng.integers(samples, size=samples)], groups) for _ in range(N_DRAWS)]
+    rng, rows = np.random.default_rng([seed, 1]), outputs.shape[-1]
+    drawn = [_indices(outputs[..., rng.integers(rows, size=rows)], groups) for _ in range(N_DRAWS)]
     first, total = _indices(outputs, groups)
     first_ci, total_ci = np.percentile(drawn, (2.5, 97.5), axis=0).transpose(1, 0, 2, 3)
-    evaluated, broken = sum(map(len, tried)), int(np.sum(~np.concatenate(sound)))
-    return Sobol(mean, sd, evaluated, broken, unused - samples, first, total, first_ci, total_ci)
+    return Sobol(mean, sd, len(points), broken, samples - rows, first, total, first_ci, total_ci)
 
 
 def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
     """Return first-order and total indices of outputs, shape (d + 2, s, n), as an array (2, s + g, d).
 
+    The estimators are those of ``scipy.stats.sobol_indices``, which takes only powers of two of rows.
     The indices of a group are the mean indices of its outputs, weighted by the variances of the outputs.
     """
-    from scipy.stats import sobol_indices
-
     a, b, ab = outputs[0], outputs[1], outputs[2:]
-    variance = np.var([a, b], axis=(0, -1))
-    with np.errstate(invalid="ignore"):
-        found = sobol_indices(func={"f_A": a, "f_B": b, "f_AB": ab}, n=a.shape[-1])
-    shape = (2, len(variance), len(ab))
+    mean, variance = np.mean([a, b], axis=(0, -1)), np.var([a, b], axis=(0, -1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        first = np.mean((b - mean[:, None]) * (ab - a), axis=-1) / variance
+        total = 0.5 * np.mean((a - ab) ** 2, axis=-1) / variance
     # the indices of an output without variance are set to zero
-    indices = np.nan_to_num(np.reshape([found.first_order, found.total_order], shape))
+    indices = np.nan_to_num([first.T, total.T], posinf=0.0, neginf=0.0)
     parts = [indices]
     for members in groups:
         weights = variance[list(members)]
         weights = weights / max(weights.sum(), np.finfo(float).tiny)
         parts.append(np.einsum("m,kmd->kd", weights, indices[:, list(members)])[:, None])
     return np.concatenate(parts, axis=1)
-
-
-def _refuse(points: Array, sound: NDArray[np.bool_], names: Sequence[str]) -> NoReturn:
-    """Raise an error that names the parameter whose values separate the broken points best, and its range.
-
-    Raises
-    ------
-    NoTrustworthyResult
-        Always.
-    """
-    from scipy.stats import ks_2samp
-
-    bad, fine = points[~sound], points[sound]
-    where = "all that were tried"
-    if len(fine):
-        distances = [ks_2samp(one, other).statistic for one, other in zip(bad.T, fine.T, strict=True)]
-        k = int(np.argmax(distances))
-        where = f"all of them have {names[k]} between {bad[:, k].min():.3g} and {bad[:, k].max():.3g}"
-    raise NoTrustworthyResult(
-        f"{len(bad)} of the first {len(points)} simulations break down, more than "
-        f"{100 * MAX_BROKEN_SHARE:g} % of all: {where}",
-        hint="narrow that coefficient's range (--range NAME=LOW,HIGH), or take a smaller step (--dt)",
-    )

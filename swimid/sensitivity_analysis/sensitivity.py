@@ -5,39 +5,34 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 from scipy.interpolate import CubicSpline
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.files import atomic, provenance
+from swimid.files import atomic, provenance, yamlio
 from swimid.files.atomic import Checkpoint
+from swimid.files.yamlio import Number
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.model import Array, Trial
 from swimid.logs.kinematics import CYCLE_QUANTITIES
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
+from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.sensitivity_analysis import evidence as sensitivity_evidence
-from swimid.sensitivity_analysis.evidence import (
-    Index,
-    Output,
-    Range,
-    SensitivityFile,
-    Shares,
-    Simulations,
-)
 from swimid.sensitivity_analysis.indices import Sobol, sobol
 from swimid.sensitivity_analysis.options import SensitivityOptions
 from swimid.simulation import catalogue, compare_series
+from swimid.simulation.cases import SwimRun, units_of
 from swimid.simulation.catalogue import Applied, Quantity, is_possible
-from swimid.simulation.swim_quantities import SwimRun, units_of
 from swimid.swimmer.model import Swimmer
 
 if TYPE_CHECKING:
@@ -45,8 +40,87 @@ if TYPE_CHECKING:
 
 #: Maximum ratio of the standard deviation of an output to its mean, for an output that counts as constant.
 CONSTANT_SHARE = 1e-9
-#: Threshold of the total index: a coefficient is negligible if its 95 % interval lies below this value.
-NEGLIGIBLE = 0.01
+#: Maximum width of the 95 % interval of a total index.
+MAX_WIDTH = 0.3
+#: Maximum change of an output when the integration step is halved, divided by the standard deviation of the
+#: output over the ranges.
+MAX_STEP_CHANGE = 0.05
+#: Maximum correlation of two estimates that are varied independently. A stronger one gives a warning.
+MAX_CORRELATION = 0.5
+REFERENCES = [
+    "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
+    "model output. Computer Physics Communications 181, doi:10.1016/j.cpc.2009.09.018",
+    "Gamboa, Janon, Klein, Lagnoux (2014): Sensitivity analysis for multidimensional and functional outputs. "
+    "Electronic Journal of Statistics 8, doi:10.1214/14-EJS895",
+]
+
+
+class Range(yamlio.Document):
+    """Range over which a coefficient was varied."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    #: Origin of the range: ``bounds`` of the parameter, ``stderr`` (two standard errors on either side),
+    #: ``share`` (a fraction of the value on either side), or ``given``.
+    source: Literal["bounds", "stderr", "share", "given"]
+
+
+class Index(yamlio.Document):
+    """Sobol index with its 95 % interval."""
+
+    value: float
+    ci95: tuple[float, float]
+
+
+class Shares(yamlio.Document):
+    """Fractions of an output's variance that a coefficient causes: alone, and with all its interactions."""
+
+    first: Index
+    total: Index
+
+
+class Output(yamlio.Document):
+    """Output of one trial or, without ``trial``, of all trials together."""
+
+    quantity: str
+    unit: str
+    trial: str | None = None
+    #: Value of the output with the given coefficients; None for all trials together.
+    value: Number = None
+    #: Mean and standard deviation of the output over the ranges of the coefficients.
+    mean: Number = None
+    sd: Number = None
+    shares: dict[str, Shares] = {}
+
+
+class Simulations(yamlio.Document):
+    """Number of points that were simulated, and number of points whose simulation broke down."""
+
+    evaluated: int
+    broken: int
+    #: Number of rows of the Sobol design that were left out because a point broke down.
+    left_out: int
+
+
+class SensitivityFile(yamlio.ResultFile):
+    """Content of a sensitivity file."""
+
+    kind: ClassVar[str] = "sensitivity file"
+    format: Literal["swimid-sensitivity/2"] = "swimid-sensitivity/2"
+    verdict: Literal["good", "caution", "bad"]
+    model: str
+    robot: str
+    experiment: str
+    params: str | None = None
+    #: Number of rows of the Sobol design.
+    samples: int
+    trials: list[str]
+    ranges: dict[str, Range]
+    outputs: list[Output]
+    simulations: Simulations
+    provenance: dict[str, Any] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +187,7 @@ class Run:
         if self.swim is not None:
             known, units = self.swim.quantities(model, values, columns, None), units_of(model)
             for name in _swim_outputs(model, self.swim):
-                outputs[name] = known.get(name, Quantity(math.nan, units[name]))
+                outputs[name] = Quantity(known.get(name, math.nan), units[name])
         for name, channel in self.measured.items():
             error = math.nan
             if np.isfinite(columns[name]).all():
@@ -145,15 +219,12 @@ class Study:
     ----------
     columns : sequence of (quantity, trial, unit)
         Quantity, trial and unit of each output, in order.
-    centre : ndarray, shape (s,)
-        Values of the outputs with the given coefficients.
     """
 
-    applied: Applied
+    model: Swimmer
     ranges: Mapping[str, Range]
     runs: Sequence[Run]
     columns: Sequence[tuple[str, str, str]]
-    centre: Array
 
     @property
     def groups(self) -> dict[str, list[int]]:
@@ -162,6 +233,22 @@ class Study:
         for k, (quantity, _, _) in enumerate(self.columns):
             groups.setdefault(quantity, []).append(k)
         return {quantity: members for quantity, members in groups.items() if len(members) > 1}
+
+    def outputs(self, points: Array) -> Array:
+        """Return the outputs for coefficients, shapes (n, s) and (n, d); NaN if a simulation breaks down."""
+        vectors = np.repeat(np.array([run.values for run in self.runs])[None], len(points), axis=0)
+        vectors[:, :, [self.model.index(name) for name in self.ranges]] = points[:, None]
+        possible = np.array([all(is_possible(self.model, one) for one in each) for each in vectors])
+        pairs = [(one, run) for each in vectors[possible] for one, run in zip(each, self.runs, strict=True)]
+        simulated = self.model.simulate_many([(one, run.trial) for one, run in pairs])
+        values = [
+            quantity.value
+            for (one, run), columns in zip(pairs, simulated, strict=True)
+            for quantity in run.outputs(self.model, one, columns).values()
+        ]
+        results = np.full((len(points), len(self.columns)), np.nan)
+        results[possible] = np.reshape(values, (-1, len(self.columns)))
+        return results
 
 
 @takes(SensitivityOptions)
@@ -222,7 +309,14 @@ def sensitivity(
     """
     count, params = options.samples, options.params
     with recorded(repeat=True) as notices:
-        experiment, applied = _load(trials, options)
+        if params is None and options.robot is not None:
+            raise UsageError("--robot belongs to --params: the trials file names the robot")
+        experiment, applied = catalogue.load(trials, options)
+        model = applied.model.swimmer
+        if model is None:
+            raise UsageError(
+                f"a study needs free-swim or multibody trials of a robot with links, not '{experiment.name}'"
+            )
         if output is not None:
             atomic.check_writable(output, inputs=experiment.inputs)
         over = _ranges(applied, options.ranges, options.coefficients)
@@ -230,59 +324,62 @@ def sensitivity(
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         # total simulated time
         ahead_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials) * count * (len(over) + 2)
-        _swimmer(applied).prepare(progress, simulated_s=ahead_s, checkpoint=keep)
+        model.prepare(progress, simulated_s=ahead_s, checkpoint=keep)
         study = _study(experiment, applied, over)
         estimates = sobol(
-            _evaluation(study),
+            study.outputs,
             np.array([r.low for r in over.values()]),
             np.array([r.high for r in over.values()]),
             samples=count,
             seed=options.seed,
             groups=list(study.groups.values()),
-            names=list(over),
             jobs=options.jobs or os.cpu_count() or 1,
             checkpoint=keep,
             progress=progress,
         )
+        given = np.array([[r.value for r in over.values()]])
+        (centre,), (finer,) = study.outputs(given), replace(study, model=model.refined()).outputs(given)
+        vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
+        step_change = float(np.max(np.abs(finer - centre)[vary] / estimates.sd[vary], initial=0.0))
         file = SensitivityFile(
             verdict="caution",
-            model=experiment.model.name,
+            model=model.name,
             robot=experiment.robot.name,
             experiment=experiment.name,
             params=parameters_format.place(params).name if params is not None else None,
             samples=count,
             trials=[t.id for t in experiment.trials],
             ranges=over,
-            outputs=_outputs(study, estimates),
+            outputs=_outputs(study, centre, estimates),
             simulations=Simulations(
                 evaluated=estimates.evaluations, broken=estimates.broken, left_out=estimates.left_out
             ),
             provenance=origin,
         )
-        step_change = _step_change(study, estimates)
-    evidence = sensitivity_evidence.evidence(file, step_change, _correlated(applied, over), notices)
-    evidence.references += experiment.robot.sources
-    file.verdict = evidence.verdict.level
+    checks = _checks(file, step_change, _correlated(applied, over))
+    verdict = ev.judged(_answer(file), checks)
+    file.verdict = verdict.level
+    evidence = ev.Evidence(
+        command="sensitivity",
+        title=f"Sensitivity of {file.robot}, {file.experiment}",
+        verdict=verdict,
+        facts={
+            "Robot": file.robot,
+            "Parameters": file.params or "the robot file's",
+            "Trials": str(len(file.trials)),
+            "Method": f"Sobol, {file.samples} rows ({file.simulations.evaluated} points)",
+        },
+        checks=checks,
+        tables=[_totals(file), _range_table(file)],
+        figures=[_map(file)],
+        notices=ev.notices(notices),
+        methods=[_method(file)],
+        references=[*REFERENCES, *experiment.robot.sources],
+        provenance=origin,
+    )
     saved = Sensitivity.of(file, evidence).saved(output)
     keep.done()
     return saved
-
-
-def _load(source: str | Path | TrialSet, options: SensitivityOptions) -> tuple[Experiment, Applied]:
-    if options.params is None and options.robot is not None:
-        raise UsageError("--robot belongs to --params: the trials file names the robot")
-    experiment, applied = catalogue.load(source, options)
-    if applied.model.swimmer is None:
-        raise UsageError(
-            f"a study needs free-swim or multibody trials of a robot with links, not '{experiment.name}'"
-        )
-    return experiment, applied
-
-
-def _swimmer(applied: Applied) -> Swimmer:
-    """Return the model of a robot with links. :func:`_load` refuses other models."""
-    assert applied.model.swimmer is not None
-    return applied.model.swimmer
 
 
 # ------------------------------------------------------------ ranges
@@ -290,11 +387,14 @@ def _swimmer(applied: Applied) -> Swimmer:
 
 def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
     """Return the range of every coefficient that is varied."""
-    parts = [text.partition("=") for text in texts]
-    own = {name.strip(): _ends(name.strip(), ends) for name, equals, ends in parts if equals}
-    rules = [name.strip() for name, equals, _ in parts if not equals] or ["bounds"]
-    if len(rules) > 1:
-        raise UsageError(f"--range: {' and '.join(rules)} contradict each other")
+    own: dict[str, tuple[float, float]] = {}
+    rule = "bounds"
+    for text in texts:
+        name, equals, ends = text.partition("=")
+        if equals:
+            own[name.strip()] = _ends(name.strip(), ends)
+        else:
+            rule = text.strip()
     shared = {p.name: p for p in applied.model.parameters if not p.per_trial}
     for name in (*own, *coefficients):
         if name not in shared:
@@ -302,28 +402,31 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
         if name in applied.chosen:
             raise UsageError(f"{name} is held by --set and cannot be varied")
     varied = coefficients or [p.name for p in shared.values() if p.free or p.name in own]
-    values = dict(zip([p.name for p in applied.model.parameters], applied.values().tolist(), strict=True))
+    values = applied.values()
     names, covariance = applied.uncertain()
     errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     ranges = {}
     for name, p in shared.items():
         if name not in varied or name in applied.chosen:
             continue
+        value = float(values[applied.model.index(name)])
+        half, source = _half_width(rule, value, errors.get(name, math.nan))
+        low, high = max(value - half, p.lower), min(value + half, p.upper)
         if name in own:
             low, high, source = *own[name], "given"
-        else:
-            low, high, source = _by_rule(p, values[name], rules[0], errors)
-        if math.isnan(low):
+        elif math.isnan(half):
             if coefficients:
                 raise UsageError(f"{name} has no standard error to make a range of")
             continue
         if not (math.isfinite(low) and math.isfinite(high)):
             raise UsageError(f"{name} has no bounds", hint=f"give them: --range {name}=LOW,HIGH")
         if not low < high:
-            raise UsageError(f"the range of {name} is empty: {low:g} to {high:g}")
-        ranges[name] = Range(value=values[name], low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
+            hint = f"give another one, --range {name}=LOW,HIGH, or hold it, --set {name}={value:g}"
+            raise UsageError(f"the range of {name} is empty: {low:g} to {high:g}", hint=hint)
+        ranges[name] = Range(value=value, low=low, high=high, unit=p.unit, source=source)  # type: ignore[arg-type]
     if not ranges:
-        raise UsageError("there is no coefficient to vary", hint="name one: --range NAME=LOW,HIGH")
+        hint = "name one, --range NAME=LOW,HIGH, or give a parameter file with standard errors: --params"
+        raise UsageError("there is no coefficient to vary", hint=hint)
     return ranges
 
 
@@ -336,28 +439,19 @@ def _ends(name: str, text: str) -> tuple[float, float]:
     return low, high
 
 
-def _by_rule(p: Parameter, value: float, rule: str, errors: Mapping[str, float]) -> tuple[float, float, str]:
-    """Return both ends of a range and the origin of the range; NaN if the standard error is unknown."""
+def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
+    """Return half the width of a range by a rule, and the origin of the range; NaN without ``stderr``."""
     if rule == "bounds":
-        return p.lower, p.upper, rule
+        return math.inf, rule
     if rule == "stderr":
-        if not errors:
-            raise UsageError("--range stderr needs a parameter file with standard errors: --params")
-        half = 2 * errors.get(p.name, math.nan)
-        return max(value - half, p.lower), min(value + half, p.upper), rule
+        return 2 * stderr, rule
     try:
         share = float(rule.removesuffix("%")) / 100.0
     except ValueError:
         share = math.nan
     if not rule.endswith("%") or not 0 < share < math.inf:
         raise UsageError(f"--range: '{rule}' should be bounds, stderr, 20% or NAME=LOW,HIGH")
-    half = share * abs(value)
-    if half == 0:
-        raise UsageError(
-            f"{p.name} is 0, of which no share is a range",
-            hint=f"give it one, --range {p.name}=LOW,HIGH, or hold it, --set {p.name}=0",
-        )
-    return max(value - half, p.lower), min(value + half, p.upper), "share"
+    return share * abs(value), "share"
 
 
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
@@ -376,9 +470,9 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
 
 
 def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
-    """Return the runs with their start states, and the outputs with the given coefficients."""
-    model = _swimmer(applied)
-    runs, columns, centre = [], [], []
+    """Return the runs with their start states, and the names of their outputs."""
+    model: Swimmer = applied.model.swimmer
+    runs, columns = [], []
     for trial in experiment.trials:
         run = _run(applied, model, trial)
         quantities = run.outputs(model, run.values, model.attempt(run.values, run.trial))
@@ -390,10 +484,9 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
             )
         runs.append(run)
         columns += [(name, trial.id, q.unit) for name, q in quantities.items()]
-        centre += [q.value for q in quantities.values()]
     if not columns:
         raise NoTrustworthyResult("these trials have no output: the base is fixed and no joint is passive")
-    return Study(applied, over, runs, columns, np.array(centre))
+    return Study(model, over, runs, columns)
 
 
 def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
@@ -416,47 +509,9 @@ def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
     return Run(replace(trial, time_s=times, measured={}, inputs={}), swim, measured, values)
 
 
-def _evaluation(study: Study, model: Swimmer | None = None) -> Callable[[Array], Array]:
-    """Return the function from coefficients, shape (n, d), to the outputs, shape (n, s).
-
-    Outputs are NaN where a simulation breaks down.
-    """
-    known = model or _swimmer(study.applied)
-    places = [known.index(name) for name in study.ranges]
-
-    def evaluate(points: Array) -> Array:
-        vectors = np.repeat(np.array([run.values for run in study.runs])[None], len(points), axis=0)
-        vectors[:, :, places] = points[:, None]
-        possible = np.array([all(is_possible(known, one) for one in each) for each in vectors])
-        pairs = [(one, run) for each in vectors[possible] for one, run in zip(each, study.runs, strict=True)]
-        simulated = known.simulate_many([(one, run.trial) for one, run in pairs])
-        values = [
-            quantity.value
-            for (one, run), columns in zip(pairs, simulated, strict=True)
-            for quantity in run.outputs(known, one, columns).values()
-        ]
-        results = np.full((len(points), len(study.columns)), np.nan)
-        results[possible] = np.reshape(values, (-1, len(study.columns)))
-        return results
-
-    return evaluate
-
-
-def _step_change(study: Study, estimates: Sobol) -> float:
-    """Return the maximum change of an output when the integration step is halved.
-
-    The change is divided by the standard deviation of the output over the ranges.
-    """
-    finer = _swimmer(study.applied).refined()
-    given = np.array([r.value for r in study.ranges.values()])
-    change = np.abs(_evaluation(study, finer)(given[None])[0] - study.centre)
-    vary = estimates.sd > CONSTANT_SHARE * np.abs(estimates.mean)
-    return float(np.max(change[vary] / estimates.sd[vary], initial=0.0))
-
-
-def _outputs(study: Study, estimates: Sobol) -> list[Output]:
+def _outputs(study: Study, centre: Array, estimates: Sobol) -> list[Output]:
     """Return the outputs of each trial, then the outputs of all trials together, with their indices."""
-    statistics = np.column_stack([study.centre, estimates.mean, estimates.sd]).tolist()
+    statistics = np.column_stack([centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
         Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
         for (quantity, trial, unit), (value, mean, sd) in zip(study.columns, statistics, strict=True)
@@ -472,9 +527,130 @@ def _outputs(study: Study, estimates: Sobol) -> list[Output]:
 
 
 def _shares(sobol: Sobol, row: int, k: int) -> Shares:
-    first, total = (
-        Index(value=float(index[row, k]), ci95=ends[:, row, k].tolist())
-        for index, ends in ((sobol.first, sobol.first_ci), (sobol.total, sobol.total_ci))
+    def index(values: Array, ends: Array) -> Index:
+        return Index(value=float(values[row, k]), ci95=ends[:, row, k].tolist())
+
+    return Shares(first=index(sobol.first, sobol.first_ci), total=index(sobol.total, sobol.total_ci))
+
+
+# ------------------------------------------------------------ evidence
+
+
+def _headline(file: SensitivityFile) -> list[Output]:
+    """Return one output for each quantity: of all trials together, or of the only trial with the quantity."""
+    outputs: dict[str, Output] = {}
+    for one in file.outputs:
+        if one.trial is None or one.quantity not in outputs:
+            outputs[one.quantity] = one
+    return list(outputs.values())
+
+
+def _ranked(output: Output) -> list[tuple[str, Index]]:
+    """Return the coefficients and their total indices, in descending order of the index."""
+    entries = [(name, shares.total) for name, shares in output.shares.items()]
+    return sorted(entries, key=lambda item: -item[1].value)
+
+
+def _checks(
+    file: SensitivityFile, step_change: float, strongest: tuple[float, str, str] | None
+) -> list[ev.Check]:
+    """Return the checks of an analysis.
+
+    Parameters
+    ----------
+    step_change : float
+        Maximum change of an output when the integration step is halved, divided by the standard deviation of
+        the output over the ranges.
+    strongest : (correlation, name, name) or None
+        Strongest correlation of two coefficients whose ranges follow from their standard errors, and their
+        names.
+    """
+    runs = file.simulations
+    totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _ranked(o)]
+    widths = [(index.ci95[1] - index.ci95[0], f"{name} in {output}") for name, output, index in totals]
+    width, where = max(widths, default=(0.0, ""))
+    left_out = f"{runs.left_out} rows of the design left out" * bool(runs.broken)
+    samples = f"{where}: take more --samples" * bool(width > MAX_WIDTH)
+    broken, wide = f"{runs.broken} of {runs.evaluated}", f"at most {numbers.number(width, 2)} wide"
+    change, steady = f"{numbers.number(step_change, 2)} sd", step_change <= MAX_STEP_CHANGE
+    halved = "maximum change of an output when the step is halved, over its deviation in the ranges"
+    none, limit = "none (refused above 1 %)", f"≤ {MAX_WIDTH:g}"
+    checks = [
+        ev.check("simulations that broke down", broken, not runs.broken, none, left_out),
+        ev.check("narrow intervals", wide, width <= MAX_WIDTH, limit, samples),
+        ev.check("integration step", change, steady, f"≤ {MAX_STEP_CHANGE:g} sd", halved),
+    ]
+    if strongest is not None:
+        size, one, other = strongest
+        value = f"correlation up to {numbers.number(size, 2)} ({one}, {other})"
+        sound = abs(size) <= MAX_CORRELATION
+        text = "the estimates are correlated: the ranges hold more than is uncertain" * (not sound)
+        checks.append(ev.check("ranges independent", value, sound, f"≤ {MAX_CORRELATION:g} in size", text))
+    return checks
+
+
+def _answer(file: SensitivityFile) -> str:
+    """Return the most influential coefficients of the first outputs as a sentence."""
+    parts = []
+    for o in _headline(file)[:3]:
+        named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
+        if named:
+            parts.append(f"{o.quantity} is most sensitive to {', '.join(named)}")
+    return "; ".join(parts) + "."
+
+
+# ------------------------------------------------------------ tables
+
+
+def _totals(file: SensitivityFile) -> ev.Table:
+    """Return a table of the most influential coefficients of each output."""
+    ranks = ("largest", "second", "third")
+    rows: list[dict[str, ev.Cell]] = []
+    for o in _headline(file):
+        row: dict[str, ev.Cell] = {"output": o.quantity, **dict.fromkeys(ranks, "")}
+        for rank, (name, index) in zip(ranks, _ranked(o), strict=False):
+            low, high = (numbers.number(end, 2) for end in index.ci95)
+            row[rank] = f"{name} {numbers.number(index.value, 2)} ({low} … {high})"
+        rows.append(row)
+    return ev.table("totals", "Total indices, 95 %", rows)
+
+
+def _range_table(file: SensitivityFile) -> ev.Table:
+    rows: list[dict[str, ev.Cell]] = [
+        {
+            "coefficient": name,
+            "given": numbers.number(r.value),
+            "from": numbers.number(r.low),
+            "to": numbers.number(r.high),
+            "unit": numbers.unit_text(r.unit),
+            "range": r.source,
+        }
+        for name, r in file.ranges.items()
+    ]
+    caption = "Uniform and independent of each other; a wider range of a coefficient raises its share."
+    return ev.table("ranges", "Ranges of the coefficients", rows, caption)
+
+
+# ------------------------------------------------------------ figures
+
+
+def _map(file: SensitivityFile) -> ev.Figure:
+    outputs = [o for o in _headline(file) if o.shares]
+    names = list(file.ranges)
+    values = [[round(o.shares[name].total.value, 2) for name in names] for o in outputs]
+    heat = ev.Heat(rows=[o.quantity for o in outputs], columns=names, values=values, scale="linear")  # type: ignore[arg-type]
+    caption = "Total Sobol indices: the share of an output's variance that a coefficient takes part in."
+    title = "Sensitivity of each output"
+    return ev.panels("indices", title, caption, [ev.panel("", "", [], heat=heat)])
+
+
+def _method(file: SensitivityFile) -> str:
+    """Return a sentence for the methods section of a paper."""
+    runs, trials = file.simulations, f"{len(file.trials)} {file.experiment} trials"
+    return (
+        f"First-order and total Sobol indices of the outputs of {trials} to {', '.join(file.ranges)}, "
+        f"independent and uniform over their ranges, were estimated from {file.samples} rows of a scrambled "
+        f"Sobol sequence ({runs.evaluated} points, {runs.broken} of which broke down) by the estimators of "
+        "Saltelli et al. (2010), with intervals by the bootstrap over the rows; those of all trials together "
+        "are shares of their summed variance (Gamboa et al. 2014)."
     )
-    negligible = total.ci95[1] < NEGLIGIBLE
-    return Shares(first=first, total=total, first_told=first.ci95[0] > 0, negligible=negligible)

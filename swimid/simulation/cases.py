@@ -1,10 +1,15 @@
-"""Cases for ``simulate``: runs driven by a beat, a weight or an input log, and recorded trials."""
+"""Cases for ``simulate``: runs driven by a beat, a weight or an input log, and recorded trials.
+
+The quantities of a simulated swim are defined in :mod:`swimid.logs.kinematics`. :class:`SwimRun` samples a
+run so that it ends in whole cycles, and adds the quantities that need the model: amplitudes of passive
+joints, tail excursion, power.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +19,16 @@ from swimid.blackbox.model import ArxModel
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
-from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SurgeInput, SwimInput
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SwimInput
+from swimid.fitting.model import Array, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
-from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat
-from swimid.logs.trials import StrokeDrive, TrialSet
+from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
+from swimid.logs.trials import StrokeDrive
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
-from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, velocity_ratio
+from swimid.propulsion.model import SPEED, RecoilModel, velocity_ratio
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
@@ -31,12 +36,12 @@ from swimid.rig import model as rig
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
 from swimid.simulation import catalogue
-from swimid.simulation.catalogue import Applied, Compute, Quantity
-from swimid.simulation.options import SimulateOptions
-from swimid.simulation.swim_quantities import SwimRun, quantity
+from swimid.simulation.catalogue import Applied, Compute
+from swimid.simulation.options import DriveOptions, SimulateOptions
 from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer
-from swimid.swimmer.model import Swimmer
+from swimid.swimmer.model import Energetics, Swimmer
+from swimid.swimmer.planar.model import Body
 
 #: Default duration of a run, s, and default sample rate, Hz.
 DURATION_S, RATE_HZ = 15.0, 50.0
@@ -44,8 +49,9 @@ DURATION_S, RATE_HZ = 15.0, 50.0
 MAX_SAMPLES = 20_000_000
 #: Length of a course on which the start from rest has a negligible effect on the mean speed, m.
 FAR_M = 1e9
-#: Maximum bend of a joint, degrees. A larger bend gives a warning.
-MAX_BEND_DEG = 90.0
+#: Drive parameters with their units: of a beat, and of a stroke.
+BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
+STROKE = {"frequency_hz": "Hz", "scale": "1"}
 
 
 @dataclass(frozen=True)
@@ -61,8 +67,10 @@ class Case:
         Metadata of the log.
     extra : dict of str to ndarray, each shape (n,)
         Columns of the log in addition to the simulated channels: commands, forces, measured inputs.
+    units : dict of str to str
+        Names of the quantities of the run, with their units.
     quantities : callable or None
-        Function from parameter vectors to the quantities of the run.
+        Function from parameter vectors to the quantities of the run, in the order of ``units``.
     """
 
     applied: Applied
@@ -70,6 +78,7 @@ class Case:
     trial: Trial
     metadata: Mapping[str, Any]
     extra: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     quantities: Compute | None = None
 
     @property
@@ -115,20 +124,6 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
     return np.arange(max(round(duration * rate), 1) + 1) / rate
 
 
-def _needed(options: SimulateOptions, what: str, *names: str) -> list[Any]:
-    """Return the values of the named options, which the kind of run in ``what`` requires.
-
-    Raises
-    ------
-    UsageError
-        If one of the options is missing.
-    """
-    for name in names:
-        if getattr(options, name) is None:
-            raise UsageError(f"{what} needs --{name.replace('_', '-')}")
-    return [getattr(options, name) for name in names]
-
-
 def case_of_options(options: SimulateOptions) -> Case:
     """Return the case of the run that the options describe.
 
@@ -149,25 +144,18 @@ def case_of_options(options: SimulateOptions) -> Case:
         raise UsageError(f"--reading belongs to robots with links, not to the model '{file.model}'")
     if file.model == "arma":
         return _arma(options, file, path)
-    makers = {
-        "falling-weight": _falling_weight,
-        RecoilModel.name: _cruise,
-        SurgeModel.name: _surge,
-    }
-    if file.model not in makers:
+    if file.model not in ("falling-weight", RecoilModel.name):
         raise UsageError(
             f"the model '{file.model}' can be simulated for recorded trials only",
             hint="give them with --trials",
         )
     robot = robot_format.read(*catalogue.robot_of_parameters(file, path, options.robot))
-    model, trial, metadata, more = makers[file.model](options, file, path, robot)
-    applied = Applied(model, file, path, options.chosen)
-    return Case(applied, applied.values(), trial, _metadata(options, robot.name, **metadata), **more)
+    if file.model == RecoilModel.name:
+        return _cruise(options, file, path, robot)
+    return _falling_weight(options, file, path, robot)
 
 
-def cases_of_trials(
-    trials: str | Path | TrialSet, options: SimulateOptions, only: str | None
-) -> tuple[list[Case], Sequence[Input]]:
+def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
     """Return recorded trials as cases, with their own drives and start states, and the inputs of the trials.
 
     Raises
@@ -179,11 +167,10 @@ def cases_of_trials(
     """
     if options.params is None:
         raise UsageError("--trials needs a parameter file: --params")
-    experiment, applied = catalogue.load(trials, options)
-    names = [t.id for t in experiment.trials]
+    experiment, applied = catalogue.load(options.trials, options)
+    only, names = options.trial, [t.id for t in experiment.trials]
     if only is not None and only not in names:
-        name = trials_format.place(trials).name
-        raise UsageError(f"there is no trial '{only}' in {name}", hint=suggestion(only, names))
+        raise UsageError(f"there is no trial '{only}'", hint=suggestion(only, names))
     cases = []
     for trial in experiment.trials:
         if only not in (None, trial.id):
@@ -213,7 +200,7 @@ def _swimming(
         metadata["drive"] = drive_block(trial)
     metadata["dt_s"] = model.max_step
     extra, quantities = commands(model, trial, values), _swim_quantities(model, trial, values)
-    return Case(applied, values, trial, metadata, extra, quantities)
+    return Case(applied, values, trial, metadata, extra, units_of(model), quantities)
 
 
 def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
@@ -221,30 +208,106 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
     applied = catalogue.load_robot(options, file)
     values, model = applied.values(), applied.model.swimmer
     assert model is not None
-    swim, kind = SwimInput(), "multibody"
-    if model.free_base:
-        swim = SwimInput(pose=(0.0,) * len(model.pose))
-        kind = "multibody" if model.in_space else "free-swim"
-    metadata = _metadata(options, model.robot.name, experiment=kind)
-    beaten = options.frequency_hz is not None or options.amplitude_deg is not None
+    kind = "multibody"
+    if model.free_base and not model.in_space:
+        kind = "free-swim"
+    metadata, drive = _metadata(options, model.robot.name, experiment=kind), given_drive(options)
     if options.input is not None:
-        if beaten:
+        if "frequency_hz" in drive or "amplitude_deg" in drive:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
         time, joints = _recorded_joints(options.input, options, model)
-        swim = replace(swim, joints=joints)
+        swim = SwimInput(joints=joints, pose=rest_pose(model))
         metadata["input"] = options.input.name
-    elif options.stroke is not None:
-        swim = replace(swim, stroke=swimmer.cycle_of(_stroke(options.stroke, options), model))
+    elif model.driven or options.stroke is not None:
+        check_drive(options)
+        swim = swim_input(model, options, drive, options.cycles)
         time = _times(options, swim.stroke)
+        if swim.beat is not None:
+            _check_sampling(options, swim.beat.frequency_hz)
+    elif drive:
+        raise UsageError(f"the robot '{model.robot.name}' has no driven joint: there is nothing to beat")
     else:
-        if model.driven:
-            swim = replace(swim, beat=_beat(options, model))
-        elif beaten:
-            raise UsageError(f"the robot '{model.robot.name}' has no driven joint: there is nothing to beat")
-        time = _times(options)
+        swim, time = SwimInput(pose=rest_pose(model)), _times(options)
     return _swimming(applied, values, model, Trial("run", "fit", time, {}, swim=swim), metadata)
+
+
+def rest_pose(model: Swimmer) -> tuple[float, ...] | None:
+    """Return the pose of a robot that starts at the origin; None for a fixed base."""
+    return (0.0,) * len(model.pose) if model.free_base else None
+
+
+def given_drive(options: DriveOptions) -> dict[str, float]:
+    """Return the drive parameters that the options state: of a stroke if they name one, else of a beat."""
+    names = STROKE if options.stroke is not None else BEAT
+    stated = {name: getattr(options, name) for name in names}
+    return {name: float(value) for name, value in stated.items() if value is not None}
+
+
+def check_drive(options: DriveOptions, varied: Collection[str] = (), option: str = "") -> None:
+    """Raise an error for a drive that is incomplete or contradicts itself.
+
+    Parameters
+    ----------
+    varied : collection of str
+        Drive parameters that ``option`` varies.
+
+    Raises
+    ------
+    UsageError
+    """
+    stated = {name for name in BEAT if getattr(options, name)} | set(varied)
+    if options.stroke is not None:
+        if stated & {"amplitude_deg", "bias_deg", "asymmetry", "lag_deg"}:
+            raise UsageError("--stroke takes the place of a beat: leave out the parameters of a beat")
+        return
+    for name in ("frequency_hz", "amplitude_deg"):
+        if name not in varied and getattr(options, name) is None:
+            others = f", or {name} among what is varied ({option})" * bool(option)
+            raise UsageError(f"the drive needs --{name.replace('_', '-')}{others}")
+    if "asymmetry" in stated and options.waveform != "a-cpg":
+        raise UsageError("asymmetry belongs to --waveform a-cpg")
+
+
+def swim_input(
+    model: Swimmer, options: DriveOptions, drive: Mapping[str, float], cycles: float | None = None
+) -> SwimInput:
+    """Return the input of a run from rest with the given parameters of a stroke or a beat."""
+    if options.stroke is not None:
+        # the default ramp is for beats only: a stroke has no ramp unless one is given
+        ramp = options.ramp_s * (options.ramp_s != options.declared()["ramp_s"].default)
+        command = StrokeDrive(
+            stroke=options.stroke,
+            frequency_hz=drive.get("frequency_hz"),
+            scale=drive.get("scale", 1.0),
+            ramp_s=ramp,
+            cycles=cycles,
+        )
+        return SwimInput(stroke=swimmer.cycle_of(command, model), pose=rest_pose(model))
+    beat = drives.Beat(
+        options.waveform,
+        drive["frequency_hz"],
+        math.radians(drive["amplitude_deg"]),
+        math.radians(drive.get("bias_deg", 0.0)),
+        drive.get("asymmetry", 0.0),
+        options.ramp_s,
+        lag_rad=math.radians(drive.get("lag_deg", 0.0)),
+    )
+    return SwimInput(beat, pose=rest_pose(model))
+
+
+def _check_sampling(options: SimulateOptions, frequency_hz: float) -> None:
+    """Check that integration step and sample rate resolve a beat."""
+    rate = options.sample_rate_hz or RATE_HZ
+    if frequency_hz * options.dt >= 0.5:
+        raise UsageError(
+            f"a beat of {frequency_hz:g} Hz cannot be integrated with steps of {options.dt:g} s",
+            hint=f"take --dt {0.02 / frequency_hz:.1g} or less",
+        )
+    if frequency_hz >= 0.5 * rate:
+        text = f"{rate:g} samples a second do not show a beat of {frequency_hz:g} Hz: raise --sample-rate-hz"
+        warn("SWM054", text)
 
 
 def drive_block(trial: Trial) -> dict[str, Any]:
@@ -252,17 +315,13 @@ def drive_block(trial: Trial) -> dict[str, Any]:
     beat, stroke = trial.swim.beat, trial.swim.stroke
     block: dict[str, Any] = swimmer.drive_of(trial)
     if stroke is not None:
-        block = {"stroke": stroke.name, **block, "ramp_s": stroke.ramp_s}
-        if math.isfinite(stroke.cycles):
-            block["cycles"] = stroke.cycles
+        block = {"stroke": stroke.name, **block, "ramp_s": stroke.ramp_s, "cycles": stroke.cycles}
     elif beat is not None:
-        block = {"waveform": beat.waveform, **block, "ramp_s": beat.ramp_s}
-        optional = {"lag_deg": beat.lag_rad, "phase_deg": beat.phase_rad}
-        for key, angle in optional.items():
-            block.pop(key, None)
-            if angle:
-                block[key] = math.degrees(angle)
-    return block
+        phase = math.degrees(beat.phase_rad)
+        block = {"waveform": beat.waveform, **block, "ramp_s": beat.ramp_s, "phase_deg": phase}
+    # entries that have no effect are left out
+    unused = [key for key in ("lag_deg", "phase_deg") if not block.get(key)]
+    return {key: value for key, value in block.items() if key not in unused and value != math.inf}
 
 
 def setting_text(key: str, value: float | str) -> str:
@@ -275,45 +334,6 @@ def setting_text(key: str, value: float | str) -> str:
     if not isinstance(value, str):
         value = numbers.number(value, 4, unit)
     return f"{name} {value}"
-
-
-def _stroke(name: str, options: SimulateOptions) -> StrokeDrive:
-    if options.amplitude_deg is not None or options.bias_deg or options.asymmetry:
-        raise UsageError(
-            "--stroke takes the place of a beat: leave out --amplitude-deg, --bias-deg, --asymmetry"
-        )
-    # the default ramp is for beats only: a stroke has no ramp unless one is given
-    ramp = 0.0 if options.ramp_s == options.declared()["ramp_s"].default else options.ramp_s
-    hertz, scale, cycles = options.frequency_hz, options.scale, options.cycles
-    return StrokeDrive(stroke=name, frequency_hz=hertz, scale=scale, ramp_s=ramp, cycles=cycles)
-
-
-def _beat(options: SimulateOptions, model: Swimmer) -> drives.Beat:
-    f, amplitude = _needed(options, "a beat", "frequency_hz", "amplitude_deg")
-    rate = options.sample_rate_hz or RATE_HZ
-    if f * options.dt >= 0.5:
-        raise UsageError(
-            f"a beat of {f:g} Hz cannot be integrated with steps of {options.dt:g} s",
-            hint=f"take --dt {0.02 / f:.1g} or less",
-        )
-    if f >= 0.5 * rate:
-        warn("SWM054", f"{rate:g} samples a second do not show a beat of {f:g} Hz: raise --sample-rate-hz")
-    for axis in model.driven:
-        law = axis.driven
-        assert law is not None
-        bias_gain = law.bias_gain
-        if bias_gain is None:
-            bias_gain = law.gain
-        bend = abs(law.gain) * amplitude + abs(bias_gain * options.bias_deg)
-        if bend > MAX_BEND_DEG:
-            warn("SWM054", f"{axis.name} bends by up to {bend:.0f} degrees")
-            break
-    asymmetry = options.asymmetry
-    if asymmetry and options.waveform != "a-cpg":
-        warn("SWM004", f"--asymmetry belongs to the waveform a-cpg; a {options.waveform} has none")
-        asymmetry = 0.0
-    angles = math.radians(amplitude), math.radians(options.bias_deg)
-    return drives.Beat(options.waveform, f, *angles, asymmetry, options.ramp_s)
 
 
 def _recorded_joints(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
@@ -365,77 +385,240 @@ def beat_frequency(
     return None
 
 
-def _each(compute: Callable[[Array], dict[str, Quantity]]) -> Compute:
+def _each(compute: Callable[[Array], list[float]]) -> Compute:
     """Return a function of several parameter vectors that calls ``compute`` for each vector."""
-    return lambda vectors: [compute(values) for values in vectors]
+    return lambda vectors: np.array([compute(values) for values in vectors])
 
 
 def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
-    """Return the function for the quantities of the last beats, or of each stroke; None without a beat."""
+    """Return the function for the quantities of the last beats or strokes; None without a beat."""
     frequency = beat_frequency(model, trial, values)
     if frequency is None:
         return None
-    if model.body is None:
-        windows = kinematics.whole_cycles(trial.time_s, frequency)
-
-        def by_stroke(values: Array) -> dict[str, Quantity]:
-            columns = model.attempt(values, trial)
-            found: dict[str, Quantity] = {}
-            for k, window in enumerate(windows, 1):
-                of_cycle = kinematics.cycle_quantities(trial.time_s, columns, window)
-                found |= {f"cycle_{k}_{name}": quantity(name, value) for name, value in of_cycle.items()}
-            return found
-
-        return _each(by_stroke) if windows else None
     run = SwimRun.of(model, trial, frequency)
     if run is None:
         return None
 
-    def of_last_beats(vectors: Sequence[Array]) -> list[dict[str, Quantity]]:
-        pairs = [(values, run.trial) for values in vectors]
-        simulated = model.with_energetics(pairs, [run.window.duration_s] * len(pairs))
-        return [
-            run.quantities(model, values, columns, energetics)
-            for values, (columns, energetics) in zip(vectors, simulated, strict=True)
-        ]
+    return lambda vectors: quantities_of(model, [run] * len(vectors), vectors)
 
-    return of_last_beats
+
+# ------------------------------------------------------------ quantities of a run
+
+
+def value_text(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
+    """Return a value as text, with its unit and any standard deviation. Angles are in degrees."""
+    factor, shown = numbers.in_degrees(unit)
+    if value is None:
+        return numbers.number(None)
+    if sd:
+        return numbers.measured(factor * value, factor * sd, shown)
+    return numbers.number(factor * value, digits, shown)
+
+
+def units_of(model: Swimmer) -> dict[str, str]:
+    """Return the unit of each quantity that a run of a robot may have, by name."""
+    scope, skipped = "none", "none"
+    if model.in_space:
+        scope = "cycle"
+    elif model.free_base:
+        scope = "plane"
+        skipped = {"yaw_rad": "pitch", "pitch_rad": "yaw"}[model.pose[2]]
+    named = {n: kind for n, kind in QUANTITIES.items() if skipped not in n.split("_")}
+    units = {name: kind.unit for name, kind in named.items() if scope in kind.of}
+    if not model.in_space:
+        units |= {f"amplitude_{axis.name}_rad": "rad" for axis in model.passive}
+    if model.driven:
+        units |= {name: kind.unit for name, kind in QUANTITIES.items() if kind.of == "power"}
+    return units
+
+
+@dataclass(frozen=True)
+class SwimRun:
+    """Run with a beat or a stroke, sampled so that it ends in whole cycles.
+
+    Attributes
+    ----------
+    trial : Trial
+        The run with :data:`~swimid.logs.kinematics.PER_CYCLE` samples per cycle, from its start on.
+    window : Window
+        Last whole beats of the run; for a robot that moves in 3-D, its last cycle.
+    commanded_turn : bool
+        Whether the drive has a bias or an asymmetry.
+    """
+
+    trial: Trial
+    window: Window
+    commanded_turn: bool
+
+    @classmethod
+    def of(cls, model: Swimmer, trial: Trial, frequency_hz: float) -> SwimRun | None:
+        """Return the run with the drive and the duration of a trial; None if no whole cycle fits into it."""
+        begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
+        beat = trial.swim.beat
+        if model.in_space:
+            ends, stroke = trial.time_s, trial.swim.stroke
+            if stroke is not None:
+                # a stroke with a limited number of cycles rests afterwards
+                ends = np.minimum(ends, stroke.cycles / frequency_hz)
+            window: Window | None = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
+        else:
+            ramp = 0.0 if beat is None else beat.ramp_s
+            window = kinematics.last_cycles(max(begin, ramp), end, frequency_hz)
+        if window is None:
+            return None
+        times = window.times()
+        # the run begins at the start of the trial
+        lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
+        sampled = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
+        return cls(sampled, window, beat is not None and bool(beat.bias_rad or beat.asymmetry))
+
+    @classmethod
+    def driven(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
+        """Return a run from rest, longer than ``duration_s`` if no whole beat after the ramp fits into it.
+
+        Parameters
+        ----------
+        name : str
+            Name of the run. The model caches simulations under this name, so each drive needs a different
+            one.
+
+        Notes
+        -----
+        Samples are counted from the end of the run, so that its quantities are smooth functions of the
+        frequency. The run begins up to one sample before the drive. For a robot that moves in 3-D, the
+        duration is rounded up to whole cycles.
+        """
+        assert swim.drive is not None
+        end, frequency_hz = duration_s, float(swim.drive.frequency_hz)
+        if swim.beat is not None:
+            end = max(end, swim.beat.ramp_s + (1.0 + 1e-6) / frequency_hz)
+        if model.in_space:
+            end = max(math.ceil(end * frequency_hz - 1e-9), 1) / frequency_hz
+        count = math.ceil(end * PER_CYCLE * frequency_hz - 1e-9)
+        time = end - np.arange(count, -1, -1) / (PER_CYCLE * frequency_hz)
+        run = cls.of(model, Trial(name, "fit", time, {}, swim=swim), frequency_hz)
+        assert run is not None
+        return run
+
+    def quantities(
+        self, model: Swimmer, values: Array, columns: Mapping[str, Array], energetics: Energetics | None
+    ) -> dict[str, float]:
+        """Return the quantities of the run by name. They are among the quantities of :func:`units_of`.
+
+        Parameters
+        ----------
+        columns : mapping of str to ndarray
+            Channels of the model at the sample times of :attr:`trial`.
+        energetics : Energetics or None
+            Power and energy of the joints in the window; None if they are unknown.
+        """
+        body, time = model.body, self.trial.time_s
+        if body is None:
+            found = kinematics.cycle_quantities(time, columns, self.window)
+        else:
+            count = self.window.cycles * PER_CYCLE + 1
+            last = {name: series[-count:] for name, series in columns.items()}
+            found = {f"amplitude_{a.name}_rad": 0.5 * float(np.ptp(last[a.column])) for a in body.passive}
+            if body.free:
+                found = self._of_last_cycles(body, values, last) | self._of_whole_run(body, columns) | found
+        if energetics is not None and model.driven:
+            found |= _power_quantities(energetics, found.get("mean_speed_m_s"))
+        return found
+
+    def _of_last_cycles(self, body: Body, values: Array, columns: Mapping[str, Array]) -> dict[str, float]:
+        """Return the quantities of the last whole cycles, from the channels in the window."""
+        length = body.length(values)
+        pose = [columns[name] for name in body.pose]
+        found = kinematics.plane_quantities(
+            pose,
+            [columns[name] for name in body.velocity],
+            self.window,
+            length_m=length,
+            turn=body.pose[2].removesuffix("_rad"),
+            commanded_turn=self.commanded_turn,
+        )
+        speed = found["mean_speed_m_s"]
+        if kinematics.is_straight(pose[2], speed, length):
+            rear = int(np.argmax(body.straight(values)[1]))
+            x, y = body.rear_ends(body.frames(values, columns))
+            excursion = kinematics.tail_excursion(x[rear], y[rear])
+            found["tail_excursion_m"] = excursion
+            found["strouhal"] = self.window.frequency_hz * excursion / speed
+        return found
+
+    def _of_whole_run(self, body: Body, columns: Mapping[str, Array]) -> dict[str, float]:
+        """Return the quantities of the whole run."""
+        time, surge = self.trial.time_s, columns[body.velocity[0]]
+        return {
+            "mean_surge_from_start_m_s": float(np.trapezoid(surge, time) / (time[-1] - time[0])),
+            "settling_time_s": kinematics.settling_time(time, surge, self.window.frequency_hz),
+            "path_extent_m": max(float(np.ptp(columns[name])) for name in body.pose[:2]),
+        }
+
+
+def quantities_of(model: Swimmer, runs: Sequence[SwimRun], vectors: Sequence[Array]) -> Array:
+    """Simulate runs, and return the quantities of :func:`units_of`, shape (n, quantities).
+
+    A quantity that is undefined is NaN.
+    """
+    pairs = [(values, run.trial) for values, run in zip(vectors, runs, strict=True)]
+    simulated = model.with_energetics(pairs, [run.window.duration_s for run in runs])
+    units, table = units_of(model), []
+    for run, values, (columns, energetics) in zip(runs, vectors, simulated, strict=True):
+        found = run.quantities(model, values, columns, energetics)
+        table.append([found.get(name, math.nan) for name in units])
+    return np.array(table)
+
+
+def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[str, float]:
+    """Return power, torque and rate of the driven joints, and the cost of transport.
+
+    Notes
+    -----
+    ``COT = P / V`` (dolphin, Eq 11). P is the mean positive mechanical power of the joints, because servos
+    return no energy to the battery. Losses of gear and motor are not included.
+    """
+    positive = energetics.mean_positive_power_W()
+    found = {
+        "mean_power_W": energetics.mean_power_W(),
+        "mean_positive_power_W": positive,
+        "peak_torque_N_m": float(np.abs(energetics.torque_N_m).max()),
+        "peak_joint_rate_rad_s": float(np.abs(energetics.rate_rad_s).max()),
+    }
+    if speed_m_s is not None and speed_m_s > 0:
+        found["cost_of_transport_J_m"] = positive / speed_m_s
+    return found
 
 
 # ------------------------------------------------------------ other models
 
-#: Model, trial, metadata, and further attributes of a case.
-_Made = tuple[Model, Trial, dict[str, Any], dict[str, Any]]
 
-
-def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    (pulling,) = _needed(options, "a falling weight", "pulling_mass_kg")
+def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
+    """Return the case of a robot on a rig that a weight pulls."""
+    if options.pulling_mass_kg is None:
+        raise UsageError("a falling weight needs --pulling-mass-kg")
+    pulling = options.pulling_mass_kg
     mass, area = robot.body.inertial_mass_kg, robot.body.frontal_area_m2
     known = "drag_coefficient" in file.parameters
-    if known and area is None:
-        raise InputError(f"the robot '{robot.name}' has no body.frontal_area_m2 for its drag coefficient")
-    if mass is None:
-        raise InputError(f"the robot '{robot.name}' has no body.inertial_mass_kg")
-    factor = 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
+    if mass is None or (known and area is None):
+        text = "needs body.inertial_mass_kg, and body.frontal_area_m2 for a drag coefficient"
+        raise InputError(f"the robot '{robot.name}' {text}")
     force = pulling * robot.fluid.gravity_m_s2
     inertia = mass + pulling + robot.rig.pulley_inertia_kg
     model = rig.falling_weight(mass_kg=inertia, force_N=force, area_known=known, pulley=True)
+    factor = 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
     on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
     trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
 
-    def compute(values: Array) -> dict[str, Quantity]:
+    def compute(values: Array) -> list[float]:
         simulated = model.simulate(values, trial)
-        ends = {
-            "last_speed_m_s": Quantity(float(simulated[model.speed][-1]), "m/s"),
-            "distance_m": Quantity(float(simulated["x_m"][-1]), "m"),
-        }
         top = rig.terminal_speed(model.coefficients(values, on_rig), force)
-        if not math.isnan(top):
-            ends = {"terminal_speed_m_s": Quantity(top, "m/s"), **ends}
-        return ends
+        return [top, float(simulated[model.speed][-1]), float(simulated["x_m"][-1])]
 
-    metadata = {"experiment": "falling-weight", "pulling_mass_kg": pulling}
-    return model, trial, metadata, {"quantities": _each(compute)}
+    units = {"terminal_speed_m_s": "m/s", "last_speed_m_s": "m/s", "distance_m": "m"}
+    applied = Applied(model, file, path, options.chosen)
+    metadata = _metadata(options, robot.name, experiment="falling-weight", pulling_mass_kg=pulling)
+    return Case(applied, applied.values(), trial, metadata, {}, units, _each(compute))
 
 
 def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
@@ -458,37 +641,40 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
     return Case(applied, applied.values(), trial, metadata, trial.inputs)
 
 
-def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    frequency, amplitude, fin = _needed(options, "cruising", "frequency_hz", "amplitude_deg", "fin")
+def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
+    """Return the case of a robot that cruises by the recoil law of a fin."""
+    fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg
+    if fin is None or frequency is None or amplitude is None:
+        raise UsageError("cruising needs --fin, --frequency-hz and --amplitude-deg")
     unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
     drag, place = catalogue.drag_file(file, path), robot_format.locate(robot.name)
     model = propulsion.recoil_model(robot, [fin, *unknown], drag, unknown=unknown, path=place)
+    applied = Applied(model, file, path, options.chosen)
+    values = applied.values()
     for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
-        value = options.chosen.get(name, law)
-        if name in file.parameters and name not in options.chosen:
-            value = file.parameters[name].value
-        if value != law:
+        if values[model.index(name)] != law:
             raise UsageError(
                 f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
             )
+    distance = options.distance_m or FAR_M
     inputs = {
         "frequency_hz": np.array([frequency]),
-        "amplitude_rad": np.deg2rad([float(amplitude)]),
-        "distance_m": np.array([options.distance_m or FAR_M]),
+        "amplitude_rad": np.deg2rad([amplitude]),
+        "distance_m": np.array([distance]),
     }
     trial = Trial(fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=CruiseInput(fin, model.fins[fin]))
 
-    def compute(values: Array) -> dict[str, Quantity]:
+    def compute(values: Array) -> list[float]:
         mean = float(model.simulate(values, trial)[SPEED][0])
-        terminal = mean / float(velocity_ratio(model.b1, 0.0, options.distance_m or FAR_M))
-        quantities = {"terminal_speed_m_s": Quantity(terminal, "m/s")}
-        if options.distance_m is not None:
-            quantities[SPEED] = Quantity(mean, "m/s")
-        return {**quantities, "propulsive_force_N": Quantity(model.drag_area_kg_m * terminal**2, "N")}
+        terminal = mean / float(velocity_ratio(model.b1, 0.0, distance))
+        if options.distance_m is None:
+            mean = math.nan
+        return [terminal, mean, model.drag_area_kg_m * terminal**2]
 
+    units = {"terminal_speed_m_s": "m/s", SPEED: "m/s", "propulsive_force_N": "N"}
     extra = _table(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})
-    extra["amplitude_deg"] = np.array([amplitude])
-    return model, trial, {"experiment": "cruise"}, {"extra": extra, "quantities": _each(compute)}
+    metadata = _metadata(options, robot.name, experiment="cruise")
+    return Case(applied, values, trial, metadata, extra, units, _each(compute))
 
 
 def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
@@ -499,16 +685,3 @@ def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
         "amplitude_deg": np.rad2deg(inputs["amplitude_rad"]),
         "distance_m": inputs["distance_m"],
     }
-
-
-def _surge(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> _Made:
-    frequency, amplitude = _needed(options, "a beat", "frequency_hz", "amplitude_deg")
-    model = SurgeModel(amplitudes_rad=[1.0], frequencies_hz=[1.0], speed_m_s=0.1)
-    catalogue.set_references(model, file, path)
-    trial = Trial("run", "fit", _times(options), {}, surge=SurgeInput(frequency, math.radians(amplitude)))
-
-    def compute(values: Array) -> dict[str, Quantity]:
-        return {"last_speed_m_s": Quantity(float(model.simulate(values, trial)["u_m_s"][-1]), "m/s")}
-
-    drive = {"frequency_hz": frequency, "amplitude_deg": amplitude}
-    return model, trial, {"experiment": "free-swim", "drive": drive}, {"quantities": _each(compute)}

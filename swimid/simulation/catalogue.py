@@ -47,8 +47,8 @@ class Quantity:
     stderr: float | None = None
 
 
-#: Function from parameter vectors to quantities by name, one mapping for each vector.
-Compute = Callable[[Sequence[Array]], Sequence[Mapping[str, Quantity]]]
+#: Function from parameter vectors to quantities, shape (vectors, quantities); NaN for an undefined quantity.
+Compute = Callable[[Sequence[Array]], Array]
 
 
 @dataclass
@@ -194,19 +194,20 @@ class Applied:
             text = f"the parameter file has no standard error of {names}: their uncertainty is not in {where}"
             warn("SWM055", text)
 
-    def with_errors(self, values: Array, compute: Compute) -> dict[str, Quantity]:
-        """Return quantities with standard errors, by the delta method from the covariance of the parameters.
+    def with_errors(self, values: Array, compute: Compute) -> tuple[Array, Array]:
+        """Return quantities and their standard errors, by the delta method, shape (quantities,) each.
 
         Parameters
         ----------
         values : ndarray, shape (len(model.parameters),)
         compute : callable
-            Function from parameter vectors to quantities by name, one mapping for each vector.
+            Function from parameter vectors to quantities.
 
         Notes
         -----
-        Derivatives are central differences. A quantity has no standard error if it is undefined for one of
-        the displaced parameter vectors, because the simulation breaks down or never becomes steady.
+        Derivatives are central differences. A standard error is NaN if no parameter has one, or if the
+        quantity is undefined for one of the displaced parameter vectors, because the simulation breaks down
+        or never becomes steady.
         """
         names, covariance = self.uncertain()
         vectors, widths = [values], []
@@ -220,18 +221,12 @@ class Applied:
                 moved[index] = end
                 vectors.append(moved)
             widths.append(float(ends[1] - ends[0]))
-        centre, *sides = compute(vectors)
+        table = compute(vectors)
         if not names:
-            return dict(centre)
-        result, width = {}, np.array(widths)
-        lost = Quantity(math.nan, "")
-        for key, quantity in centre.items():
-            found = np.array([side.get(key, lost).value for side in sides])
-            slopes = np.where(width > 0, (found[1::2] - found[::2]) / np.maximum(width, 1e-300), 0.0)
-            variance = float(slopes @ covariance @ slopes)
-            stderr = math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None
-            result[key] = replace(quantity, stderr=stderr)
-        return result
+            return table[0], np.full(table.shape[1], np.nan)
+        width = np.array(widths)[:, None]
+        slopes = np.where(width > 0, (table[2::2] - table[1::2]) / np.maximum(width, 1e-300), 0.0)
+        return table[0], np.sqrt(np.maximum(np.sum(slopes * (covariance @ slopes), axis=0), 0.0))
 
 
 #: Experiments that each model can simulate.

@@ -1,11 +1,15 @@
-"""Command ``compare``: errors of the simulation of recorded trials, for every model, and the evidence."""
+"""Command ``compare``: errors of the simulation of recorded trials, for every model, and the evidence.
+
+Trials of a robot that moves in 3-D that repeat a motion form one profile. The mean of the measurements is
+compared with the mean of the simulations, over time and for each stroke (sea lion, Tables I and II).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +17,10 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import metrics, mistakes
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Trial
+from swimid.fitting.model import Array, Trial
+from swimid.logs import kinematics
+from swimid.logs.kinematics import CYCLE_QUANTITIES, QUANTITIES
+from swimid.logs.sampling import slope
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
@@ -21,12 +28,11 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.simulation import catalogue, compare_series, compare_strokes
+from swimid.simulation import catalogue, compare_series
+from swimid.simulation.cases import value_text
 from swimid.simulation.catalogue import Applied
-from swimid.simulation.compare_series import HALF_WIDTH_BEATS, ChannelScore, Compared, ComparisonFile
-from swimid.simulation.compare_strokes import Profile
+from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
 from swimid.simulation.options import CompareOptions
-from swimid.simulation.swim_quantities import value_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -130,7 +136,7 @@ def compare(
                 step()
         if not any(d.pairs for d in done):
             raise NoTrustworthyResult("the trials hold no channel that the model simulates")
-        profiles = compare_strokes.compare_profiles(experiment, done)
+        profiles = _compare_profiles(experiment, done)
         file = ComparisonFile(
             verdict="caution",
             model=experiment.model.name,
@@ -143,8 +149,8 @@ def compare(
             provenance=provenance.collect(experiment.inputs, settings=options.settings()),
         )
         if file.mean_speeds:
-            errors = [measured - simulated for _, measured, simulated in file.mean_speeds]
-            file.mean_speed_rmse_m_s = float(np.sqrt(np.mean(np.square(errors))))
+            _, measured, simulated = zip(*file.mean_speeds, strict=True)
+            file.mean_speed_rmse_m_s = _rms(np.subtract(measured, simulated))
         fitted: Iterable[str] = file.channels
         if applied.file is not None and applied.file.fit is not None:
             fitted = applied.file.fit.channels
@@ -200,11 +206,185 @@ def _explained(
 ERROR_COLUMNS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
 #: Drive settings in the table of mean speeds.
 DRIVE_SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
-#: Maximum number of samples of a curve.
-MAX_SAMPLES = 400
+#: Maximum number of samples of a curve, and of a curve of a motion profile.
+MAX_SAMPLES, MAX_PROFILE_SAMPLES = 400, 200
+#: Half-width of the window in which a derivative of a motion profile is computed, in cycles of the stroke.
+HALF_WIDTH_CYCLES = 0.1
+#: Channels of the figure of a motion profile, in the order of the sea lion paper (Kadapa et al.).
+FIGURE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad", "pitch_rate_rad_s")
 #: Minimum bias, as a fraction of the RMSE. A smaller bias is a rounding error of a fitted start state and is
 #: shown as zero.
 MIN_BIAS_SHARE = 1e-3
+
+
+# ------------------------------------------------------------ motion profiles
+
+
+class Profile(NamedTuple):
+    """Trials that repeat one motion, at the sample times of the first trial that all trials cover.
+
+    ``channels`` has the values of each channel, each with the shape (trials, 2, n): measured and simulated.
+    ``record`` is the entry of the comparison file.
+    """
+
+    time_s: Array
+    channels: dict[str, Array]
+    record: compare_series.ProfileComparison
+
+
+def _compare_profiles(experiment: Experiment, done: Sequence[Compared]) -> list[Profile]:
+    """Return the motion profiles of a robot that moves in 3-D; an empty list for other robots."""
+    if not experiment.model.in_space:
+        return []
+    groups: dict[str, list[Compared]] = {}
+    for one in done:
+        if one.pairs:
+            groups.setdefault(experiment.facts["profiles"][one.trial.id], []).append(one)
+    return [_profile(name, members) for name, members in groups.items()]
+
+
+def _with_speeds(done: Compared, side: str) -> dict[str, Array]:
+    """Return the channels of a trial together with the pitch rate and the speed in the vertical plane."""
+    stroke, time, half = done.trial.swim.stroke, done.trial.time_s, compare_series.HALF_WIDTH_S
+    if stroke is not None:
+        half = HALF_WIDTH_CYCLES / stroke.frequency_hz
+    columns = {name: getattr(pair, side) for name, pair in done.pairs.items()}
+    rates = {"pitch_rate_rad_s": "pitch_rad"}
+    if not {"u_m_s", "w_m_s", "pitch_rad"} <= columns.keys():
+        rates |= {"vx_m_s": "x_m", "vz_m_s": "z_m"}
+    for rate, name in rates.items():
+        if name in columns:
+            columns.setdefault(rate, slope(time, columns[name], half))
+    velocity = kinematics.world_velocity(time, columns)
+    if velocity is not None:
+        columns["speed_m_s"] = np.hypot(*velocity)
+    return columns
+
+
+def _profile(name: str, members: Sequence[Compared]) -> Profile:
+    """Return repeated trials at common sample times, and the comparison of their means."""
+    times = [done.trial.time_s for done in members]
+    begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
+    clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
+    series = [[_with_speeds(done, side) for side in SIDES] for done in members]
+    channels: dict[str, Array] = {}
+    for n in series[0][0]:
+        if all(n in sides[0] for sides in series):
+            pairs = zip(times, series, strict=True)
+            channels[n] = np.array([[_resampled(clock, t, c[n]) for c in sides] for t, sides in pairs])
+    means = {n: values.mean(axis=0) for n, values in channels.items()}
+    record = compare_series.ProfileComparison(
+        name=name,
+        trials=[done.trial.id for done in members],
+        cycles=_cycles(members, series),
+        position_rmse_m=_distance(means, ("x_m", "y_m", "z_m")),
+        orientation_rmse_rad=_distance(means, ("roll_rad", "pitch_rad", "yaw_rad")),
+    )
+    for n, ways in (("x_m", record.surge_m), ("z_m", record.heave_m)):
+        values = means.get(n, np.empty((2, 0)))
+        known = values[:, np.isfinite(values).all(axis=0)]
+        if known.size:
+            ways |= dict(zip(SIDES, (known[:, -1] - known[:, 0]).tolist(), strict=True))
+    return Profile(clock, channels, record)
+
+
+def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
+    """Return values at other times; NaN outside the range of the valid samples."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(len(clock), np.nan)
+    return np.asarray(np.interp(clock, time_s[known], values[known], left=np.nan, right=np.nan))
+
+
+def _distance(means: Mapping[str, Array], names: Sequence[str]) -> float | None:
+    """Return the root-mean-square distance of two series from their components, each shape (2, n)."""
+    squares = [np.diff(means[name], axis=0)[0] ** 2 for name in names if name in means]
+    total = np.sum(squares, axis=0)
+    if not np.isfinite(total).any() or not squares:
+        return None
+    return float(np.sqrt(np.nanmean(total)))
+
+
+def _cycles(
+    members: Sequence[Compared], series: Sequence[Sequence[Mapping[str, Array]]]
+) -> list[CycleComparison]:
+    """Return the quantities of every whole stroke, averaged over the trials."""
+    each = []
+    for done, sides in zip(members, series, strict=True):
+        time, stroke = done.trial.time_s, done.trial.swim.stroke
+        windows = [] if stroke is None else kinematics.whole_cycles(time, stroke.frequency_hz)
+        each.append([[kinematics.cycle_quantities(time, c, window) for c in sides] for window in windows])
+    comparisons = []
+    for k, repeats in enumerate(zip(*each, strict=False), 1):
+        one = CycleComparison(cycle=k, measured={}, simulated={})
+        for name in CYCLE_QUANTITIES:
+            values = np.array([[side.get(name, np.nan) for side in sides] for sides in repeats])
+            if np.isfinite(values).all():
+                one.measured[name], one.simulated[name] = values.mean(axis=0).tolist()
+                if len(values) > 1:
+                    one.spread[name] = float(np.std(values[:, 0], ddof=1))
+        comparisons.append(one)
+    return comparisons
+
+
+def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> list[ev.Table]:
+    """Return the table of the profiles and the table of their strokes."""
+    rows: list[list[Any]] = []
+    strokes: list[list[Any]] = []
+    for p in profiles:
+        ways = [way.get(side) for way in (p.surge_m, p.heave_m) for side in SIDES]
+        texts = [numbers.number(way, 3, "m") for way in (*ways, p.position_rmse_m)]
+        rows.append([p.name, len(p.trials), *texts, value_text(p.orientation_rmse_rad, "rad")])
+        for c in p.cycles:
+            for side, known, sd in (("measured", c.measured, c.spread), ("simulated", c.simulated, {})):
+                cells = [value_text(known.get(n), QUANTITIES[n].unit, sd.get(n)) for n in CYCLE_QUANTITIES]
+                strokes.append([p.name, c.cycle, side, *cells])
+    sides = [f"{way}, {side}" for way in ("surge", "heave") for side in SIDES]
+    names = [numbers.split_unit(name)[0].replace("_", " ") for name in CYCLE_QUANTITIES]
+    of_profiles = ev.Table(
+        id="profiles",
+        title="Motion profiles",
+        columns=["profile", "trials", *sides, "position RMSE", "orientation RMSE"],
+        rows=rows,
+        caption="Means of trials that repeat a motion: displacement from first to last sample, "
+        "and root-mean-square distance of mean simulated path and angles from the mean measured ones.",
+    )
+    of_strokes = ev.Table(
+        id="strokes",
+        title="Quantities of each stroke",
+        columns=["profile", "stroke", "", *names],
+        rows=strokes,
+        caption="Tables I and II of the sea lion paper; mean and standard deviation of repeated trials. "
+        "Maximum speeds and rates derived from noisy positions are too large by up to a few standard "
+        "deviations of their noise; those of a smoothed track are not.",
+    )
+    return [of_profiles, of_strokes]
+
+
+def _profile_figure(profile: Profile) -> ev.Figure:
+    """Return the figure of the mean channels of repeated trials, measured and simulated, against time."""
+    record, count = profile.record, len(profile.record.trials)
+    caption = "Mean measured and simulated motion."
+    if count > 1:
+        caption = (
+            f"Mean of {count} trials on one clock with their standard deviation, and mean of their "
+            "simulations."
+        )
+    keep = slice(None, None, max(len(profile.time_s) // MAX_PROFILE_SAMPLES, 1))
+    time, panels = profile.time_s[keep], []
+    for name in FIGURE_CHANNELS:
+        measured = profile.channels.get(name, np.empty((1, 2, 0)))[:, 0]
+        known = measured.mean(axis=0)[np.isfinite(measured).all(axis=0)]
+        # leave out channels without motion: a symmetric stroke has neither roll nor yaw
+        if not len(known) or np.ptp(known) <= 1e-9:
+            continue
+        values = numbers.in_degrees(numbers.split_unit(name)[1])[0] * profile.channels[name][..., keep]
+        error = None
+        if count > 1:
+            error = np.nan_to_num(np.std(values[:, 0], axis=0, ddof=1))
+        traces = _pair((time, time), values.mean(axis=0), y_error=error)
+        panels.append(ev.Panel(x_label="time (s)", y_label=numbers.column_title(name), traces=traces))
+    return ev.Figure(id=f"profile-{record.name}", title=record.name, caption=caption, panels=panels)
 
 
 # ------------------------------------------------------------ verdict
@@ -259,8 +439,7 @@ def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:
         limit = "steady swimming in a trial"
         return [ev.check("cruising speed", "not tested", False, limit, text, reason=reason)]
     measured, settles = np.array(rows, dtype=float).T
-    share = float(np.sqrt(np.mean((measured - settles) ** 2) / np.mean(measured**2)))
-    return [_speed_check("cruising speed", share, text)]
+    return [_speed_check("cruising speed", _rms(measured - settles) / _rms(measured), text)]
 
 
 def _speed_share(file: ComparisonFile) -> float | None:
@@ -268,7 +447,11 @@ def _speed_share(file: ComparisonFile) -> float | None:
     measured = [speed for _, speed, _ in file.mean_speeds]
     if not any(measured) or file.mean_speed_rmse_m_s is None:
         return None
-    return file.mean_speed_rmse_m_s / float(np.sqrt(np.mean(np.square(measured))))
+    return file.mean_speed_rmse_m_s / _rms(measured)
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _answer(file: ComparisonFile) -> str:
@@ -312,7 +495,8 @@ def _methods(file: ComparisonFile) -> list[str]:
     if any(s.source == "pose" for t in file.trials for s in t.channels.values()):
         sentences.append(
             "Surge, sway and turning rate were derived from the measured pose and, in the same way, from the "
-            f"simulated one, by a cubic fitted over {2 * HALF_WIDTH_BEATS:g} beats around each sample."
+            f"simulated one, by a cubic fitted over {2 * compare_series.HALF_WIDTH_BEATS:g} beats around "
+            "each sample."
         )
     if any(t.start == "estimated" for t in file.trials):
         sentences.append(
@@ -334,7 +518,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    tables = [pooled, *compare_strokes.tables(file.profiles), _speeds(file), _scores(file)]
+    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), _scores(file)]
     return [table for table in tables if table.rows]
 
 
@@ -406,7 +590,7 @@ def _figures(
     if experiment.model.timed_runs:
         runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
         return [_agreement("overlay", "Measured and simulated", runs)]
-    drawn = [compare_strokes.figure(p) for p in profiles]
+    drawn = [_profile_figure(p) for p in profiles]
     if not drawn:
         drawn.append(_overlay(experiment, done))
         if file.mean_speeds:
@@ -419,14 +603,14 @@ def _figures(
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]
-        paths = [_path(d, *names) for d in _telling(done) if set(names) <= d.pairs.keys()]
+        paths = [_path(t, d, *names) for t, d in _telling(done).items() if set(names) <= d.pairs.keys()]
         caption = "Path of the reference point."
         drawn.append(ev.Figure(id="paths", title="Paths", caption=caption, panels=paths))
     return [figure for figure in drawn if figure.panels]
 
 
-def _telling(done: Sequence[Compared]) -> list[Compared]:
-    """Return the trials with the largest and the smallest error, and the worst held-out trial."""
+def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
+    """Return the trials with the largest and the smallest error and the worst held-out trial, by title."""
 
     def error(one: Compared) -> float:
         scores = one.record.channels
@@ -435,31 +619,24 @@ def _telling(done: Sequence[Compared]) -> list[Compared]:
     ranked = sorted((d for d in done if d.pairs), key=error, reverse=True)
     held_out = [d for d in ranked if d.trial.role == "validate"]
     picked = {d.trial.id: d for d in (*ranked[:1], *held_out[:1], *ranked[-1:])}
-    return list(picked.values())
+    words = {ranked[0].trial.id: "largest error", ranked[-1].trial.id: "smallest error"}
+    titles = {}
+    for name, d in picked.items():
+        known = [words.get(name, "") * (len(picked) > 1), "held out" * (d.trial.role == "validate")]
+        remark = ", ".join(filter(None, known))
+        titles[name + f" ({remark})" * bool(remark)] = d
+    return titles
 
 
-def _title(done: Compared, word: str = "") -> str:
-    """Return the title of the panels of a trial: its name, and what is known of it."""
-    known = [word, "held out" * (done.trial.role == "validate")]
-    remark = ", ".join(filter(None, known))
-    return f"{done.trial.id} ({remark})" if remark else done.trial.id
-
-
-def _pair(x: Sequence[Any], y: Sequence[Any], tail: str = "", group: int = 0) -> list[ev.Trace]:
+def _pair(x: Sequence[Any], y: Sequence[Any], **measured: Any) -> list[ev.Trace]:
     """Return two traces: a measured curve as points, and a simulated curve as a line."""
-    measured = ev.Trace(x=x[0], y=y[0], style="points", label=f"measured{tail}", group=group)
-    return [measured, ev.Trace(x=x[1], y=y[1], label=f"simulated{tail}", group=group)]
+    points = ev.Trace(x=x[0], y=y[0], style="points", label="measured", group=0, **measured)
+    return [points, ev.Trace(x=x[1], y=y[1], label="simulated", group=0)]
 
 
 def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
-    panels, telling = [], _telling(done)
-    words = (
-        {telling[0].trial.id: "largest error", telling[-1].trial.id: "smallest error"}
-        if len(telling) > 1
-        else {}
-    )
-    for d in telling:
-        title = _title(d, words.get(d.trial.id, ""))
+    panels = []
+    for title, d in _telling(done).items():
         joints = [n for n in d.pairs if n.startswith("joint")]
         for name in (_rates(d.pairs) or joints or list(d.pairs))[:2]:
             p = d.pairs[name]
@@ -490,10 +667,8 @@ def _agreement(id: str, title: str, groups: Mapping[str, tuple[Any, Any]]) -> ev
     return ev.Figure(id=id, title=title, caption=caption, panels=[panel])
 
 
-def _path(done: Compared, *names: str) -> ev.Panel:
+def _path(title: str, done: Compared, *names: str) -> ev.Panel:
     step = max(1, len(done.trial.time_s) // MAX_SAMPLES)
     x, y = ((done.pairs[n].measured[::step], done.pairs[n].simulated[::step]) for n in names)
     labels = [numbers.column_title(name) for name in names]
-    return ev.Panel(
-        x_label=labels[0], y_label=labels[1], traces=_pair(x, y), title=_title(done), equal_aspect=True
-    )
+    return ev.Panel(x_label=labels[0], y_label=labels[1], traces=_pair(x, y), title=title, equal_aspect=True)

@@ -60,9 +60,6 @@ class Cruise(yamlio.Document):
 
     #: Steady speed of the model, m/s; null if the speed never becomes steady.
     settled: Number = None
-    #: Time in which the difference from the steady speed falls by a factor e, s; null if there is no steady
-    #: speed.
-    settling_s: Number = None
     #: Whether the measured speed is steady, so that it can be compared with ``settled``.
     steady: bool
 
@@ -137,6 +134,7 @@ class ComparisonFile(yamlio.ResultFile):
 Start = Literal["file", "estimated", "neutral"]
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
+SIDES = ("measured", "simulated")
 #: Half-width of the window in which a derivative is computed: in cycles of the beat, and in s without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
 #: Minimum number of valid derivatives of the pose for a channel that is derived from the pose.
@@ -165,13 +163,12 @@ class Pair:
 
 
 class Compared(NamedTuple):
-    """One trial: its channels, the parameters of its simulation, and its entry in the comparison file."""
+    """One trial: its channels, and its entry in the comparison file."""
 
     trial: Trial
     pairs: dict[str, Pair]
     #: ``pairs`` with positions along and across the mean heading (:func:`swimid.fitting.metrics.own_axes`).
     own: dict[str, Pair]
-    values: Array
     record: TrialComparison
 
     @property
@@ -240,7 +237,7 @@ def compare_trial(
         mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
     )
-    return Compared(trial, pairs, own, values, record)
+    return Compared(trial, pairs, own, record)
 
 
 def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:
@@ -483,4 +480,4 @@ def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, P
     steady = False
     if early is not None and late is not None:
         steady = abs(late.measured - early.measured) <= metrics.GOOD_SPEED * abs(late.measured)
-    return Cruise(settled=settled.speed_m_s, settling_s=settled.settling_s, steady=steady)
+    return Cruise(settled=settled.speed_m_s, steady=steady)

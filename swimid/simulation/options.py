@@ -52,12 +52,27 @@ class CompareOptions(
     dt: float = swimmers.step()
 
 
-#: Part of the options that describes a run. Recorded trials have drives of their own.
-RUN = "run"
+class DriveOptions(Options):
+    """Options of every command that simulates a robot with links under a drive."""
+
+    params: Source = option(None, help="Parameter file of a robot with links.", recorded=False)
+    robot: str | None = robot("Robot; without --params the values of its file are used.")
+    frequency_hz: float | None = option(None, gt=0, help="Beat frequency.")
+    amplitude_deg: float | None = option(None, ge=0, help="Beat amplitude (T-Fish: of the whole tail).")
+    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", help="Waveform of the beat.")
+    bias_deg: float | None = option(None, help="Turning bias.")
+    asymmetry: float | None = option(None, gt=-1, lt=1, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10).")
+    lag_deg: float | None = option(None, help="Phase by which each driven joint lags the one before it.")
+    ramp_s: float = option(1.0, ge=0, help="Time in which the beat grows to its amplitude.")
+    stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
+    scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke.")
+    chosen: Mapping[str, float] = chosen("Hold a parameter at this value. Repeatable.")
+    readings: Mapping[str, str] = swimmers.readings()
+    dt: float = swimmers.step()
 
 
 class SimulateOptions(
-    Options,
+    DriveOptions,
     command="simulate",
     section="Simulate and compare",
     argument="",
@@ -79,37 +94,15 @@ class SimulateOptions(
     """
 
     params: Source = option(None, help="Parameter file, of any model.")
-    robot: str | None = robot("Robot; without --params its file's own values are used.")
-    frequency_hz: float | None = option(None, gt=0, part=RUN, help="Beat frequency.")
-    amplitude_deg: float | None = option(
-        None, ge=0, part=RUN, help="Beat amplitude (T-Fish: of the whole tail)."
-    )
-    waveform: Literal["sine", "hopf", "a-cpg"] = option("sine", part=RUN, help="Form of the beat.")
-    bias_deg: float = option(0.0, part=RUN, help="Turning bias.")
-    asymmetry: float = option(0.0, gt=-1, lt=1, part=RUN, help="Asymmetry of an a-cpg beat (T-Fish, Eq 10).")
-    ramp_s: float = option(1.0, ge=0, part=RUN, help="Time the beat is eased in.")
-    duration_s: float | None = option(None, gt=0, part=RUN, help="Length of the run  [default: 15]")
-    sample_rate_hz: float | None = option(
-        None, gt=0, part=RUN, help="Samples a second of the log  [default: 50]"
-    )
-    dt: float = swimmers.step()
-    chosen: Mapping[str, float] = chosen()
-    readings: Mapping[str, str] = swimmers.readings()
+    duration_s: float | None = option(None, gt=0, help="Length of the run  [default: 15]")
+    sample_rate_hz: float | None = option(None, gt=0, help="Samples a second of the log  [default: 50]")
     input: Path | None = option(
-        None,
-        part=RUN,
-        help="Log that drives the run in place of a beat: joint angles or commands, or an arma input.",
+        None, help="Log that drives the run in place of a beat: joint angles or commands, or an arma input."
     )
-    stroke: str | None = option(
-        None, metavar="NAME", part=RUN, help="Stroke of the robot file in place of a beat."
-    )
-    cycles: float | None = option(None, gt=0, part=RUN, help="Cycles of the stroke; then its joints rest.")
-    scale: float = option(1.0, ge=0, part=RUN, help="Factor of the angles of the stroke.")
-    pulling_mass_kg: float | None = option(None, gt=0, part=RUN, help="Weight of a falling-weight rig.")
-    fin: str | None = option(None, part=RUN, help="Fin of a cruise.")
-    distance_m: float | None = option(
-        None, gt=0, part=RUN, help="Course of a cruise from rest, for its mean speed."
-    )
+    cycles: float | None = option(None, gt=0, help="Cycles of the stroke; then its joints rest.")
+    pulling_mass_kg: float | None = option(None, gt=0, help="Weight of a falling-weight rig.")
+    fin: str | None = option(None, help="Fin of a cruise.")
+    distance_m: float | None = option(None, gt=0, help="Course of a cruise from rest, for its mean speed.")
     trials: Source = option(
         None, help="Simulate these recorded trials' own drives and start states; -o is then a folder."
     )

