@@ -19,8 +19,7 @@ from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid, Robot
 from swimid.robots.planar import Multilink
 from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.assembly import Assembly
-from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.planar.model import Assembly, MultilinkModel
 from tests import lanes_forms
 from tests.generators import lagrange
 
@@ -55,7 +54,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
     tables = model.tables(defaults(model))
-    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch)
+    engine.derivative(state, row, tuple(tables.values()), None, 0.0, tuple(scratch[:-1]), scratch[-1])
     kernel = lanes_forms.kernel_of(model, MultilinkModel.engine, defaults(model))
     traced = lanes_forms.rate(kernel, state, row, tables)
     size = np.abs(scratch[-1]).max()
@@ -68,7 +67,8 @@ def integrated(
 ) -> tuple[np.ndarray, np.ndarray]:
     steps = round(duration / step)
     table = np.zeros((2 * steps + 1, 0, 5))
-    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)).values(), None, 0.0)
+    tables = tuple(model.tables(defaults(model)).values())
+    states, rates = engine.integrate(start, step, table, tables, None, 0.0)
     return states, rates
 
 

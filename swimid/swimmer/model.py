@@ -16,10 +16,9 @@ from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, 
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
-from swimid.swimmer.lanes.kernel import Kernels, Room
-from swimid.swimmer.lanes.tracing import LANES
+from swimid.swimmer.lanes import LANES, Kernels, Room
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar.engine import sampled
+from swimid.swimmer.planar.engine import outside, sampled
 from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
@@ -198,10 +197,6 @@ class Swimmer(Model):
     @abstractmethod
     def determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the names of the initial velocities, angles and rates that these channels determine."""
-
-    @abstractmethod
-    def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Integrate the equations of motion, and return the states and their time derivatives."""
 
     @abstractmethod
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
@@ -440,6 +435,17 @@ class Swimmer(Model):
         run = Run(values, trial, hooks, key, grid, None, start, motion, tables)
         return replace(run, start=self.steady.initial_state(run)) if trial.swim.steady else run
 
+    def integrate(self, run: Run) -> tuple[Array, Array]:
+        """Integrate the equations of motion, and return the states and their time derivatives."""
+        forced = None
+        if run.hooks.force:
+            forced = outside(run.hooks.force, self.frame(run), len(self.tree.links))
+        tables = tuple(run.tables.values())
+        states, rates = self.engine.integrate(
+            run.start, run.grid.step_s, run.drive.table, tables, forced, run.grid.begin_s
+        )
+        return states, rates
+
     def value(self, values: Array, name: str) -> float:
         """Return the value of a parameter, or 0 if the model does not have the parameter."""
         return float(values[self._at[name]]) if name in self._at else 0.0
@@ -560,7 +566,7 @@ def _energetics(model: Swimmer, values: Array, run: Trajectory, last_s: float) -
     rows = slice(len(run.states) - count, None)
     tables = model.tree.tables(values[: len(model.coefficients)])
     states, drive = run.states[rows], run.drive.table[::2][rows]
-    torque = model.engine.torques(states, run.rates[rows], drive, *tables.values())
+    torque = model.engine.torques(states, run.rates[rows], drive, tuple(tables.values()))
     driven = [a.link for a in model.driven]
     return Energetics(run.grid.times(1)[rows], torque[:, driven], drive[:, :, 1])
 

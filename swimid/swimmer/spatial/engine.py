@@ -17,7 +17,7 @@ Kadapa et al., sea lion, Eq 1).
 
 The state of a robot with p passive hinges is ``(x, y, z, qw, qx, qy, qz, passive angles.., velocity of the
 base in its own axes (u, v, w), its angular velocity, passive rates..)``. The functions check no index.
-:mod:`swimid.swimmer.spatial.assembly` has done so.
+:mod:`swimid.swimmer.spatial.model` has done so.
 """
 
 from __future__ import annotations
@@ -29,11 +29,9 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
+from swimid.swimmer.planar.engine import FILLED, march, passive_torque, positive, solve
 
 __all__ = ["FILLED"]
-#: Arguments of :func:`derivative` between the tables and the work arrays.
-LAST = ()
 #: Columns of the tables.
 TOPOLOGY = ("parent", "driven", "passive", "massless")
 #: Columns of the table of hinges: place on the parent, axis in the child, and rotation from child to parent
@@ -335,6 +333,16 @@ def _add_upper(w, k, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _rotated(w, product, k):  # type: ignore[no-untyped-def]
+    """Return the rows of ``R M R'``; ``product`` multiplies the matrix M at column ``k`` and a vector."""
+    return (
+        _apply(w, _R, product(w, k, _at(w, _R))),
+        _apply(w, _R, product(w, k, _at(w, _R + 3))),
+        _apply(w, _R, product(w, k, _at(w, _R + 6))),
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     """Add the wrench and composite inertia of a link to those of its parent, in its axes, at its origin."""
     w, u, place = work[i], work[p], _at(joint[i], 0)
@@ -343,23 +351,9 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     moment = _plus(_apply(w, _R, _at(w, _M)), _cross(place, force))
     _put(u, _F, _plus(_at(u, _F), force))
     _put(u, _M, _plus(_at(u, _M), moment))
-    # rows of R A R', R B R' and R D R'
-    r0, r1, r2 = _at(w, _R), _at(w, _R + 3), _at(w, _R + 6)
-    a0, a1, a2 = (
-        _apply(w, _R, _symmetric(w, _A, r0)),
-        _apply(w, _R, _symmetric(w, _A, r1)),
-        _apply(w, _R, _symmetric(w, _A, r2)),
-    )
-    b0, b1, b2 = (
-        _apply(w, _R, _transposed(w, _B, r0)),
-        _apply(w, _R, _transposed(w, _B, r1)),
-        _apply(w, _R, _transposed(w, _B, r2)),
-    )
-    d0, d1, d2 = (
-        _apply(w, _R, _symmetric(w, _D, r0)),
-        _apply(w, _R, _symmetric(w, _D, r1)),
-        _apply(w, _R, _symmetric(w, _D, r2)),
-    )
+    a0, a1, a2 = _rotated(w, _symmetric, _A)
+    b0, b1, b2 = _rotated(w, _transposed, _B)
+    d0, d1, d2 = _rotated(w, _symmetric, _D)
     a1, a2 = (a0[1], a1[1], a1[2]), (a0[2], a1[2], a2[2])
     # with S = r x, the velocity of the link's origin is v - S w, so that B becomes C = B - A S, and D becomes
     # D - B' S + S C
@@ -391,61 +385,41 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
         _to_parent(i, topology[i, 0], joint, work)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
-def derivative(  # type: ignore[no-untyped-def]
-    state,
-    row,
-    topology,
-    joint,
-    inertia,
-    passive,
-    drag_link,
-    drag,
-    damping_link,
-    damping,
-    foil_link,
-    foil,
-    force_link,
-    force,
-    surface,
-    free_base,
-    work,
-    matrix,
-    right,
-    rate,
-):
-    """Compute the rate of the state, and write it into ``rate``.
-
-    Parameters
-    ----------
-    state, rate : ndarray, shape (13 + 2 passive hinges,)
-    row : ndarray, shape (driven hinges, 5)
-        Angle, rate, acceleration, cosine and sine of each driven hinge.
-    topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
-    inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
-        Columns of ``swimid.swimmer.planar.engine.PASSIVE``
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force : ndarray
-        Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`.
-    surface : float, m
-        Height of the water surface in the world.
-    free_base : bool
-        Whether the base moves; otherwise it keeps its pose.
-    work : ndarray, shape (links, 60)
-    matrix : ndarray, shape (n, n), n = 6 + passive hinges
-    right : ndarray, shape (n,)
-        Work arrays.
-    """
-    passives = passive.shape[0]
-    n = 6 + passives
-    _outwards(state, row, topology, joint, inertia, None, work)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _loads(tables, work):  # type: ignore[no-untyped-def]
+    """Add the forces of all elements."""
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, surface = tables[4:13]
     _drags(drag_link, drag, surface, work)
     _dampings(damping_link, damping, work)
     _foils(foil_link, foil, surface, work)
     _forces(force_link, force, surface, work)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
+def derivative(state, row, tables, forced, time, scratch, rate):  # type: ignore[no-untyped-def]
+    """Compute the rate of the state, and write it into ``rate``.
+
+    The arguments are those of :func:`swimid.swimmer.planar.engine.derivative`. No forces of effects act.
+
+    Parameters
+    ----------
+    state, rate : ndarray, shape (13 + 2 passive hinges,)
+    tables : tuple
+        ``topology`` (ndarray of int, shape (links, 4)), ``joint`` (links, 33), ``inertia`` (links, 21),
+        ``passive`` (passive hinges, 11), and for each kind of element the links and the table with columns
+        as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL` and :data:`FORCE`. The last two are the height of the
+        water surface in the world (m), and whether the base moves; otherwise it keeps its pose.
+    """
+    topology, joint, inertia, passive = tables[:4]
+    work, matrix, right = scratch
+    passives = passive.shape[0]
+    n = 6 + passives
+    _outwards(state, row, topology, joint, inertia, None, work)
+    _loads(tables, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
-    if free_base:
+    if tables[13]:
         first = 0
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = w[_A], w[_A + 3], w[_A + 5]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = w[_A + 1], w[_A + 2], w[_A + 4]
@@ -483,67 +457,28 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
-    """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
+def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
+    """Return states and rates on the step grid (see :func:`swimid.swimmer.planar.engine.integrate`).
 
-    Parameters
-    ----------
-    start : ndarray, shape (13 + 2 passive hinges,)
-    step : float, s
-    table : ndarray, shape (2 steps + 1, driven hinges, 5)
-        Driven hinges on the half-step grid; see :func:`derivative`.
-    tables
-        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
-
-    Returns
-    -------
-    states, rates : ndarray, shape (steps + 1, 13 + 2 passive hinges)
-        NaN from where the motion breaks down. The quaternion is scaled to length 1 after each step.
+    The quaternion is scaled to length 1 after each step.
     """
-    topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
-    foil, force_link, force, surface, free_base = tables[9:]
-    steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
-    states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
-    work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
-    slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
-    states[0] = start
-    for i in range(steps + 1):
-        for stage in range(4):
-            begin_stage(stage, step, states[i], slope, total, trial)
-            derivative(
-                trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
-                damping_link, damping, foil_link, foil, force_link, force, surface, free_base,
-                work, matrix, right, slope,
-            )  # fmt: skip
-            if stage == 0:
-                rates[i] = slope
-                if is_broken(states[i], slope):
-                    states[i:] = math.nan
-                    rates[i:] = math.nan
-                    return states, rates
-                if i == steps:
-                    return states, rates
-        begin_stage(4, step, states[i], slope, total, states[i + 1])
-        settled(states[i + 1])
-    return states, rates
+    n = 6 + len(tables[3])
+    scratch = np.zeros((len(tables[0]), _WORK)), np.zeros((n, n)), np.zeros(n)
+    return march(derivative, settled, start, step, table, tables, forced, begin, scratch)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     """Return the hinge torques of a run by inverse dynamics, shape (m, links), N m.
 
     See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.
     """
     topology, joint, inertia = tables[:3]
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, surface = tables[4:13]
     links = topology.shape[0]
     found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        _drags(drag_link, drag, surface, work)
-        _dampings(damping_link, damping, work)
-        _foils(foil_link, foil, surface, work)
-        _forces(force_link, force, surface, work)
+        _loads(tables, work)
         for i in range(links - 1, 0, -1):
             found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)
