@@ -148,9 +148,8 @@ def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.
 
 
 def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) -> None:
-    starts, steps, drives_, tables = (list(column) for column in zip(*runs, strict=True))
-    assert all(kernel.fits(t) for t in tables)
-    for run, (states, rates) in zip(runs, kernel.run(starts, steps, drives_, tables), strict=True):
+    assert all(kernel.fits(tables) for *_, tables in runs)
+    for run, (states, rates) in zip(runs, kernel.run(runs), strict=True):
         expected, slopes = scalar(form, *run)
         assert states.shape == expected.shape
         np.testing.assert_array_equal(np.isnan(states), np.isnan(expected))
@@ -289,16 +288,15 @@ def test_memory_is_reused_after_its_results_are_released(
 ) -> None:
     assert fish.kernels.own is not None
     runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:4]
-    arguments = [list(column) for column in zip(*runs, strict=True)]
-    first = fish.kernels.own.run(*arguments)
+    first = fish.kernels.own.run(runs)
     kept = [states.copy() for states, _ in first]
-    second = fish.kernels.own.run(*arguments)
+    second = fish.kernels.own.run(runs)
     assert not np.shares_memory(first[0][0], second[0][0])
     for (states, _), before in zip(first, kept, strict=True):
         np.testing.assert_array_equal(states, before)
     place = second[0][0].ctypes.data
     del second, states
-    assert fish.kernels.own.run(*arguments)[0][0].ctypes.data == place
+    assert fish.kernels.own.run(runs)[0][0].ctypes.data == place
 
 
 def test_equal_effects_share_their_runs() -> None:

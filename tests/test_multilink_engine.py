@@ -16,7 +16,7 @@ from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
-from swimid.robots.file import Fluid, Robot
+from swimid.robots.file import Fluid, schema_of
 from swimid.robots.planar import Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly, MultilinkModel
@@ -54,7 +54,7 @@ def accelerations(model: Assembly, state: np.ndarray, motion: np.ndarray | None 
         row[k, 3:] = math.cos(angle), math.sin(angle)
     scratch = [np.full(shape, np.nan) for shape in ((len(model.links), 19), (n, n), (n,), (2 * n,))]
     tables = model.tables(defaults(model))
-    engine.derivative(state, row, tuple(tables.values()), None, 0.0, tuple(scratch[:-1]), scratch[-1])
+    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch)
     kernel = lanes_forms.kernel_of(model, MultilinkModel.engine, defaults(model))
     traced = lanes_forms.rate(kernel, state, row, tables)
     size = np.abs(scratch[-1]).max()
@@ -703,7 +703,8 @@ def slender(drag_N_s_m: float) -> MultilinkModel:
             {"kind": "drag", "link": names[0], "strips": 1, "at_m": 0.0, "axial_linear_N_s_m": drag_N_s_m},
         ],
     }  # fmt: skip
-    return MultilinkModel(Robot.model_validate({"format": "swimid-robot/1", "name": "s", "multilink": body}))
+    document = {"format": "swimid-robot/1", "name": "s", "multilink": body}
+    return MultilinkModel(schema_of().model_validate(document))
 
 
 def undulate(model: MultilinkModel, speed: float, times: np.ndarray) -> dict[str, np.ndarray]:
@@ -813,7 +814,7 @@ def test_double_pendulum() -> None:
         ],
         "elements": [{"kind": "hydrostatics", "link": n} for n in ("wall", "upper", "lower")],
     }  # fmt: skip
-    robot = Robot.model_validate({"format": "swimid-robot/1", "name": "pendulum", "multilink": body})
+    robot = schema_of().model_validate({"format": "swimid-robot/1", "name": "pendulum", "multilink": body})
     model = MultilinkModel(robot, max_step=0.0025)
     at = {p.name: i for i, p in enumerate(model.parameters)}
     times = np.linspace(0.0, 10.0, 2001)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib.util
 import math
 import os
 import subprocess
@@ -31,38 +30,23 @@ from numba import types
 from numba.core.codegen import get_host_cpu_features
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
-from numba.misc.appdirs import user_cache_dir
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.fitting.model import MOST_FORCES, Force, Traceable
 from swimid.progress import Progress, silent
-from swimid.swimmer.planar.engine import BROKEN
+from swimid.swimmer.planar.engine import BROKEN, integrate
 
 if TYPE_CHECKING:
     from swimid.files.atomic import Checkpoint
     from swimid.swimmer.model import Run
 
 
-#: Coefficients of polynomials for sine and cosine between -45 and 45 degrees (S. Moshier, Cephes: sin.c,
-#: double precision).
-SINE = (
-    1.58962301576546568060e-10,
-    -2.50507477628578072866e-8,
-    2.75573136213857245213e-6,
-    -1.98412698295895385996e-4,
-    8.33333333332211858878e-3,
-    -1.66666666666666307295e-1,
-)
-COSINE = (
-    -1.13585365213876817300e-11,
-    2.08757008419747316778e-9,
-    -2.75573141792967388112e-7,
-    2.48015872888517045348e-5,
-    -1.38888888888730564116e-3,
-    4.16666666666665929218e-2,
-)
+#: Taylor coefficients of ``(sin(x) - x) / x^3`` and ``(cos(x) - 1 + x^2 / 2) / x^4`` in powers of x^2, for
+#: angles x between -45 and 45 degrees. The first omitted terms are below 5e-17.
+SINE = tuple((-1.0) ** (k + 1) / math.factorial(2 * k + 3) for k in range(6, -1, -1))
+COSINE = tuple((-1.0) ** k / math.factorial(2 * k + 4) for k in range(6, -1, -1))
 #: The angle pi / 2, rad, as a sum of three numbers. They are short enough for exact products (Cody and Waite
 #: 1980).
 QUARTER = (1.5707962512969971, 7.549789415861596e-08, 5.390302858158119e-15)
@@ -694,10 +678,9 @@ class Kernel:
         """
         for name, example in self._example.items():
             given = tables[name]
-            if name in self.fixed:
-                if np.shape(given) != np.shape(example):
-                    return False
-            elif given is not example and not np.array_equal(given, example):
+            if np.shape(given) != np.shape(example):
+                return False
+            if name not in self.fixed and given is not example and not np.array_equal(given, example):
                 return False
         return bool((self._entries(tables)[self._known] == self._structure).all())
 
@@ -724,7 +707,7 @@ class Kernel:
             acting = tables.pop(ACTING)
             forced, time = self._forced(self.room, acting), acting[0] + tracer.symbol("elapsed", 0)
         derivative = on_symbols(self.engine.derivative)
-        derivative(state, row, tuple(tables.values()), forced, time, scratch, rate)
+        derivative(state, row, *tables.values(), forced, time, *scratch, rate)
         after = Tracer()
         settled = array(after, "state", (self.size,))
         on_symbols(self.engine.settled)(settled)
@@ -826,23 +809,14 @@ class Kernel:
                 self.module.integrate.compile(self.module.SIGNATURE)
             return self.module
 
-    def run(
-        self,
-        starts: Sequence[Array],
-        steps_s: Sequence[float],
-        drives: Sequence[Array],
-        tables: Sequence[Mapping[str, Any]],
-    ) -> list[tuple[Array, Array]]:
+    def run(self, runs: Sequence[tuple[Array, float, Array, Mapping[str, Any]]]) -> list[tuple[Array, Array]]:
         """Return states and rates of each simulation, as ``engine.integrate`` does.
 
         Parameters
         ----------
-        starts : sequence of ndarray, shape (size,)
-            Initial states.
-        steps_s : sequence of float
-        drives : sequence of ndarray, shape (2 steps + 1, driven joints, 5)
-        tables : sequence of mappings
-            Input arrays of each simulation, for which :meth:`fits` must be true.
+        runs : sequence of (start, step, drive, tables)
+            Initial state, step (s), motion of the driven joints, shape (2 steps + 1, driven joints, 5), and
+            input arrays of each simulation, for which :meth:`fits` must be true.
 
         Returns
         -------
@@ -851,26 +825,27 @@ class Kernel:
         module, traced = self.compiled(), self.traced
         found: dict[int, tuple[Array, Array]] = {}
         # simulations of similar length share a batch
-        order = sorted(range(len(starts)), key=lambda k: len(drives[k]))
+        order = sorted(range(len(runs)), key=lambda k: len(runs[k][2]))
         for first in range(0, len(order), LANES):
             batch = order[first : first + LANES]
-            lanes = [*batch, *[batch[0]] * (LANES - len(batch))]
-            steps = [(len(drives[k]) - 1) // 2 for k in batch]
+            full = [runs[k] for k in [*batch, *[batch[0]] * (LANES - len(batch))]]
+            starts, steps_s, drives, tables = zip(*full, strict=True)
+            steps = [(len(drive) - 1) // 2 for drive in drives]
             states, rates = self._buffer((2, len(batch), max(steps) + 1, self.size))
             module.integrate(
-                np.stack([starts[k] for k in lanes], axis=-1).reshape(-1),
-                np.array([steps_s[k] for k in lanes], dtype=float),
-                *(np.ascontiguousarray(drives[k]).reshape(len(drives[k]), -1) for k in lanes),
-                all(drives[k] is drives[batch[0]] for k in batch),
+                np.stack(starts, axis=-1).reshape(-1),
+                np.array(steps_s, dtype=float),
+                *(np.ascontiguousarray(drive).reshape(len(drive), -1) for drive in drives),
+                all(drive is drives[0] for drive in drives),
                 max(steps),
-                np.stack([self.numbers(tables[k]) for k in lanes], axis=-1).reshape(-1),
+                np.stack([self.numbers(t) for t in tables], axis=-1).reshape(-1),
                 states,
                 rates,
                 np.empty(length(traced)),
             )
             for j, k in enumerate(batch):
                 found[k] = states[j, : steps[j] + 1], rates[j, : steps[j] + 1]
-        return [found[k] for k in range(len(starts))]
+        return [found[k] for k in range(len(runs))]
 
     def _buffer(self, shape: tuple[int, ...]) -> Array:
         """Return an array to write into, from memory that no earlier result uses any more.
@@ -931,15 +906,8 @@ def _used(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
 
 
 def folder() -> Path:
-    """Return the folder of generated modules and their compiled forms, next to the other caches of numba."""
-    beside = Path(__file__).parent / "__pycache__"
-    if numba.config.CACHE_DIR:
-        base = Path(numba.config.CACHE_DIR)
-    elif os.access(beside if beside.exists() else beside.parent, os.W_OK):
-        base = beside
-    else:
-        base = Path(user_cache_dir("swimid"))
-    return base / "lanes"
+    """Return the folder of generated modules, in the folder of numba's compiled engine."""
+    return Path(integrate.stats.cache_path) / "lanes"
 
 
 def _path(text: str) -> Path:
@@ -950,9 +918,8 @@ def _path(text: str) -> Path:
 
 def on_disk(text: str) -> bool:
     """Return whether the module with this text is compiled on this machine."""
-    path = _path(text)
-    base = Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else path.parent / "__pycache__"
-    return any(base.rglob(f"{path.stem}.integrate-*.nbc"))
+    module = imported(text)
+    return any(Path(module.integrate.stats.cache_path).glob(f"{module.__name__}.integrate-*.nbc"))
 
 
 def imported(text: str) -> ModuleType:
@@ -961,18 +928,15 @@ def imported(text: str) -> ModuleType:
     The module is compiled at its first call.
     """
     path = _path(text)
-    if path.stem in sys.modules:
-        return sys.modules[path.stem]
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        atomic.write_text(path, text)
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
-    return module
+    if path.stem not in sys.modules:
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            atomic.write_text(path, text)
+        module = ModuleType(path.stem)
+        module.__file__ = str(path)
+        exec(compile(text, path, "exec"), vars(module))
+        sys.modules[path.stem] = module
+    return sys.modules[path.stem]
 
 
 def compile_later(text: str) -> None:
@@ -1050,10 +1014,8 @@ class Kernels:
     def make(self, *, effects: bool = True) -> Kernel:
         """Create the kernels without compiling them, and return the kernel of the robot alone."""
         self.own = self.own or Kernel(*self._made)
-        if effects and self.wide is None:
-            room = self._room()
-            if room is not None:
-                self.wide = Kernel(*self._made, room)
+        if effects and self.wide is None and (room := self._room()) is not None:
+            self.wide = Kernel(*self._made, room)
         return self.own
 
     def prepare(
@@ -1104,21 +1066,18 @@ class Kernels:
         if self.wide is None or not self.use_wide:
             return None
         tables = self.wide.widened(run.tables, run.hooks.force, frame(run), run.grid.begin_s)
-        return None if tables is None else (self.wide, tables)
+        return tables and (self.wide, tables)
 
     def run(self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]) -> dict[Any, tuple[Array, Array]]:
         """Return states and rates of the simulations that the kernels can compute, by key of ``runs``."""
+        taken: dict[Kernel, dict[Any, tuple[Array, float, Array, Mapping[str, Any]]]] = {}
+        for key, run in runs.items():
+            choice = self.choose(run, frame)
+            if choice is not None:
+                kernel, tables = choice
+                own = taken.setdefault(kernel, {})
+                own[key] = run.start, run.grid.step_s, run.drive.table, tables
         found: dict[Any, tuple[Array, Array]] = {}
-        choices = {key: self.choose(run, frame) for key, run in runs.items()}
-        for kernel in (self.own, self.wide):
-            taken = {key: choice[1] for key, choice in choices.items() if choice and choice[0] is kernel}
-            if kernel is None or not taken:
-                continue
-            motions = kernel.run(
-                [runs[key].start for key in taken],
-                [runs[key].grid.step_s for key in taken],
-                [runs[key].drive.table for key in taken],
-                list(taken.values()),
-            )
-            found.update(zip(taken, motions, strict=True))
+        for kernel, own in taken.items():
+            found.update(zip(own, kernel.run(list(own.values())), strict=True))
         return found

@@ -240,7 +240,7 @@ class SteadySwimming:
         steps = math.floor(periods) * math.ceil(period / self.model.max_step)
         grid = Grid(begin_s, periods * period / steps, steps)
         phase = self.model.value(run.values, "drive_phase")
-        motion = self.model.joints.fresh_motion(run.values, run.trial, grid, phase, run.hooks)
+        motion = self.model.joints.motion(run.values, run.trial, grid, phase, run.hooks, cached=False)
         start = run.start.copy()
         start[self._memory] = state
         return self.model.integrate(replace(run, grid=grid, start=start, drive=motion))[0]

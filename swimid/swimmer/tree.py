@@ -24,6 +24,8 @@ from swimid.swimmer.planar.engine import PASSIVE
 
 #: Maximum number of coefficient vectors whose input arrays are cached.
 MAX_TABLES = 64
+#: Indices of the entries of a symmetric 3 by 3 matrix in its upper part, which is stored row by row.
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 class Polynomial:
@@ -171,19 +173,8 @@ class Table:
         return np.asarray((self.constant + self.gains @ products).reshape(self.shape))
 
 
-#: Keys of a robot file whose strings are not physical quantities.
-WORDS = {
-    "name",
-    "link",
-    "parent",
-    "child",
-    "kind",
-    "inertia_about",
-    "plane",
-    "base",
-    "frame",
-    "added_mass_direction",
-}
+#: Keys of links, joints and elements whose strings are not physical quantities.
+WORDS = {"name", "link", "parent", "child", "kind", "inertia_about", "frame", "added_mass_direction"}
 
 
 @dataclass(frozen=True)

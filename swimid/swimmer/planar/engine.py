@@ -44,6 +44,11 @@ def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def settled(state):  # type: ignore[no-untyped-def]
+    """Leave the state after a step as it is."""
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def facing(frame, base, turn):  # type: ignore[no-untyped-def]
     """Return the heading of a link in the world, rad, without jumps.
 
@@ -79,13 +84,6 @@ PASSIVE = (
 )
 #: Entries of tables that effects may change although the robot file leaves them at zero.
 FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def settled(state):  # type: ignore[no-untyped-def]
-    """Leave the state after a step as it is."""
-
-
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
@@ -371,18 +369,30 @@ def solve(matrix, right, first):  # type: ignore[no-untyped-def]
             right[i] -= matrix[m, i] * right[m]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _loads(tables, work):  # type: ignore[no-untyped-def]
-    """Add the forces of all elements."""
-    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
-    _drag(drag_link, drag, work)
-    _foils(foil_link, foil, work)
-    _forces(force_link, force, work)
-    _wakes(wake_link, wake, work)
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def derivative(state, row, tables, forced, time, scratch, rate):  # type: ignore[no-untyped-def]
+def derivative(  # type: ignore[no-untyped-def]
+    state,
+    row,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    wake_link,
+    wake,
+    free_base,
+    forced,
+    time,
+    work,
+    matrix,
+    right,
+    rate,
+):
     """Compute the rate of the state, and write it into ``rate``.
 
     Parameters
@@ -390,27 +400,31 @@ def derivative(state, row, tables, forced, time, scratch, rate):  # type: ignore
     state, rate : ndarray, shape (2 n,)
     row : ndarray, shape (driven joints, 5)
         Angle, rate, acceleration, cosine and sine (mounting angle included) of each driven joint.
-    tables : tuple
-        Values of :meth:`swimid.swimmer.tree.Tree.tables`: ``topology`` (ndarray of int, shape (links, 3)),
-        ``joint`` (links, 4), ``inertia`` (links, 6), ``passive`` (passive joints, 11), and for each kind of
-        element the links and the table with columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE` and
-        :data:`WAKE`. The last is ``free_base``: whether the base moves; otherwise it keeps its pose.
+    topology : ndarray of int, shape (links, 3); joint : ndarray, shape (links, 4)
+    inertia : ndarray, shape (links, 6)
+    passive : ndarray, shape (passive joints, 11)
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake : ndarray
+        Element lists, columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
+    free_base : bool
+        Whether the base moves; otherwise it keeps its pose.
     forced : tuple or None
         Forces of effects, as :func:`outside` packs them. None costs no time.
     time : float, s
-    scratch : tuple of ndarray
-        Work arrays with the shapes of :func:`shapes`.
+    work : ndarray, shape (links, 19)
+    matrix : ndarray, shape (n, n); right : ndarray, shape (n,)
+        Work arrays.
     """
     n = len(state) // 2
-    topology, joint, inertia, passive = tables[:4]
-    work, matrix, right = scratch
     _outwards(state, row, topology, joint, inertia, None, work)
-    _loads(tables, work)
+    _drag(drag_link, drag, work)
+    _foils(foil_link, foil, work)
+    _forces(force_link, force, work)
+    _wakes(wake_link, wake, work)
     if forced is not None:
         _forced(time, state, work, forced)
     _inwards(state, topology, joint, passive, work, matrix, right)
     first = 3
-    if tables[12]:
+    if free_base:
         first = 0
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = work[0, 11], work[0, 14], work[0, 16]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = work[0, 12], work[0, 13], work[0, 15]
@@ -457,35 +471,6 @@ def begin_stage(stage, step, here, slope, total, trial):  # type: ignore[no-unty
             trial[j] = here[j] + step / 6.0 * (total[j] + slope[j])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def march(derivative, settled, start, step, table, tables, forced, begin, scratch):  # type: ignore[no-untyped-def]
-    """Integrate by a fourth-order Runge-Kutta method with fixed steps (see :func:`integrate`).
-
-    ``derivative`` and ``settled`` are functions of the engine. ``scratch`` has the work arrays.
-    """
-    steps, size = (table.shape[0] - 1) // 2, len(start)
-    states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
-    slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
-    states[0] = start
-    for i in range(steps + 1):
-        for stage in range(4):
-            begin_stage(stage, step, states[i], slope, total, trial)
-            half = (stage + 1) // 2
-            time = begin + step * (i + 0.5 * half)
-            derivative(trial, table[2 * i + half], tables, forced, time, scratch, slope)
-            if stage == 0:
-                rates[i] = slope
-                if is_broken(states[i], slope):
-                    states[i:] = math.nan
-                    rates[i:] = math.nan
-                    return states, rates
-                if i == steps:
-                    return states, rates
-        begin_stage(4, step, states[i], slope, total, states[i + 1])
-        settled(states[i + 1])
-    return states, rates
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
     """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
@@ -496,8 +481,10 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     step : float, s
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Driven joints on the half-step grid; see :func:`derivative`.
-    tables, forced : tuple
-        See :func:`derivative`.
+    tables : tuple
+        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
+    forced : tuple or None
+        Forces of effects (see :func:`derivative`).
     begin : float, s
         Time of the first state.
 
@@ -506,9 +493,33 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     states, rates : ndarray, shape (steps + 1, 2 n)
         NaN from where the motion breaks down.
     """
-    n = len(start) // 2
-    scratch = np.zeros((len(tables[0]), 19)), np.zeros((n, n)), np.zeros(n)
-    return march(derivative, settled, start, step, table, tables, forced, begin, scratch)
+    topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
+    force_link, force, wake_link, wake, free_base = tables[8:]
+    steps, size = (table.shape[0] - 1) // 2, len(start)
+    states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
+    work, right = np.zeros((topology.shape[0], 19)), np.zeros(size // 2)
+    matrix = np.zeros((size // 2, size // 2))
+    slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
+    states[0] = start
+    for i in range(steps + 1):
+        for stage in range(4):
+            begin_stage(stage, step, states[i], slope, total, trial)
+            half = (stage + 1) // 2
+            derivative(
+                trial, table[2 * i + half], topology, joint, inertia, passive, drag_link, drag, foil_link,
+                foil, force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5 * half),
+                work, matrix, right, slope,
+            )  # fmt: skip
+            if stage == 0:
+                rates[i] = slope
+                if is_broken(states[i], slope):
+                    states[i:] = math.nan
+                    rates[i:] = math.nan
+                    return states, rates
+                if i == steps:
+                    return states, rates
+        begin_stage(4, step, states[i], slope, total, states[i + 1])
+    return states, rates
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -525,14 +536,18 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     table : ndarray, shape (m, driven joints, 5)
         Driven joints at the same instants.
     tables : tuple
-        See :func:`derivative`.
+        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
     """
     topology, joint, inertia = tables[:3]
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
     links = topology.shape[0]
     found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        _loads(tables, work)
+        _drag(drag_link, drag, work)
+        _foils(foil_link, foil, work)
+        _forces(force_link, force, work)
+        _wakes(wake_link, wake, work)
         for i in range(links - 1, -1, -1):
             found[t, i] = work[i, 10]
             if i > 0:

@@ -33,7 +33,17 @@ from swimid.swimmer import drive
 from swimid.swimmer.lanes import Room
 from swimid.swimmer.model import Run, Swimmer, trial_parameter
 from swimid.swimmer.planar import engine
-from swimid.swimmer.tree import Polynomial, Row, Rows, Table, Tree, check_apparent, given, quantities
+from swimid.swimmer.tree import (
+    SYMMETRIC,
+    Polynomial,
+    Row,
+    Rows,
+    Table,
+    Tree,
+    check_apparent,
+    given,
+    quantities,
+)
 
 
 def _add_mass(
@@ -191,17 +201,12 @@ MAX_DENSITY = 5000.0
 #: Maximum length, as a multiple of the robot's length, and maximum area, as a multiple of the square of that
 #: length.
 MAX_EXTENT = 3.0
-#: Patterns of keys: quantities that are lengths, and quantities of elements that must not be negative.
+#: Pattern of the keys of lengths, and pattern of the paths of quantities that must not be negative.
 LENGTH = re.compile(r"(?!.*_(N|N_s|kg)_m$).*_m")
-LOSS = re.compile(r"area_m2|coefficient|linear|quadratic|volume|mass_kg_m")
-#: Quantities of a passive joint that must not be negative, with their columns in the input array ``passive``.
-ONE_SIGN = {
-    "stiffness_N_m_rad": 0,
-    "damping_N_m_s_rad": 2,
-    "quadratic_damping_N_m_s2_rad2": 3,
-    "tendon.spring_N_m": 5,
-    "friction_N_m": 9,
-}
+LOSS = re.compile(
+    r"multilink\.elements\..*\.\w*(area_m2|coefficient|linear|quadratic|volume|mass_kg_m)\w*"
+    r"|multilink\.joints\..*\.passive\.(tendon\.)?(stiffness|damping|quadratic|spring|friction_N)\w*"
+)
 #: Maximum magnitude of any quantity.
 MAX_QUANTITY = 1e15
 
@@ -240,10 +245,7 @@ class Assembly(Tree):
         paths = [path for path, _ in named]
         keys = [path.rsplit(".", 1)[-1] for path in paths]
         powers = [2 * key.endswith("area_m2") or int(bool(LENGTH.fullmatch(key))) for key in keys]
-        losses = [
-            path.startswith("multilink.elements") and LOSS.search(key) is not None
-            for path, key in zip(paths, keys, strict=True)
-        ]
+        losses = [LOSS.fullmatch(path) is not None for path in paths]
         table = Table([[Polynomial.of(quantity)] for _, quantity in named], 1, self.names)
         return paths, np.array(powers), np.array(losses), table
 
@@ -265,18 +267,11 @@ class Assembly(Tree):
         for link, own, whole in zip(self.links, rigid, apparent, strict=True):
             _check_link(link, own, span)
             check_apparent(
-                _full(whole),
-                np.diag(_full(own)),
+                whole[SYMMETRIC],
+                np.diag(own[SYMMETRIC]),
                 column=f"multilink.links.{link.name}",
                 hint="an added mass or inertia is negative",
             )
-        for axis, law in zip(self.passive, self._passive(values), strict=True):
-            for key, column in ONE_SIGN.items():
-                if law[column] < 0:
-                    raise InputError(
-                        f"{law[column]:g} is negative; it must not be",
-                        column=f"multilink.joints.{axis.joint.name}.passive.{key}",
-                    )
 
     def _check_sizes(self, values: Array) -> None:
         """Raise an error for sizes out of proportion to the robot, and for negative areas or coefficients."""
@@ -285,17 +280,14 @@ class Assembly(Tree):
         far = np.where(powers > 0, MAX_EXTENT * span**powers, np.inf)
         sound = (np.abs(numbers) < MAX_QUANTITY) & (np.abs(numbers) <= far) & ~(one_sign & (numbers < 0))
         for k in np.flatnonzero(~sound)[:1]:
-            number, power = float(numbers[k]), powers[k]
-            if not abs(number) < MAX_QUANTITY:
-                raise InputError(f"{number:g} is out of all proportion", column=paths[k])
-            if abs(number) > far[k]:
-                unit = ("m", "m2")[power - 1]
-                raise InputError(
-                    f"{number:g} {unit} is out of proportion to a robot {span:g} m long",
-                    column=paths[k],
-                    hint=f"lengths are in m, areas in m2: is it in {('mm', 'cm2')[power - 1]}?",
-                )
-            raise InputError(f"{number:g} is negative; it must not be", column=paths[k])
+            text, hint = f"{numbers[k]:g} is negative; it must not be", None
+            if not abs(numbers[k]) < MAX_QUANTITY:
+                text = f"{numbers[k]:g} is out of all proportion"
+            elif abs(numbers[k]) > far[k]:
+                unit, small = {1: ("m", "mm"), 2: ("m2", "cm2")}[powers[k]]
+                text = f"{numbers[k]:g} {unit} is out of proportion to a robot {span:g} m long"
+                hint = f"lengths are in m, areas in m2: is it in {small}?"
+            raise InputError(text, column=paths[k], hint=hint)
 
     def _add_rigid(self, link: Link, rows: Rows) -> None:
         mass = Polynomial.of(link.mass_kg)
@@ -345,12 +337,6 @@ def _check_link(link: Link, own: Array, span: float) -> None:
             column=f"{where}.inertia_kg_m2",
             hint="lengths are in m, masses in kg, inertias in kg m2: is one in mm, g or g m2?",
         )
-
-
-def _full(row: Array) -> Array:
-    """Return the inertia matrix of a row of the ``inertia`` input array, shape (3, 3)."""
-    a, b, c, d, e, f = row
-    return np.array([[a, b, c], [b, d, e], [c, e, f]])
 
 
 Point = tuple[float, float]

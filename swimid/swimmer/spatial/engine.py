@@ -29,7 +29,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.swimmer.planar.engine import FILLED, march, passive_torque, positive, solve
+from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
 
 __all__ = ["FILLED"]
 #: Columns of the tables.
@@ -49,18 +49,7 @@ INERTIA = (
 )
 #: Columns of the table of drag points; ``size`` is half the height over which a point leaves the water, 0 if
 #: it never does.
-DRAG = (
-    "x",
-    "y",
-    "z",
-    "quadratic_x",
-    "quadratic_y",
-    "quadratic_z",
-    "linear_x",
-    "linear_y",
-    "linear_z",
-    "size",
-)
+DRAG = (*"xyz", *(f"quadratic_{c}" for c in "xyz"), *(f"linear_{c}" for c in "xyz"), "size")
 DAMPING = ("quadratic_p", "quadratic_q", "quadratic_r", "linear_p", "linear_q", "linear_r")
 FOIL = (
     "x", "y", "z", "half_rho_area", "cl", "cd0", "cd1",
@@ -385,41 +374,66 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
         _to_parent(i, topology[i, 0], joint, work)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _loads(tables, work):  # type: ignore[no-untyped-def]
-    """Add the forces of all elements."""
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, surface = tables[4:13]
-    _drags(drag_link, drag, surface, work)
-    _dampings(damping_link, damping, work)
-    _foils(foil_link, foil, surface, work)
-    _forces(force_link, force, surface, work)
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
-def derivative(state, row, tables, forced, time, scratch, rate):  # type: ignore[no-untyped-def]
+def derivative(  # type: ignore[no-untyped-def]
+    state,
+    row,
+    topology,
+    joint,
+    inertia,
+    passive,
+    drag_link,
+    drag,
+    damping_link,
+    damping,
+    foil_link,
+    foil,
+    force_link,
+    force,
+    surface,
+    free_base,
+    forced,
+    time,
+    work,
+    matrix,
+    right,
+    rate,
+):
     """Compute the rate of the state, and write it into ``rate``.
-
-    The arguments are those of :func:`swimid.swimmer.planar.engine.derivative`. No forces of effects act.
 
     Parameters
     ----------
     state, rate : ndarray, shape (13 + 2 passive hinges,)
-    tables : tuple
-        ``topology`` (ndarray of int, shape (links, 4)), ``joint`` (links, 33), ``inertia`` (links, 21),
-        ``passive`` (passive hinges, 11), and for each kind of element the links and the table with columns
-        as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL` and :data:`FORCE`. The last two are the height of the
-        water surface in the world (m), and whether the base moves; otherwise it keeps its pose.
+    row : ndarray, shape (driven hinges, 5)
+        Angle, rate, acceleration, cosine and sine of each driven hinge.
+    topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
+    inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
+        Columns of ``swimid.swimmer.planar.engine.PASSIVE``
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force : ndarray
+        Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`.
+    surface : float, m
+        Height of the water surface in the world.
+    free_base : bool
+        Whether the base moves; otherwise it keeps its pose.
+    forced : None
+        No forces of effects act.
+    time : float, s
+    work : ndarray, shape (links, 60)
+    matrix : ndarray, shape (n, n), n = 6 + passive hinges
+    right : ndarray, shape (n,)
+        Work arrays.
     """
-    topology, joint, inertia, passive = tables[:4]
-    work, matrix, right = scratch
     passives = passive.shape[0]
     n = 6 + passives
     _outwards(state, row, topology, joint, inertia, None, work)
-    _loads(tables, work)
+    _drags(drag_link, drag, surface, work)
+    _dampings(damping_link, damping, work)
+    _foils(foil_link, foil, surface, work)
+    _forces(force_link, force, surface, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
-    if tables[13]:
+    if free_base:
         first = 0
         matrix[0, 0], matrix[1, 1], matrix[2, 2] = w[_A], w[_A + 3], w[_A + 5]
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = w[_A + 1], w[_A + 2], w[_A + 4]
@@ -462,9 +476,32 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
 
     The quaternion is scaled to length 1 after each step.
     """
-    n = 6 + len(tables[3])
-    scratch = np.zeros((len(tables[0]), _WORK)), np.zeros((n, n)), np.zeros(n)
-    return march(derivative, settled, start, step, table, tables, forced, begin, scratch)
+    topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
+    foil, force_link, force, surface, free_base = tables[9:]
+    steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
+    states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
+    work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
+    slope, total, trial = np.empty(size), np.empty(size), np.empty(size)
+    states[0] = start
+    for i in range(steps + 1):
+        for stage in range(4):
+            begin_stage(stage, step, states[i], slope, total, trial)
+            derivative(
+                trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
+                damping_link, damping, foil_link, foil, force_link, force, surface, free_base, forced, begin,
+                work, matrix, right, slope,
+            )  # fmt: skip
+            if stage == 0:
+                rates[i] = slope
+                if is_broken(states[i], slope):
+                    states[i:] = math.nan
+                    rates[i:] = math.nan
+                    return states, rates
+                if i == steps:
+                    return states, rates
+        begin_stage(4, step, states[i], slope, total, states[i + 1])
+        settled(states[i + 1])
+    return states, rates
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -474,11 +511,15 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.
     """
     topology, joint, inertia = tables[:3]
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, surface = tables[4:13]
     links = topology.shape[0]
     found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
-        _loads(tables, work)
+        _drags(drag_link, drag, surface, work)
+        _dampings(damping_link, damping, work)
+        _foils(foil_link, foil, surface, work)
+        _forces(force_link, force, surface, work)
         for i in range(links - 1, 0, -1):
             found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)

@@ -29,37 +29,24 @@ from swimid.robots.spatial import (
 )
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.tree import Entry, Polynomial, Row, Rows, Tree, check_apparent, given
-
-
-def _add_mass(
-    rows: Rows,
-    link: str,
-    mass: Sequence[Sequence[Entry]],
-    at: Sequence[Entry],
-    turning: Sequence[Sequence[Entry]] | None = None,
-) -> None:
-    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point."""
-    rows.add_inertia(link, block(mass, at, turning or diagonal((0.0, 0.0, 0.0))))
-
-
-def _polynomials(vector: Sequence[Entry]) -> list[Polynomial]:
-    return [Polynomial.of(entry) for entry in vector]
-
+from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given
 
 #: Row and column indices of the entries that are stored of a symmetric 3 by 3 matrix.
-UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+UPPER = np.triu_indices(3)
+ZERO = np.zeros((3, 3))
 
 
-def block(
-    mass: Sequence[Sequence[Entry]],
-    at: Sequence[Entry],
-    turning: Sequence[Sequence[Entry]],
-) -> Row:
-    """Return the inertia entries of a mass at a point (:data:`swimid.swimmer.spatial.engine.INERTIA`).
+def _vector(entries: Sequence[Entry]) -> Any:
+    """Return an array of polynomials."""
+    return np.array([Polynomial.of(entry) for entry in entries], dtype=object)
 
-    The entries are the blocks A = M, ``B = -M S`` and ``D = J - S M S`` of the inertia matrix. S is the
-    matrix of the cross product with the position of the point. The velocity of the point is ``v - S w``.
+
+def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: Any = ZERO) -> None:
+    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point.
+
+    The entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) are the blocks A = M, ``B = -M S`` and ``D = J
+    - S M S`` of the inertia matrix. S is the matrix of the cross product with the position of the point. The
+    velocity of the point is ``v - S w``.
 
     Parameters
     ----------
@@ -70,44 +57,22 @@ def block(
     turning : 3 by 3 entries, kg m2
         Inertia J about the point.
     """
-    m = np.array([[Polynomial.of(e) for e in row] for row in mass])
-    x, y, z = _polynomials(at)
-    none = Polynomial.of(0.0)
-    lever = np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
-    ms = m @ lever
-    sms = lever @ ms
-    a = [m[r, c] for r, c in UPPER]
-    d = [Polynomial.of(turning[r][c]) - sms[r, c] for r, c in UPPER]
-    return [*a, *(-ms).ravel(), *d]
-
-
-def diagonal(values: Sequence[Entry]) -> list[list[Entry]]:
-    """Return a 3 by 3 matrix with these values on its diagonal."""
-    found: list[list[Entry]] = [[0.0] * 3 for _ in range(3)]
-    for k, value in enumerate(values):
-        found[k][k] = value
-    return found
-
-
-def along(direction: Sequence[float], size: Entry) -> list[list[Entry]]:
-    """Return the mass matrix of an added mass that resists only motion along one direction."""
-    unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    return [[Polynomial.of(size) * float(unit[r] * unit[c]) for c in range(3)] for r in range(3)]
+    x, y, z = _vector(at)
+    lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=object)
+    ms = mass @ lever
+    rows.add_inertia(link, [*mass[UPPER], *(-ms).ravel(), *(turning - lever @ ms)[UPPER]])
 
 
 def full(row: Array) -> Array:
     """Return the inertia matrix of a row of the ``inertia`` input array, shape (6, 6)."""
-    a, b, d = (np.zeros((3, 3)) for _ in range(3))
-    for n, (r, c) in enumerate(UPPER):
-        a[r, c] = a[c, r] = row[n]
-        d[r, c] = d[c, r] = row[15 + n]
-    b[:] = np.asarray(row[6:15]).reshape(3, 3)
-    return np.block([[a, b], [b.T, d]])
+    b = row[6:15].reshape(3, 3)
+    return np.block([[row[:6][SYMMETRIC], b], [b.T, row[15:][SYMMETRIC]]])
 
 
 def _added_mass(element: AddedMass, body: Body, rows: Rows) -> None:
     """Add added masses along the axes of a link, and added inertias about these axes."""
-    _add_mass(rows, body.name, diagonal(element.mass_kg), element.at_m, diagonal(element.inertia_kg_m2))
+    mass, turning = (np.diag(_vector(v)) for v in (element.mass_kg, element.inertia_kg_m2))
+    _add_mass(rows, body.name, mass, element.at_m, turning)
 
 
 def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, float, float]:
@@ -140,18 +105,24 @@ def _spheroid(element: Spheroid, body: Body, rows: Rows) -> None:
     a, b = element.semi_major_m, element.semi_minor_m
     displaced = 4.0 / 3.0 * math.pi * rows.density_kg_m3 * a * b * b
     k1, k2, turning = spheroid_coefficients(a, b)
-    factors = _polynomials(element.factors)
-    masses = [f * (k * displaced) for f, k in zip(factors, (k1, k2, k2), strict=True)]
+    factors = _vector(element.factors)
+    masses = factors * (np.array([k1, k2, k2]) * displaced)
     inertia = turning * displaced * (a * a + b * b) / 5.0 * element.turning
     # rotation about z moves water along y, and rotation about y along z, so the factors of these axes apply
-    about = (0.0, factors[2] * inertia, factors[1] * inertia)
-    _add_mass(rows, body.name, diagonal(masses), element.at_m, diagonal(about))
+    about = factors[[0, 2, 1]] * np.array([0.0, inertia, inertia])
+    _add_mass(rows, body.name, np.diag(masses), element.at_m, np.diag(about))
 
 
 def _plate(element: Plate, body: Body, rows: Rows) -> None:
     """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
     mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
-    _add_mass(rows, body.name, along(element.normal, Polynomial.of(element.k) * mass), element.at_m)
+    unit = _unit(element.normal)
+    _add_mass(rows, body.name, np.outer(unit, unit) * (Polynomial.of(element.k) * mass), element.at_m)
+
+
+def _unit(direction: Sequence[float]) -> Array:
+    """Return the unit vector of a direction."""
+    return np.asarray(direction, dtype=float) / np.linalg.norm(direction)
 
 
 def _drag(element: Drag, body: Body, rows: Rows) -> None:
@@ -160,17 +131,13 @@ def _drag(element: Drag, body: Body, rows: Rows) -> None:
     The drag acts at a point, or on a row of strips at the points of Gauss's rule.
     """
     half = 0.5 * rows.density_kg_m3
-    areas, coefficients = _polynomials(element.area_m2), _polynomials(element.coefficient)
-    quadratic = [half * a * c for a, c in zip(areas, coefficients, strict=True)]
-    linear = _polynomials(element.linear_N_s_m)
-    near, far = _polynomials(element.at_m), _polynomials(given(element.to_m, element.at_m))
+    quadratic = half * _vector(element.area_m2) * _vector(element.coefficient)
+    gains = [*quadratic, *_vector(element.linear_N_s_m)]
+    near, far = _vector(element.at_m), _vector(given(element.to_m, element.at_m))
     for point, weight in zip(*np.polynomial.legendre.leggauss(element.strips), strict=True):
-        along, share = 0.5 * (1.0 + float(point)), 0.5 * float(weight)
-        at = near
-        if element.to_m is not None:
-            at = [(1.0 - along) * a + along * b for a, b in zip(near, far, strict=True)]
-        gains = [share * gain for gain in (*quadratic, *linear)]
-        rows.add("drag", body.name, [*at, *gains, element.half_height_m or 0.0])
+        at = near + 0.5 * (1.0 + float(point)) * (far - near)
+        shares = [0.5 * float(weight) * gain for gain in gains]
+        rows.add("drag", body.name, [*at, *shares, element.half_height_m or 0.0])
 
 
 def _damping(element: Damping, body: Body, rows: Rows) -> None:
@@ -180,12 +147,16 @@ def _damping(element: Damping, body: Body, rows: Rows) -> None:
 
 def _foil(element: Foil, body: Body, rows: Rows) -> None:
     """Add lift and drag of a fin with the polar of a flat plate."""
-    chord, normal = (
-        [float(c) for c in np.asarray(d) / np.linalg.norm(d)] for d in (element.chord, element.normal)
-    )
     gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
     polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
-    row = [*element.at_m, gain, *polar, *chord, *normal, element.half_height_m or 0.0]
+    row = [
+        *element.at_m,
+        gain,
+        *polar,
+        *_unit(element.chord),
+        *_unit(element.normal),
+        element.half_height_m or 0.0,
+    ]
     rows.add("foil", body.name, row)
 
 
@@ -203,8 +174,8 @@ def _hydrostatics(element: Hydrostatics, body: Body, rows: Rows) -> None:
 def _water(element: Water, body: Body, rows: Rows) -> None:
     """Add the inertia of the water inside a hull, and the weight of this water if ``weighs`` is true."""
     mass = rows.density_kg_m3 * Polynomial.of(element.volume_m3)
-    about = [mass * float(k) ** 2 for k in element.gyration_m]
-    _add_mass(rows, body.name, diagonal((mass, mass, mass)), element.at_m, diagonal(about))
+    about = np.array(element.gyration_m, dtype=object) ** 2 * mass
+    _add_mass(rows, body.name, np.diag([mass] * 3), element.at_m, np.diag(about))
     if element.weighs:
         weight = -rows.gravity_m_s2 * mass
         rows.add("force", body.name, [*element.at_m, 0.0, 0.0, weight, 1.0, 0.0])
@@ -295,9 +266,8 @@ class Assembly(Tree):
     def _add_rigid(self, link: Body, rows: Rows) -> None:
         mass = Polynomial.of(link.mass_kg)
         moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
-        xx, yy, zz, xy, xz, yz = moments
-        turning = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
-        _add_mass(rows, link.name, diagonal((mass, mass, mass)), link.com_m, turning)
+        turning = _vector(moments)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+        _add_mass(rows, link.name, np.diag([mass] * 3), link.com_m, turning)
 
     def _place(self, joint: Hinge | None) -> Row:
         if joint is None:
@@ -332,12 +302,11 @@ def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
     mount : Rotation
         Rotation from the child's axes to the parent's axes at zero angle.
     """
-    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-    x, y, z = unit
+    x, y, z = unit = _unit(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     zero = mount.as_matrix()
     turns = [zero, zero @ cross, zero @ cross @ cross]
-    return [*at, *(float(u) for u in unit), *(float(e) for turn in turns for e in turn.ravel())]
+    return [*at, *unit, *np.ravel(turns)]
 
 
 #: Signs of roll, pitch (positive nose up) and yaw relative to rotations about x, y and z.
