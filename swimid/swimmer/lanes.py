@@ -17,7 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import UsageError
 from swimid.files import atomic
-from swimid.fitting.model import MOST_FORCES, Force, Traceable
+from swimid.fitting.model import Force, Traceable
 from swimid.progress import Progress, silent
 from swimid.swimmer.planar.engine import BROKEN, integrate
 
@@ -719,10 +719,9 @@ class Kernel:
         """Return forces as the engine takes them. A force that does not act is zero."""
         slots = [acting[place] for place in self._slots.values()]
         constants = [np.append(slot[:1], slot[3:]) for slot in slots]
-        functions = iter([on_symbols(known.function) for known, _ in room.forces])
 
-        def call(time: Any, pose: Any, velocity: Any, own: Any, wrench: Any) -> None:
-            next(functions)(time, pose, velocity, own[1:], wrench)
+        def call(plain: Any, time: Any, pose: Any, velocity: Any, own: Any, wrench: Any) -> None:
+            plain(time, pose, velocity, own[1:], wrench)
             wrench[:] = [positive(own[0], part, 0.0) for part in wrench]
 
         return (
@@ -732,7 +731,7 @@ class Kernel:
             np.concatenate(([0], np.cumsum([len(own) for own in constants]))).astype(int),
             acting[1 : 1 + FRAME],
             *(np.zeros(3, dtype=object) for _ in range(3)),
-            *(call,) * MOST_FORCES,
+            [partial(call, on_symbols(known.function)) for known, _ in room.forces],
         )
 
     def widened(

@@ -132,6 +132,12 @@ class Rows:
         self.elements[table].append((self.index[link], row))
 
 
+def strips(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
+    """Yield the points of Gauss's rule between two points, each with its share of the whole."""
+    for node, weight in zip(*np.polynomial.legendre.leggauss(count), strict=True):
+        yield low + 0.5 * (high - low) * (1.0 + float(node)), 0.5 * float(weight)
+
+
 class Table:
     """Matrix whose entries are polynomials in the coefficients.
 

@@ -555,12 +555,9 @@ def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float
 
 def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple[float, float, float]:
     """Return a coefficient of a fitted polynomial, its standard error, and the residual sum of squares."""
-    design = np.vander(time_s, order + 1, increasing=True)
-    weights, *_ = np.linalg.lstsq(design, values, rcond=None)
-    residuals = values - design @ weights
-    squares = float(residuals @ residuals)
-    spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
-    return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
+    weights, covariance = np.polyfit(time_s, values, order, cov=True)
+    residuals, at = values - np.polyval(weights, time_s), order - derivative
+    return float(weights[at]), math.sqrt(covariance[at, at]), float(residuals @ residuals)
 
 
 # ---------------------------------------------------------------- checks of the logs

@@ -259,7 +259,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
     """Add the forces of effects (:class:`swimid.fitting.model.Force`)."""
-    links, places, constants, ends, frame, pose, velocity, wrench, first, second, third, fourth = forced
+    links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):
         i = links[e]
         x, y = places[e, 0], places[e, 1]
@@ -273,14 +273,7 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
         pose[2] = facing(world, (state[2], c, s), (work[i, 17], work[i, 18]))
         wrench[:] = 0.0
         own = constants[ends[e] : ends[e + 1]]
-        if e == 0:
-            first(time, pose, velocity, own, wrench)
-        elif e == 1:
-            second(time, pose, velocity, own, wrench)
-        elif e == 2:
-            third(time, pose, velocity, own, wrench)
-        else:
-            fourth(time, pose, velocity, own, wrench)
+        functions[e](time, pose, velocity, own, wrench)
         _push(work, i, x, y, wrench[0], wrench[1])
         work[i, 10] -= wrench[2]
 
@@ -596,7 +589,7 @@ def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> 
         np.zeros(3),
         np.zeros(3),
         np.zeros(3),
-        *functions,
+        tuple(functions),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ from swimid.swimmer.tree import (
     check_apparent,
     given,
     quantities,
+    strips,
 )
 
 
@@ -95,16 +96,11 @@ def _drag(element: Drag, link: Link, rows: Rows) -> None:
         Polynomial.of(element.axial_linear_N_s_m),
         Polynomial.of(element.normal_linear_N_s_m),
     )
-    if element.at_m is not None:
-        stations, shares = [Polynomial.of(element.at_m)], [1.0]
-    else:
-        low = element.from_m or 0.0
-        high = given(element.to_m, link.length_m)
-        nodes, weights = np.polynomial.legendre.leggauss(element.strips)
-        stations = [Polynomial.of(low + 0.5 * (high - low) * (1.0 + float(z))) for z in nodes]
-        shares = [0.5 * float(w) for w in weights]
-    for station, share in zip(stations, shares, strict=True):
-        row = [-station, element.offset_m, *(share * g for g in gains), 0.0, 0.0]
+    places: Iterable[tuple[Any, float]] = [(element.at_m, 1.0)]
+    if element.at_m is None:
+        places = strips(element.from_m or 0.0, given(element.to_m, link.length_m), element.strips)
+    for station, share in places:
+        row = [*_point(station, element.offset_m), *(share * g for g in gains), 0.0, 0.0]
         rows.add("drag", link.name, row)
 
 
@@ -145,20 +141,15 @@ def _slender_body(element: SlenderBody, link: Link, rows: Rows) -> None:
     heights = np.array([s.height_m for s in element.sections])
     girths = np.array([s.perimeter_m for s in element.sections])
     low, high = float(at[0]), float(at[-1])
-    nodes, weights = np.polynomial.legendre.leggauss(element.strips)
-    stations = low + 0.5 * (high - low) * (1.0 + nodes)
-    for station, width in zip(stations, 0.5 * (high - low) * weights, strict=True):
+    for station, share in strips(low, high, element.strips):
         height, girth = float(np.interp(station, at, heights)), float(np.interp(station, at, girths))
-        mass = Polynomial.of(element.added_mass_coefficient) * (
-            0.25 * rows.density_kg_m3 * math.pi * height**2 * float(width)
-        )
-        forward = mass * float(element.added_mass_direction == "both")
-        zero = Polynomial.of(0.0)
-        _add_mass(rows, link.name, (Polynomial.of(-float(station)), zero), forward, mass, zero)
-        half = 0.5 * rows.density_kg_m3 * float(width)
+        half = 0.5 * rows.density_kg_m3 * share * (high - low)
+        mass = 0.5 * half * math.pi * height**2 * Polynomial.of(element.added_mass_coefficient)
+        forward, none = mass * float(element.added_mass_direction == "both"), Polynomial.of(0.0)
+        _add_mass(rows, link.name, _point(station, 0.0), forward, mass, none)
         friction = half * girth * Polynomial.of(element.friction_coefficient)
         drag = half * height * Polynomial.of(element.drag_coefficient)
-        rows.add("drag", link.name, [-float(station), 0.0, friction, drag, *[0.0] * 4])
+        rows.add("drag", link.name, [-station, 0.0, friction, drag, *[0.0] * 4])
 
 
 def _trailing_edge(element: TrailingEdge, link: Link, rows: Rows) -> None:

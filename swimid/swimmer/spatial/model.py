@@ -29,7 +29,7 @@ from swimid.robots.spatial import (
 )
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given
+from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given, strips
 
 #: Row and column indices of the entries that are stored of a symmetric 3 by 3 matrix.
 UPPER = np.triu_indices(3)
@@ -133,10 +133,9 @@ def _drag(element: Drag, body: Body, rows: Rows) -> None:
     half = 0.5 * rows.density_kg_m3
     quadratic = half * _vector(element.area_m2) * _vector(element.coefficient)
     gains = [*quadratic, *_vector(element.linear_N_s_m)]
-    near, far = _vector(element.at_m), _vector(given(element.to_m, element.at_m))
-    for point, weight in zip(*np.polynomial.legendre.leggauss(element.strips), strict=True):
-        at = near + 0.5 * (1.0 + float(point)) * (far - near)
-        shares = [0.5 * float(weight) * gain for gain in gains]
+    ends = _vector(element.at_m), _vector(given(element.to_m, element.at_m))
+    for at, share in strips(*ends, element.strips):
+        shares = [share * gain for gain in gains]
         rows.add("drag", body.name, [*at, *shares, element.half_height_m or 0.0])
 
 
