@@ -392,7 +392,7 @@ class Tree(ABC):
             return Table(entries, len(columns), self.names)
 
         self._joint = table([self._place(j) for j in self._joints], engine.JOINT)
-        self._rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
+        self.rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
         self._passive = table([law_of(axis.joint) for axis in self.passive], PASSIVE)
         self._elements = []
         for name, own in elements.items():

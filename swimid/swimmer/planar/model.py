@@ -252,7 +252,7 @@ class Assembly(Tree):
         ------
         InputError
         """
-        rigid, apparent = self._rigid(values), self._inertia(values)
+        rigid, apparent = self.rigid(values), self._inertia(values)
         self._check_sizes(values)
         span = sum(link.length_m for link in self.links)
         for link, own, whole in zip(self.links, rigid, apparent, strict=True):
@@ -296,6 +296,11 @@ class Assembly(Tree):
         return [*_point(station, joint.offset_m), math.cos(mount), math.sin(mount)]
 
 
+def _centre(row: Array) -> Point:
+    """Return the centre of mass (m) of a row of the ``inertia`` input array without added mass."""
+    return float(row[4] / row[0]), float(-row[2] / row[0])
+
+
 def _check_link(link: Link, own: Array, span: float) -> None:
     """Raise an error for a mass and inertia that no rigid link can have."""
     where = f"multilink.links.{link.name}"
@@ -308,7 +313,7 @@ def _check_link(link: Link, own: Array, span: float) -> None:
             column=f"{where}.mass_kg",
             hint="masses are in kg, lengths in m: is one of them in g or mm?",
         )
-    x, y = own[4] / mass, -own[2] / mass
+    x, y = _centre(own)
     central = float(own[5] - mass * (x * x + y * y))
     if central <= 1e-9 * mass * link.length_m**2:
         hint = None
@@ -375,15 +380,9 @@ class Body:
         self.density_kg_m3 = model.robot.fluid.density_kg_m3
         self.step_s = model.max_step
         self.driven, self.passive = model.driven, model.passive
-        values = {p.name: p.start for p in model.parameters}
-        self.masses_kg: list[float] = []
-        self._centres: list[Point] = []
-        for link in model.tree.links:
-            mass, com, y = (
-                Polynomial.of(q).at(values) for q in (link.mass_kg, link.com_m, link.com_offset_m)
-            )
-            self.masses_kg.append(mass)
-            self._centres.append((-mass * com / mass, mass * y / mass))
+        rigid = model.tree.rigid(np.array([p.start for p in model.parameters[: len(model.tree.names)]]))
+        self.masses_kg = [float(row[0]) for row in rigid]
+        self._centres = [_centre(row) for row in rigid]
 
     @property
     def vertical(self) -> bool:
@@ -852,5 +851,3 @@ def warm_up() -> None:
     )
     drive.simulate_servo(np.zeros(5), 0.1, 1.0, 1.0)
     drive.measured(np.arange(6.0), np.zeros(6))
-    engine.seen(np.zeros((1, 6)), 3, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0)
-    engine.sampled(np.array([0.0101]), 0.0, 0.005, np.zeros((3, 1)), np.zeros((3, 1)))

@@ -240,7 +240,7 @@ class Assembly(Tree):
         ------
         InputError
         """
-        rigid, apparent = self._rigid(values), self._inertia(values)
+        rigid, apparent = self.rigid(values), self._inertia(values)
         for i, link in enumerate(self.links):
             where = f"{self.part}.links.{link.name}"
             mass = float(rigid[i, 0])
