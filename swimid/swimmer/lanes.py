@@ -189,10 +189,6 @@ def _is(value: object, number: float) -> bool:
     return isinstance(value, (int, float)) and value == number
 
 
-def _tracer(*values: object) -> Tracer | None:
-    return next((v.tracer for v in values if isinstance(v, Symbol)), None)
-
-
 def positive(asked: Any, then: Any, otherwise: Any) -> Any:
     """Return ``then`` where ``asked`` is above 0, and ``otherwise`` elsewhere."""
     if then is otherwise:
@@ -206,7 +202,7 @@ def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that computes with numbers, and records an operation of this kind for symbols."""
 
     def apply(*values: Any) -> Any:
-        tracer = _tracer(*values)
+        tracer = next((v.tracer for v in values if isinstance(v, Symbol)), None)
         if tracer is None:
             return function(*values)
         return tracer.symbol(kind, *values)
@@ -875,12 +871,10 @@ def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict
 
 def _used(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
     """Return the operations on which the results depend, in their order."""
-    needed, open_ = set(), [x for x in results if isinstance(x, Symbol)]
-    while open_:
-        x = open_.pop()
-        if x.number not in needed:
-            needed.add(x.number)
-            open_ += [a for a in x.of if isinstance(a, Symbol)]
+    needed = {x.number for x in results if isinstance(x, Symbol)}
+    for x in reversed(operations):
+        if x.number in needed:
+            needed.update(a.number for a in x.of if isinstance(a, Symbol))
     return [x for x in operations if x.number in needed]
 
 

@@ -344,10 +344,14 @@ class Swimmer(Model):
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
-        trajectories = [trajectory for _, trajectory in self._simulated(runs)]
-        begun = [(*run, t) for run, t in zip(runs, trajectories, strict=True) if t is not None]
-        channels = iter(unless_broken(self._at_samples, begun))
-        found = [None if t is None else next(channels) for t in trajectories]
+
+        def seen(
+            values: Array, trial: Trial, hooks: Hooks, run: Trajectory | None
+        ) -> dict[str, Array] | None:
+            return run and self._at_samples(values, trial, hooks, run)
+
+        simulated = zip(runs, self._simulated(runs), strict=True)
+        found = unless_broken(seen, [(*run, trajectory) for run, (_, trajectory) in simulated])
         return [own or self.broken_down(trial) for own, (_, trial, _) in zip(found, runs, strict=True)]
 
     def with_energetics(

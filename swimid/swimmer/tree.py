@@ -10,6 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from types import ModuleType
 from typing import Any
 
@@ -296,22 +297,9 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
     found = []
     for name, c in known.items():
         start = given(c.start, c.value)
-        low, high = c.limits
-        found.append(
-            Parameter(
-                name,
-                c.unit,
-                low,
-                high,
-                start,
-                c.scale or abs(c.value) or abs(start) or 1.0,
-                c.free,
-                c.per_trial,
-                meaning=c.meaning,
-                source=c.source,
-                known=c.value,
-            )
-        )
+        scale = c.scale or abs(c.value) or abs(start) or 1.0
+        words = c.meaning, c.source, c.value
+        found.append(Parameter(name, c.unit, *c.limits, start, scale, c.free, c.per_trial, *words))
     return found
 
 
@@ -374,7 +362,7 @@ class Tree(ABC):
                 column=f"{self.part}.base",
             )
         self.constants = {"free_base": self.free_base}
-        self._known: dict[bytes, dict[str, Any]] = {}
+        self._evaluated = lru_cache(MAX_TABLES)(self._evaluate)
 
     def fill(self, fluid: Fluid) -> Rows:
         """Collect the rows of links and elements, and check them at the coefficient values of the file."""
@@ -414,22 +402,20 @@ class Tree(ABC):
         dict
             The arrays are cached for later calls with these values. Do not write into them.
         """
-        key = values.tobytes()
-        known = self._known.get(key)
-        if known is None:
-            known = {
-                "topology": self.topology,
-                "joint": self._joint(values),
-                "inertia": self._inertia(values),
-                "passive": self._passive(values),
-            }
-            for name, owner, table in self._elements:
-                known[f"{name}_link"], known[name] = owner, table(values)
-            known.update(self.constants)
-            if len(self._known) >= MAX_TABLES:
-                self._known.clear()
-            self._known[key] = known
-        return dict(known)
+        return dict(self._evaluated(np.asarray(values, dtype=float).tobytes()))
+
+    def _evaluate(self, key: bytes) -> dict[str, Any]:
+        """Return the arguments at values of the coefficients, which are given by their bytes."""
+        values = np.frombuffer(key)
+        found = {
+            "topology": self.topology,
+            "joint": self._joint(values),
+            "inertia": self._inertia(values),
+            "passive": self._passive(values),
+        }
+        for name, owner, table in self._elements:
+            found[f"{name}_link"], found[name] = owner, table(values)
+        return {**found, **self.constants}
 
     @abstractmethod
     def check(self, values: Array) -> None:
