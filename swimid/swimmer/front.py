@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -146,17 +147,14 @@ class Profiles:
         self._profiles = [profiles[t.id] for t in self.problem.trials]
         self.names = list(dict.fromkeys(self._profiles))
         self._scales = scales or {}
-        kinds = [kind for kind, _ in KINDS.values()]
-        self._groups = [
-            {kind: [c for c in channels if kind_of(c)[0] == kind] for kind in kinds}
-            for channels in self.problem.channels
-        ]
-        self.objectives = [
-            (name, kind)
-            for name in self.names
-            for kind in kinds
-            if any(self._groups[k][kind] for k in self._members(name))
-        ]
+        #: Channels of each trial, by objective and index of the trial.
+        self._parts: dict[tuple[str, str], dict[int, list[str]]] = {}
+        for name, (kind, _) in product(self.names, KINDS.values()):
+            for k in self._members(name):
+                channels = [c for c in self.problem.channels[k] if kind_of(c)[0] == kind]
+                if channels:
+                    self._parts.setdefault((name, kind), {})[k] = channels
+        self.objectives = list(self._parts)
         self.columns = [f"{kind}[{profile}]" for profile, kind in self.objectives]
 
     def _members(self, profile: str | None) -> list[int]:
@@ -201,17 +199,12 @@ class Profiles:
     def _scored(
         self, simulated: Mapping[int, Mapping[str, Array]], profile: str | None = None
     ) -> list[float]:
-        found = []
-        for name, kind in self.objectives:
-            if profile in (None, name):
-                members = [k for k in self._members(name) if self._groups[k][kind]]
-                found.append(float(np.mean([self._distance(k, kind, simulated.get(k)) for k in members])))
-        return found
+        parts = [own for (name, _), own in self._parts.items() if profile in (None, name)]
+        return [float(np.mean([self._distance(k, own[k], simulated.get(k)) for k in own])) for own in parts]
 
-    def _distance(self, k: int, kind: str, simulated: Mapping[str, Array] | None) -> float:
+    def _distance(self, k: int, channels: list[str], simulated: Mapping[str, Array] | None) -> float:
         if simulated is None:
             return math.nan
-        channels = self._groups[k][kind]
         scales = [self._scales.get(channel, kind_of(channel)[1]) for channel in channels]
         return distance(self.problem.trials[k].measured, simulated, channels, scales)
 

@@ -345,14 +345,12 @@ class Swimmer(Model):
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
 
-        def seen(
-            values: Array, trial: Trial, hooks: Hooks, run: Trajectory | None
-        ) -> dict[str, Array] | None:
-            return run and self._at_samples(values, trial, hooks, run)
+        def seen(run: tuple[Array, Trial, Hooks], found: Trajectory | None) -> dict[str, Array] | None:
+            return found and self._at_samples(*run, found)
 
         simulated = zip(runs, self._simulated(runs), strict=True)
-        found = unless_broken(seen, [(*run, trajectory) for run, (_, trajectory) in simulated])
-        return [own or self.broken_down(trial) for own, (_, trial, _) in zip(found, runs, strict=True)]
+        channels = unless_broken(seen, [(run, trajectory) for run, (_, trajectory) in simulated])
+        return [own or self.broken_down(trial) for own, (_, trial, _) in zip(channels, runs, strict=True)]
 
     def with_energetics(
         self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
