@@ -1,7 +1,18 @@
 """Compiled kernels of a robot, which integrate a batch of simulations at once. They are stored on disk.
 
-A kernel is the code of an engine (the equations of motion) specialised for one robot. :class:`Kernel` holds
-the equations of the robot alone, :class:`WideKernel` those with the forces and elements of effects.
+An engine is the compiled equations of motion of a robot. Its compiled functions are Python functions. When
+they are called with symbols instead of numbers, they run through their loops over links and elements once,
+and record a list of sums and products. Operations with input entries that are always 0 or 1 are removed. An
+engine must be written for this: it may branch on a value only by
+:func:`swimid.swimmer.planar.engine.positive`, ``max``, ``min`` and ``abs``.
+
+:func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
+fourth-order Runge-Kutta method. The operations are the body of a loop ``for lane in range(LANES)`` over one
+flat work array, which the compiler vectorises. It does so only if the loop writes no second array, all
+indices are literal, and no statement leaves the loop early. Therefore inputs and results are copied in other
+loops.
+
+A :class:`Kernel` is such a module of one robot, with or without the forces and elements of effects.
 :class:`Kernels` has both, and chooses one of them for each simulation. Without a kernel, the scalar engine
 computes one simulation at a time.
 """
@@ -43,6 +54,7 @@ if TYPE_CHECKING:
     from swimid.swimmer.model import Run
 
 
+Array = NDArray[np.float64]
 #: Taylor coefficients of ``(sin(x) - x) / x^3`` and ``(cos(x) - 1 + x^2 / 2) / x^4`` in powers of x^2, for
 #: angles x between -45 and 45 degrees. The first omitted terms are below 5e-17.
 SINE = tuple((-1.0) ** (k + 1) / math.factorial(2 * k + 3) for k in range(6, -1, -1))
@@ -538,7 +550,7 @@ def double(typing: Any, number: Any) -> Any:
     return types.float64(types.int64), generate
 
 
-Array = NDArray[np.float64]
+# ---------------------------------------------------------------- kernels
 
 #: Time of one operation in the scalar engine, and time to compile one operation, s. Measured with the built-
 #: in robots by ``python -m benchmarks.bench_lanes --only engine compile``.

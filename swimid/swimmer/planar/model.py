@@ -1,4 +1,8 @@
-"""Model of a robot in a plane, its links as effects use them, and typical scales of its trials."""
+"""Model of a robot in a plane: input arrays from a robot file, links as effects use them, and simulation.
+
+Each kind of element (:mod:`swimid.robots.planar`) has a function in ``ADDERS`` that adds rows to the input
+arrays of the equations of motion. :class:`Assembly` collects and checks them.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +49,9 @@ from swimid.swimmer.tree import (
     quantities,
     strips,
 )
+
+Point = tuple[float, float]
+Frames = tuple[Array, Array, Array]
 
 
 def _add_mass(
@@ -335,8 +342,8 @@ def _check_link(link: Link, own: Array, span: float) -> None:
         )
 
 
-Point = tuple[float, float]
-Frames = tuple[Array, Array, Array]
+# ---------------------------------------------------------------- links as effects use them
+
 STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
 WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
 QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]

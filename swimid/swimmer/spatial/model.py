@@ -1,4 +1,8 @@
-"""Model of a robot in 3-D."""
+"""Model of a robot in 3-D: input arrays from a robot file, and simulation.
+
+Each kind of element (:mod:`swimid.robots.spatial`) has a function in ``ADDERS`` that adds rows to the input
+arrays of the equations of motion. :class:`Assembly` collects and checks them.
+"""
 
 from __future__ import annotations
 
