@@ -19,8 +19,7 @@ import numpy as np
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Array, Parameter
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Coefficient, Driven, Joint, factors
-from swimid.robots.spatial import Hinge
+from swimid.robots.planar import Coefficient, Connection, Driven, factors
 from swimid.swimmer.planar.engine import PASSIVE
 
 #: Maximum number of coefficient vectors whose input arrays are cached.
@@ -457,7 +456,7 @@ def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> N
         )
 
 
-def law_of(joint: Joint | Hinge) -> list[Polynomial]:
+def law_of(joint: Connection) -> list[Polynomial]:
     """Return the row of a passive joint in the ``passive`` input array of the engine."""
     law = joint.passive
     assert law is not None

@@ -19,20 +19,8 @@ from swimid.errors import InputError
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, Trial
 from swimid.progress import Progress, silent
+from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
-from swimid.robots.planar import (
-    AddedMass,
-    Damping,
-    Drag,
-    Foil,
-    Force,
-    Hydrostatics,
-    Joint,
-    Link,
-    Multilink,
-    SlenderBody,
-    TrailingEdge,
-)
 from swimid.swimmer import drive
 from swimid.swimmer.lanes import Room
 from swimid.swimmer.model import Run, Swimmer, trial_parameter
@@ -73,7 +61,7 @@ def _point(station: float | str, offset: float | str) -> list[Polynomial]:
     return [-Polynomial.of(station), Polynomial.of(offset)]
 
 
-def _added_mass(element: AddedMass, link: Link, rows: Rows) -> None:
+def _added_mass(element: parts.AddedMass, link: parts.Link, rows: Rows) -> None:
     """Add the added mass of a link at a station, by default at its centre of mass.
 
     It enters the kinetic energy only (tendon fish Eq 2, dolphin Eq 3). The added-mass force of Eqs 6 and 7 in
@@ -84,13 +72,13 @@ def _added_mass(element: AddedMass, link: Link, rows: Rows) -> None:
     _add_mass(rows, link.name, _point(station, element.offset_m), *(Polynomial.of(m) for m in masses))
 
 
-def _damping(element: Damping, link: Link, rows: Rows) -> None:
+def _damping(element: parts.Damping, link: parts.Link, rows: Rows) -> None:
     """Add the moment ``-(linear + quadratic |r|) r`` against the rotation of a link at the rate r."""
     turning = element.quadratic_N_m_s2_rad2, element.linear_N_m_s_rad
     rows.add("drag", link.name, [*[0.0] * 6, *turning])
 
 
-def _drag(element: Drag, link: Link, rows: Rows) -> None:
+def _drag(element: parts.Drag, link: parts.Link, rows: Rows) -> None:
     """Add Morison drag ``-rho/2 c S |v| v`` along each axis of a link (tendon fish, Eq 7).
 
     The drag acts at a point or on strips. The areas are divided among the strips by the weights of Gauss's
@@ -111,7 +99,7 @@ def _drag(element: Drag, link: Link, rows: Rows) -> None:
         rows.add("drag", link.name, row)
 
 
-def _foil(element: Foil, link: Link, rows: Rows) -> None:
+def _foil(element: parts.Foil, link: parts.Link, rows: Rows) -> None:
     """Add lift and drag of a fin with the polar of a flat plate (dolphin, Eq 9)."""
     chord = math.radians(element.chord_deg)
     polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
@@ -120,13 +108,13 @@ def _foil(element: Foil, link: Link, rows: Rows) -> None:
     rows.add("foil", link.name, [*at, gain, *polar, math.cos(chord), math.sin(chord)])
 
 
-def _force(element: Force, link: Link, rows: Rows) -> None:
+def _force(element: parts.Force, link: parts.Link, rows: Rows) -> None:
     """Add a constant force at a point of a link, in the axes of the link or of the world."""
     at, world = _point(element.at_m, element.offset_m), float(element.frame == "world")
     rows.add("force", link.name, [*at, element.forward_N, element.port_N, world])
 
 
-def _hydrostatics(element: Hydrostatics, link: Link, rows: Rows) -> None:
+def _hydrostatics(element: parts.Hydrostatics, link: parts.Link, rows: Rows) -> None:
     """Add the weight of a link at its centre of mass, and the buoyancy of the link, in the vertical plane."""
     gravity = rows.gravity_m_s2
     weight = -gravity * Polynomial.of(link.mass_kg)
@@ -138,7 +126,7 @@ def _hydrostatics(element: Hydrostatics, link: Link, rows: Rows) -> None:
         rows.add("force", link.name, [*where, 0.0, lift, 1.0])
 
 
-def _slender_body(element: SlenderBody, link: Link, rows: Rows) -> None:
+def _slender_body(element: parts.SlenderBody, link: parts.Link, rows: Rows) -> None:
     """Add added mass ``c_m rho pi h^2 / 4`` and drag ``rho/2 (c_f p, c_d h) |v| v`` per length.
 
     Both act on strips of a link with a height h and a perimeter p that vary along it (dolphin, Eqs 4, 7 and
@@ -159,7 +147,7 @@ def _slender_body(element: SlenderBody, link: Link, rows: Rows) -> None:
         rows.add("drag", link.name, [-station, 0.0, friction, drag, *[0.0] * 4])
 
 
-def _trailing_edge(element: TrailingEdge, link: Link, rows: Rows) -> None:
+def _trailing_edge(element: parts.TrailingEdge, link: parts.Link, rows: Rows) -> None:
     """Add the momentum shed into the wake at a trailing edge (Lighthill 1971, Proc. R. Soc. Lond. B 179:125).
 
     With the velocity u of the edge along the axis of its link, the velocity w across, and the added mass m
@@ -227,7 +215,7 @@ class Assembly(Tree):
     elements = ("drag", "foil", "force", "wake")
     engine, adders = engine, ADDERS
 
-    def __init__(self, body: Multilink, fluid: Fluid) -> None:
+    def __init__(self, body: parts.Multilink, fluid: Fluid) -> None:
         super().__init__(body)
         self._sizes = self._sized()
         rows = self.fill(fluid)
@@ -287,7 +275,7 @@ class Assembly(Tree):
                 hint = f"lengths are in m, areas in m2: is it in {small}?"
             raise InputError(text, column=paths[k], hint=hint)
 
-    def _add_rigid(self, link: Link, rows: Rows) -> None:
+    def _add_rigid(self, link: parts.Link, rows: Rows) -> None:
         mass = Polynomial.of(link.mass_kg)
         x, y = _point(link.com_m, link.com_offset_m)
         inertia = Polynomial.of(link.inertia_kg_m2)
@@ -295,7 +283,7 @@ class Assembly(Tree):
             inertia = inertia - mass * (x * x + y * y)
         _add_mass(rows, link.name, (x, y), mass, mass, inertia)
 
-    def _place(self, joint: Joint | None) -> Row:
+    def _place(self, joint: parts.Joint | None) -> Row:
         if joint is None:
             return [0.0, 0.0, 1.0, 0.0]
         station = given(joint.at_m, self.links[self.index[joint.parent]].length_m)
@@ -308,7 +296,7 @@ def _centre(row: Array) -> Point:
     return float(row[4] / row[0]), float(-row[2] / row[0])
 
 
-def _check_link(link: Link, own: Array, span: float) -> None:
+def _check_link(link: parts.Link, own: Array, span: float) -> None:
     """Raise an error for a mass and inertia that no rigid link can have."""
     where = f"multilink.links.{link.name}"
     mass = float(own[0])
@@ -688,7 +676,7 @@ class MultilinkModel(Swimmer):
     # -------------------------------------------------------- links and drive
 
     @property
-    def links(self) -> Multilink:
+    def links(self) -> parts.Multilink:
         """Part of the robot file with links, joints and elements."""
         assert self.robot.multilink is not None
         return self.robot.multilink

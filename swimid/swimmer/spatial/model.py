@@ -16,21 +16,8 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import InputError
 from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.rotation import angles, from_angles
+from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
-from swimid.robots.spatial import (
-    AddedMass,
-    Body,
-    Damping,
-    Drag,
-    Foil,
-    Force,
-    Hinge,
-    Hydrostatics,
-    Multibody,
-    Plate,
-    Spheroid,
-    Water,
-)
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given, strips
@@ -73,7 +60,7 @@ def full(row: Array) -> Array:
     return np.block([[row[:6][SYMMETRIC], b], [b.T, row[15:][SYMMETRIC]]])
 
 
-def _added_mass(element: AddedMass, body: Body, rows: Rows) -> None:
+def _added_mass(element: parts.AddedMass, body: parts.Body, rows: Rows) -> None:
     """Add added masses along the axes of a link, and added inertias about these axes."""
     mass, turning = (np.diag(_vector(v)) for v in (element.mass_kg, element.inertia_kg_m2))
     _add_mass(rows, body.name, mass, element.at_m, turning)
@@ -104,7 +91,7 @@ def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, 
     return alpha / (2.0 - alpha), beta / (2.0 - beta), turning
 
 
-def _spheroid(element: Spheroid, body: Body, rows: Rows) -> None:
+def _spheroid(element: parts.Spheroid, body: parts.Body, rows: Rows) -> None:
     """Add the added mass of a prolate spheroid at the centre of the spheroid (sea lion, Eqs 3 to 8)."""
     a, b = element.semi_major_m, element.semi_minor_m
     displaced = 4.0 / 3.0 * math.pi * rows.density_kg_m3 * a * b * b
@@ -117,7 +104,7 @@ def _spheroid(element: Spheroid, body: Body, rows: Rows) -> None:
     _add_mass(rows, body.name, np.diag(masses), element.at_m, np.diag(about))
 
 
-def _plate(element: Plate, body: Body, rows: Rows) -> None:
+def _plate(element: parts.Plate, body: parts.Body, rows: Rows) -> None:
     """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
     mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
     unit = _unit(element.normal)
@@ -129,7 +116,7 @@ def _unit(direction: Sequence[float]) -> Array:
     return np.asarray(direction, dtype=float) / np.linalg.norm(direction)
 
 
-def _drag(element: Drag, body: Body, rows: Rows) -> None:
+def _drag(element: parts.Drag, body: parts.Body, rows: Rows) -> None:
     """Add drag ``-rho/2 C A |v| v`` and linear drag along each axis of a link (sea lion, Eq 2).
 
     The drag acts at a point, or on a row of strips at the points of Gauss's rule.
@@ -143,12 +130,12 @@ def _drag(element: Drag, body: Body, rows: Rows) -> None:
         rows.add("drag", body.name, [*at, *shares, element.half_height_m or 0.0])
 
 
-def _damping(element: Damping, body: Body, rows: Rows) -> None:
+def _damping(element: parts.Damping, body: parts.Body, rows: Rows) -> None:
     """Add quadratic and linear moments against rotation about the axes of a link."""
     rows.add("damping", body.name, [*element.quadratic_N_m_s2_rad2, *element.linear_N_m_s_rad])
 
 
-def _foil(element: Foil, body: Body, rows: Rows) -> None:
+def _foil(element: parts.Foil, body: parts.Body, rows: Rows) -> None:
     """Add lift and drag of a fin with the polar of a flat plate."""
     gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
     polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
@@ -163,7 +150,7 @@ def _foil(element: Foil, body: Body, rows: Rows) -> None:
     rows.add("foil", body.name, row)
 
 
-def _hydrostatics(element: Hydrostatics, body: Body, rows: Rows) -> None:
+def _hydrostatics(element: parts.Hydrostatics, body: parts.Body, rows: Rows) -> None:
     """Add the weight of a link at its centre of mass, and the buoyancy of the link."""
     gravity = rows.gravity_m_s2
     weight = -gravity * Polynomial.of(body.mass_kg)
@@ -174,7 +161,7 @@ def _hydrostatics(element: Hydrostatics, body: Body, rows: Rows) -> None:
         rows.add("force", body.name, [*at, 0.0, 0.0, lift, 1.0, element.half_height_m or 0.0])
 
 
-def _water(element: Water, body: Body, rows: Rows) -> None:
+def _water(element: parts.Water, body: parts.Body, rows: Rows) -> None:
     """Add the inertia of the water inside a hull, and the weight of this water if ``weighs`` is true."""
     mass = rows.density_kg_m3 * Polynomial.of(element.volume_m3)
     about = np.array(element.gyration_m, dtype=object) ** 2 * mass
@@ -184,7 +171,7 @@ def _water(element: Water, body: Body, rows: Rows) -> None:
         rows.add("force", body.name, [*element.at_m, 0.0, 0.0, weight, 1.0, 0.0])
 
 
-def _force(element: Force, body: Body, rows: Rows) -> None:
+def _force(element: parts.Force, body: parts.Body, rows: Rows) -> None:
     """Add a constant force at a point of a link."""
     world = float(element.frame == "world")
     rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
@@ -229,7 +216,7 @@ class Assembly(Tree):
     elements = ("drag", "damping", "foil", "force")
     engine, adders = engine, ADDERS
 
-    def __init__(self, body: Multibody, fluid: Fluid) -> None:
+    def __init__(self, body: parts.Multibody, fluid: Fluid) -> None:
         super().__init__(body)
         self.reference = np.array(body.reference.at_m)
         self.constants = {"surface": given(body.surface_z_m, NOWHERE), **self.constants}
@@ -266,13 +253,13 @@ class Assembly(Tree):
             if mass > 0:
                 _check_moments(rigid[i], mass, where)
 
-    def _add_rigid(self, link: Body, rows: Rows) -> None:
+    def _add_rigid(self, link: parts.Body, rows: Rows) -> None:
         mass = Polynomial.of(link.mass_kg)
         moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
         turning = _vector(moments)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
         _add_mass(rows, link.name, np.diag([mass] * 3), link.com_m, turning)
 
-    def _place(self, joint: Hinge | None) -> Row:
+    def _place(self, joint: parts.Hinge | None) -> Row:
         if joint is None:
             return [0.0] * len(engine.JOINT)
         mount = Rotation.from_euler("xyz", joint.mount_deg, degrees=True)
