@@ -1051,7 +1051,7 @@ class Kernels:
         if self.wide is None or not self.use_wide:
             return None
         tables = self.wide.widened(run.tables, run.hooks.force, frame(run), run.grid.begin_s)
-        return tables and (self.wide, tables)
+        return None if tables is None else (self.wide, tables)
 
     def run(self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]) -> dict[Any, tuple[Array, Array]]:
         """Return states and rates of the simulations that the kernels can compute, by key of ``runs``."""

@@ -346,7 +346,7 @@ class Swimmer(Model):
         """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
 
         def seen(run: tuple[Array, Trial, Hooks], found: Trajectory | None) -> dict[str, Array] | None:
-            return found and self._at_samples(*run, found)
+            return None if found is None else self._at_samples(*run, found)
 
         simulated = zip(runs, self._simulated(runs), strict=True)
         channels = unless_broken(seen, [(run, trajectory) for run, (_, trajectory) in simulated])

@@ -297,8 +297,8 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
     for name, c in known.items():
         start = given(c.start, c.value)
         scale = c.scale or abs(c.value) or abs(start) or 1.0
-        words = c.meaning, c.source, c.value
-        found.append(Parameter(name, c.unit, *c.limits, start, scale, c.free, c.per_trial, *words))
+        words = c.meaning, c.source
+        found.append(Parameter(name, c.unit, *c.limits, start, scale, c.free, c.per_trial, *words, c.value))
     return found
 
 

@@ -95,7 +95,7 @@ def _drag(element: parts.Drag, link: parts.Link, rows: Rows) -> None:
     if element.at_m is None:
         places = strips(element.from_m or 0.0, given(element.to_m, link.length_m), element.strips)
     for station, share in places:
-        row = [*_point(station, element.offset_m), *(share * g for g in gains), 0.0, 0.0]
+        row: Row = [*_point(station, element.offset_m), *(share * g for g in gains), 0.0, 0.0]
         rows.add("drag", link.name, row)
 
 

@@ -107,11 +107,11 @@ def _spheroid(element: parts.Spheroid, body: parts.Body, rows: Rows) -> None:
 def _plate(element: parts.Plate, body: parts.Body, rows: Rows) -> None:
     """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
     mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
-    unit = _unit(element.normal)
+    unit: Any = _unit(element.normal)
     _add_mass(rows, body.name, np.outer(unit, unit) * (Polynomial.of(element.k) * mass), element.at_m)
 
 
-def _unit(direction: Sequence[float]) -> Array:
+def _unit(direction: Sequence[float] | Array) -> Array:
     """Return the unit vector of a direction."""
     return np.asarray(direction, dtype=float) / np.linalg.norm(direction)
 
