@@ -13,8 +13,7 @@ from swimid.cli.options import SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
 from swimid.options import takes
-from swimid.results.kinds import FORMATS
-from swimid.results.result import Result
+from swimid.results.result import FORMATS, Result
 
 #: Model of each format that is not a result, as ``module:attribute``.
 OTHERS = {

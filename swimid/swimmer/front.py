@@ -28,8 +28,7 @@ from swimid.fitting.global_search import Front
 from swimid.fitting.metrics import FitResult, Series, dtw_distance
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import Problem
-from swimid.notices import warn
-from swimid.progress import Progress, show, silent
+from swimid.notices import Progress, show, silent, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions

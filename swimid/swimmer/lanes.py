@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.fitting.model import Force, Traceable
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.swimmer.planar.engine import BROKEN, integrate
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
 from swimid.swimmer.lanes import LANES, Kernels, Room

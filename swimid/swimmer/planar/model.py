@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, Trial
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer import drive
