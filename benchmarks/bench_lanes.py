@@ -42,7 +42,7 @@ from swimid.effects.base import Affected
 from swimid.fitting.drives import Beat, Cycle, SwimInput
 from swimid.fitting.model import NONE, Trial
 from swimid.robots import file as robot
-from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial.model import MultibodyModel
@@ -88,17 +88,12 @@ def kernels_of(name: str) -> Swimmer:
 
 def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
     """Runs at once."""
-    return kernel.run(
-        [r.start for r in runs],
-        [r.grid.step_s for r in runs],
-        [r.drive.table for r in runs],
-        [r.tables for r in runs],
-    )
+    return kernel.run([(r.start, r.grid.step_s, r.drive.table, r.tables) for r in runs])
 
 
 def operations_in(kernel: Kernel, run: Any) -> float:
     """Traced operations that a run takes: four evaluations a step."""
-    return 4.0 * (len(run.drive.table) // 2) * len(kernel.traced().operations)
+    return 4.0 * (len(run.drive.table) // 2) * len(kernel.traced.operations)
 
 
 def bench_engine() -> None:
@@ -122,7 +117,7 @@ def bench_engine() -> None:
         print(
             f"  {name:<38}{1e3 * scalar:>11.2f}{1e3 * one:>10.2f}{scalar / one:>7.1f}"
             f"{1e3 * eight / LANES:>10.2f}{LANES * scalar / eight:>7.1f}"
-            f"{len(kernel.traced().operations):>12}{1e9 * scalar / operations_in(kernel, runs[0]):>17.2f}"
+            f"{len(kernel.traced.operations):>12}{1e9 * scalar / operations_in(kernel, runs[0]):>17.2f}"
         )
 
 
@@ -196,7 +191,7 @@ def bench_compile() -> None:
                 child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
                 for _ in range(2)
             )
-        operations = len(getattr(kernels_of(name), kind).traced().operations)
+        operations = len(getattr(kernels_of(name), kind).traced.operations)
         words = f"{name}, with effects" if kind == "wide" else name
         print(f"  {words:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / operations:>12.1f}")
 

@@ -142,8 +142,8 @@ class Engine:
         n = self.assembly.unknowns
 
         def run() -> Pair:
-            arguments = self.assembly.tables(self.coefficients).values()
-            states, _ = engine.integrate(np.zeros(2 * n), step, table, *arguments, None, 0.0)
+            arguments = tuple(self.assembly.tables(self.coefficients).values())
+            states, _ = engine.integrate(np.zeros(2 * n), step, table, arguments, None, 0.0)
             return states[::cut, n], states[::cut, n + 2]
 
         return run

@@ -116,7 +116,7 @@ def bench_engine(model: MultibodyModel) -> None:
     tables = model.tree.tables(values[: len(model.coefficients)])
 
     def run() -> None:
-        engine.integrate(start, STEP_S, table, *tables.values())
+        engine.integrate(start, STEP_S, table, tuple(tables.values()), None, 0.0)
 
     def whole() -> None:
         model.forget([trial])

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from swimid.swimmer.lanes import tracing
-from swimid.swimmer.lanes.kernel import Kernel
-from swimid.swimmer.lanes.tracing import Symbol
+from swimid.swimmer import lanes
+from swimid.swimmer.lanes import Kernel, Symbol
 
 
 def bits(number: float) -> int:
@@ -27,7 +26,7 @@ def double(number: int) -> float:
 
 
 ACTS = {
-    "two to": lambda x: 2.0 ** (x - tracing.ROUNDER),
+    "two to": lambda x: 2.0 ** (x - lanes.ROUNDER),
     "exponent": lambda x: math.frexp(x)[1] - 1.0,
     "mantissa": lambda x: 2.0 * math.frexp(x)[0],
     "+": operator.add,
@@ -56,18 +55,18 @@ def rate(kernel: Kernel, state: np.ndarray, row: np.ndarray, tables: dict[str, A
     def value(x: Any) -> float:
         return known[x.number] if isinstance(x, Symbol) else x
 
-    for x in kernel.traced().operations:
+    for x in kernel.traced.operations:
         if x.kind in inputs:
             known[x.number] = float(inputs[x.kind][x.of[0]])
         else:
             known[x.number] = ACTS[x.kind](*(value(a) for a in x.of))
-    return np.array([value(x) for x in kernel.traced().rates])
+    return np.array([value(x) for x in kernel.traced.rates])
 
 
 def arithmetic(kernel: Kernel) -> tuple[int, int]:
     """Count the instructions of a compiled kernel on packed and on single doubles, on x86-64."""
     names: dict[str, Any] = {}
-    exec(tracing.text(kernel.traced()).replace("cache=True", "cache=False"), names)
+    exec(lanes.source_of(kernel.traced).replace("cache=True", "cache=False"), names)
     names["integrate"].compile(names["SIGNATURE"])
     assembly = next(iter(names["integrate"].inspect_asm().values()))
     packed, single = (
@@ -79,8 +78,8 @@ def arithmetic(kernel: Kernel) -> tuple[int, int]:
 
 def uncompiled(kernel: Kernel) -> Any:
     """Return the generated module as Python, not compiled."""
-    text = tracing.text(kernel.traced()).replace("import numba", "")
-    text = text.replace("from swimid.swimmer.lanes.tracing import bits, double", "")
+    text = lanes.source_of(kernel.traced).replace("import numba", "")
+    text = text.replace("from swimid.swimmer.lanes import bits, double", "")
     names: dict[str, Any] = {
         "numba": SimpleNamespace(njit=lambda **_: lambda function: function),
         "bits": bits,

@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 from swimid.fitting.model import Array
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
-from swimid.swimmer.planar.assembly import Assembly
+from swimid.swimmer.planar.model import Assembly
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import NOWHERE, hinge_row
-from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.spatial.model import NOWHERE, MultibodyModel, hinge_row
 
 
 class Lifted(Assembly):

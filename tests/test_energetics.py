@@ -17,8 +17,7 @@ from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink, Yielding
 from swimid.swimmer.model import Energetics, Swimmer
 from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.assembly import Assembly
-from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.planar.model import Assembly, MultilinkModel
 from swimid.swimmer.spatial import engine as space_engine
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests.conftest import Ran
@@ -64,10 +63,10 @@ def test_torques_of_random_trees(base: str) -> None:
         state = np.r_[q[:n], c * qd[0] + s * qd[1], c * qd[1] - s * qd[0], qd[2:n]]
         mounts = np.radians([a.joint.mount_deg for a in tree.driven])
         row = np.column_stack([q[n:], qd[n:], told, np.cos(q[n:] + mounts), np.sin(q[n:] + mounts)])
-        rate, scratch = np.empty(2 * n), [np.zeros(shape) for shape in engine.shapes(tables)[1]]
+        rate, scratch = np.empty(2 * n), tuple(np.zeros(shape) for shape in engine.shapes(tables)[1])
         engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
-        torque = engine.torques(state[None], rate[None], row[None], *tables.values())
+        torque = engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
         found = torque[0, [a.link for a in tree.driven]]
         size = np.abs(torque).max()
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
@@ -95,9 +94,10 @@ def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
     rng, size = np.random.default_rng(3), 13 + 2 * len(model.passive)
     state, row = rng.normal(size=size), rng.normal(size=(len(model.driven), 5))
     row[:, 3], row[:, 4] = np.cos(row[:, 0]), np.sin(row[:, 0])
-    rate, scratch = np.empty(size), [np.zeros(shape) for shape in space_engine.shapes(tables)[1]]
-    space_engine.derivative(state, row, *tables.values(), *scratch, rate)
-    torque = space_engine.torques(state[None], rate[None], row[None], *tables.values())
+    rate = np.empty(size)
+    scratch = tuple(np.zeros(shape) for shape in space_engine.shapes(tables)[1])
+    space_engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
+    torque = space_engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
     (axis,) = model.passive
     expected = -2.0 * state[7] - 0.3 * state[-1]
     assert torque[0, axis.link] == pytest.approx(expected, abs=1e-9 * np.abs(torque).max())

@@ -25,15 +25,14 @@ from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.planar import Multilink
 from swimid.robots.spatial import Multibody
-from swimid.swimmer.lanes import kernel as kernels
-from swimid.swimmer.lanes import tracing
-from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer import lanes
+from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.planar import engine as planar_engine
-from swimid.swimmer.planar.assembly import Assembly as PlanarAssembly
+from swimid.swimmer.planar.model import Assembly as PlanarAssembly
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine as spatial_engine
-from swimid.swimmer.spatial.assembly import Assembly as SpatialAssembly
+from swimid.swimmer.spatial.model import Assembly as SpatialAssembly
 from swimid.swimmer.spatial.model import MultibodyModel
 from tests import lanes_forms
 from tests.generators import lagrange
@@ -60,7 +59,7 @@ def drive_of(rng: np.random.Generator, joints: int, steps: int, step: float) -> 
 
 def scalar(form: type[Swimmer], start: np.ndarray, step: float, drive: np.ndarray, tables: Any) -> Any:
     """Return states and rates of a run by the scalar engine."""
-    return ENGINES[form].integrate(start, step, drive, *tables.values(), *form.engine.LAST)
+    return ENGINES[form].integrate(start, step, drive, tuple(tables.values()), None, 0.0)
 
 
 def planar_tree(seed: int, **changed: Any) -> PlanarAssembly:
@@ -149,9 +148,8 @@ def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.
 
 
 def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) -> None:
-    starts, steps, drives_, tables = (list(column) for column in zip(*runs, strict=True))
-    assert all(kernel.fits(t) for t in tables)
-    for run, (states, rates) in zip(runs, kernel.run(starts, steps, drives_, tables), strict=True):
+    assert all(kernel.fits(tables) for *_, tables in runs)
+    for run, (states, rates) in zip(runs, kernel.run(runs), strict=True):
         expected, slopes = scalar(form, *run)
         assert states.shape == expected.shape
         np.testing.assert_array_equal(np.isnan(states), np.isnan(expected))
@@ -290,16 +288,15 @@ def test_memory_is_reused_after_its_results_are_released(
 ) -> None:
     assert fish.kernels.own is not None
     runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:4]
-    arguments = [list(column) for column in zip(*runs, strict=True)]
-    first = fish.kernels.own.run(*arguments)
+    first = fish.kernels.own.run(runs)
     kept = [states.copy() for states, _ in first]
-    second = fish.kernels.own.run(*arguments)
+    second = fish.kernels.own.run(runs)
     assert not np.shares_memory(first[0][0], second[0][0])
     for (states, _), before in zip(first, kept, strict=True):
         np.testing.assert_array_equal(states, before)
     place = second[0][0].ctypes.data
     del second, states
-    assert fish.kernels.own.run(*arguments)[0][0].ctypes.data == place
+    assert fish.kernels.own.run(runs)[0][0].ctypes.data == place
 
 
 def test_equal_effects_share_their_runs() -> None:
@@ -364,8 +361,8 @@ def test_threads_simulate_whole_batches(fish: MultilinkModel) -> None:
 
 def testsine_and_cosine_of_symbols() -> None:
     """They agree to one unit in the last place, up to a thousand turns."""
-    tracer = tracing.Tracer()
-    results = tracing.sine_and_cosine(tracer.symbol("state", 0))
+    tracer = lanes.Tracer()
+    results = lanes.sine_and_cosine(tracer.symbol("state", 0))
     rng = np.random.default_rng(1)
     for angle in [
         0.0,
@@ -377,7 +374,7 @@ def testsine_and_cosine_of_symbols() -> None:
     ]:
         known: dict[int, float] = {}
         for x in tracer.operations:
-            of = [known[a.number] if isinstance(a, tracing.Symbol) else a for a in x.of]
+            of = [known[a.number] if isinstance(a, lanes.Symbol) else a for a in x.of]
             known[x.number] = float(angle) if x.kind == "state" else lanes_forms.ACTS[x.kind](*of)
         sine, cosine = (known[r.number] for r in results)
         assert sine == pytest.approx(math.sin(angle), abs=3e-16)
@@ -385,7 +382,7 @@ def testsine_and_cosine_of_symbols() -> None:
 
 
 def test_a_branch_on_a_value_cannot_be_traced() -> None:
-    state = tracing.Tracer().symbol("state", 0)
+    state = lanes.Tracer().symbol("state", 0)
     with pytest.raises(TypeError, match="positive"):
         _ = 1.0 if state > 0.0 else 2.0
     with pytest.raises(TypeError, match="positive"):
@@ -397,9 +394,9 @@ def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.
     kernel = fish.kernels.own
     assert kernel is not None
     asked: list[str] = []
-    monkeypatch.setattr(kernels, "compile_later", lambda text: asked.append("later"))
+    monkeypatch.setattr(lanes, "compile_later", lambda text: asked.append("later"))
     monkeypatch.setattr(kernel, "compiled", lambda: asked.append("now"))
-    per_s = 1.0 / (kernels.OPERATION_S * len(kernel.traced().operations))
+    per_s = 1.0 / (lanes.OPERATION_S * len(kernel.traced.operations))
     for mode, there, seconds, runs_together, did in (
         ("never", True, 1e4, False, []),
         ("always", False, 0.0, True, ["now"]),
@@ -410,34 +407,34 @@ def test_when_compiling_a_kernel_pays(fish: MultilinkModel, monkeypatch: pytest.
     ):
         asked.clear()
         monkeypatch.setenv("SWIMID_LANES", mode)
-        monkeypatch.setattr(kernels, "on_disk", lambda text, there=there: there)
+        monkeypatch.setattr(lanes, "on_disk", lambda text, there=there: there)
         assert kernel.worth(seconds * per_s) is runs_together
         assert asked == did
 
 
 def test_the_compiled_module_is_kept_on_disk(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another process compiles it. Then it is on disk, and is not compiled again."""
-    monkeypatch.setattr(kernels, "folder", lambda: tmp_path)
+    monkeypatch.setattr(lanes, "folder", lambda: tmp_path)
     text = (
         "import numba\nSIGNATURE = 'f8(f8)'\n@numba.njit(cache=True)\ndef integrate(x):\n    return 2.0 * x\n"
     )
-    assert not kernels.on_disk(text)
-    module = kernels.imported(text)
-    kernels.compile_file(module.__file__)
-    assert kernels.on_disk(text)
-    assert not list(tmp_path.glob("*.compiling"))
+    assert not lanes.on_disk(text)
+    module = lanes.imported(text)
+    lanes.compile_file(module.__file__)
+    assert lanes.on_disk(text)
+    assert not list(tmp_path.glob("*.lock"))
     assert module.integrate(2.0) == 4.0
 
 
 @pytest.mark.slow
 def test_the_compiled_module_is_kept_in_the_cache_folder_of_numba(tmp_path: Any) -> None:
     code = (
-        "from swimid.swimmer.lanes import kernel\n"
+        "from swimid.swimmer import lanes\n"
         "text = 'import numba\\nSIGNATURE = \"f8(f8)\"\\n'\n"
         "text += '@numba.njit(cache=True)\\ndef integrate(x):\\n    return x\\n'\n"
-        "before = kernel.on_disk(text)\n"
-        "kernel.compile_file(kernel.imported(text).__file__)\n"
-        "print(before, kernel.on_disk(text))"
+        "before = lanes.on_disk(text)\n"
+        "lanes.compile_file(lanes.imported(text).__file__)\n"
+        "print(before, lanes.on_disk(text))"
     )
     told = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     ran = subprocess.run([sys.executable, "-c", code], env=told, capture_output=True, text=True, check=True)

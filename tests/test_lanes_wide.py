@@ -21,8 +21,8 @@ from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import TRACEABLE, Trial
 from swimid.robots import file as robot_format
-from swimid.swimmer.lanes import tracing
-from swimid.swimmer.lanes.kernel import Kernel
+from swimid.swimmer import lanes
+from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import lanes_forms
 
@@ -91,7 +91,7 @@ def compared(model: MultilinkModel, effects: list[Effect], own: list[Trial], cou
     runs = [(values * (1.0 + 0.01 * k), own[k % 2]) for k in range(count)]
     assert model.kernels.wide is not None
     steps = (own[0].time_s[-1] - own[0].time_s[0]) / model.max_step
-    operations = 4 * len(model.kernels.wide.traced().operations) * steps
+    operations = 4 * len(model.kernels.wide.traced.operations) * steps
     model.forget(own)
     for (point, trial), simulated in zip(runs, many.simulate_many(runs), strict=True):
         for channel, series in one.simulate(point, trial).items():
@@ -190,7 +190,7 @@ def test_forces_in_a_vertical_plane_agree_with_the_engine() -> None:
 
 def test_effects_do_not_change_the_robots_own_kernel() -> None:
     """The text of the robot's own kernel is the same with and without effects."""
-    text = tracing.text(opened("tfish").kernels.own.traced())
+    text = lanes.source_of(opened("tfish").kernels.own.traced)
     assert "bits" not in text
     assert "0.5 * n *" not in text
 
@@ -198,19 +198,19 @@ def test_effects_do_not_change_the_robots_own_kernel() -> None:
 @pytest.mark.parametrize(
     ("function", "exact", "numbers"),
     [
-        (tracing.MATH.exp, math.exp, np.linspace(-700.0, 700.0, 1001)),
-        (tracing.MATH.exp, math.exp, np.linspace(-1.0, 1.0, 1001)),
-        (tracing.MATH.log, math.log, np.geomspace(1e-300, 1e300, 1001)),
-        (tracing.MATH.log, math.log, np.linspace(0.4, 2.5, 1001)),
+        (lanes.MATH.exp, math.exp, np.linspace(-700.0, 700.0, 1001)),
+        (lanes.MATH.exp, math.exp, np.linspace(-1.0, 1.0, 1001)),
+        (lanes.MATH.log, math.log, np.geomspace(1e-300, 1e300, 1001)),
+        (lanes.MATH.log, math.log, np.linspace(0.4, 2.5, 1001)),
     ],
 )
 def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarray) -> None:
-    tracer = tracing.Tracer()
+    tracer = lanes.Tracer()
     result = function(tracer.symbol("state", 0))
     for number in numbers:
         known: dict[int, float] = {}
         for x in tracer.operations:
-            of = [known[a.number] if isinstance(a, tracing.Symbol) else a for a in x.of]
+            of = [known[a.number] if isinstance(a, lanes.Symbol) else a for a in x.of]
             known[x.number] = float(number) if x.kind == "state" else lanes_forms.ACTS[x.kind](*of)
         assert known[result.number] == pytest.approx(
             exact(number), rel=4e-16, abs=3e-16 * (exact is math.log)
@@ -220,20 +220,20 @@ def test_exponential_and_logarithm(function: Any, exact: Any, numbers: np.ndarra
 def test_every_traceable_force_can_be_traced() -> None:
     """The forces of all modules can be traced with unknown constants."""
     for known in TRACEABLE.values():
-        tracer = tracing.Tracer()
+        tracer = lanes.Tracer()
         time = tracer.symbol("elapsed", 0)
         own, velocity = (
-            tracing.array(tracer, "number", (known.constants,)),
-            tracing.array(tracer, "state", (3,)),
+            lanes.array(tracer, "number", (known.constants,)),
+            lanes.array(tracer, "state", (3,)),
         )
-        pose = np.array([*velocity[:2], tracing.Angle(velocity[0], velocity[1])], dtype=object)
+        pose = np.array([*velocity[:2], lanes.Angle(velocity[0], velocity[1])], dtype=object)
         wrench = np.zeros(3, dtype=object)
-        tracing.on_symbols(known.function)(time, pose, velocity, own, wrench)
-        assert any(isinstance(part, tracing.Symbol) for part in wrench)
+        lanes.on_symbols(known.function)(time, pose, velocity, own, wrench)
+        assert any(isinstance(part, lanes.Symbol) for part in wrench)
 
 
 def test_a_branch_on_an_input_of_a_run_cannot_be_traced() -> None:
-    number = tracing.Tracer().symbol("number", 0)
+    number = lanes.Tracer().symbol("number", 0)
     for ask in (lambda: number > 0.0, lambda: number == 0.0, lambda: number != 0.0, lambda: number < 0.0):
         with pytest.raises(TypeError):
             ask()

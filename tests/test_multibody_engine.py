@@ -20,8 +20,7 @@ from swimid.swimmer.drive import joint_motion
 from swimid.swimmer.planar import engine as planar_engine
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly, full, spheroid_coefficients
-from swimid.swimmer.spatial.model import MultibodyModel
+from swimid.swimmer.spatial.model import Assembly, MultibodyModel, full, spheroid_coefficients
 from tests import lanes_forms
 from tests.lifted import Lifted
 
@@ -40,7 +39,7 @@ def derivative(model: Assembly, state: np.ndarray, motion: np.ndarray | None = N
     rate = np.empty(len(state))
     tables = model.tables(np.zeros(0))
     scratch = np.zeros((len(model.links), 60)), np.zeros((n, n)), np.zeros(n)
-    engine.derivative(state, row, *tables.values(), *scratch, rate)
+    engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
     kernel = lanes_forms.kernel_of(model, MultibodyModel.engine, np.zeros(0))
     traced = lanes_forms.rate(kernel, state, row, tables)
     assert traced == pytest.approx(rate, rel=1e-9, abs=1e-11 * np.abs(rate).max())
@@ -62,7 +61,7 @@ def random_state(model: Assembly, rng: np.random.Generator) -> np.ndarray:
 def integrated(model: Assembly, start: np.ndarray, step: float, duration: float) -> np.ndarray:
     table = np.zeros((2 * round(duration / step) + 1, len(model.driven), 5))
     table[:, :, 3] = 1.0
-    return engine.integrate(start, step, table, *model.tables(np.zeros(0)).values())[0]
+    return engine.integrate(start, step, table, tuple(model.tables(np.zeros(0)).values()), None, 0.0)[0]
 
 
 def random_tree(rng: np.random.Generator, links: int, yielding: int, *, driven: bool) -> dict[str, Any]:
@@ -295,11 +294,11 @@ def test_planar_robots_move_in_space_as_in_their_plane(name: str) -> None:
     flat = np.zeros(2 * n)
     flat[n] = 0.1
     told = drive.table(len(half), motions, mounts)
-    expected, _ = planar_engine.integrate(flat, step, told, *planar.tables(values).values(), None, 0.0)
+    expected, _ = planar_engine.integrate(flat, step, told, tuple(planar.tables(values).values()), None, 0.0)
     start = np.zeros(13 + 2 * len(lifted.passive))
     start[3], start[7 + len(lifted.passive)] = 1.0, 0.1
     table = drive.table(len(half), motions, [0.0] * len(motions))
-    found, _ = engine.integrate(start, step, table, *lifted.tables(values).values())
+    found, _ = engine.integrate(start, step, table, tuple(lifted.tables(values).values()), None, 0.0)
     second = 1 if body.plane == "horizontal" else 2
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-9)
     np.testing.assert_allclose(found[:, second], expected[:, 1], atol=1e-9)

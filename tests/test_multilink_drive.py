@@ -13,7 +13,7 @@ from scipy.interpolate import make_smoothing_spline
 from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Trial
-from swimid.robots.file import Robot
+from swimid.robots.file import Robot, schema_of
 from swimid.swimmer import drive
 from swimid.swimmer.planar.model import MultilinkModel
 
@@ -270,7 +270,7 @@ def _two_links(driven: dict[str, Any]) -> Robot:
             {"name": "hinge", "parent": "front", "child": "rear", "mount_deg": 10.0, "driven": driven}
         ],
     }
-    return Robot.model_validate({"format": "swimid-robot/1", "name": "pair", "multilink": body})
+    return schema_of().model_validate({"format": "swimid-robot/1", "name": "pair", "multilink": body})
 
 
 @pytest.mark.kernels

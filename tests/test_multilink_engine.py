@@ -16,11 +16,10 @@ from swimid.fitting import drives
 from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import Trial
 from swimid.robots import file as robot_format
-from swimid.robots.file import Fluid, Robot
+from swimid.robots.file import Fluid, schema_of
 from swimid.robots.planar import Multilink
 from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.assembly import Assembly
-from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.planar.model import Assembly, MultilinkModel
 from tests import lanes_forms
 from tests.generators import lagrange
 
@@ -68,7 +67,8 @@ def integrated(
 ) -> tuple[np.ndarray, np.ndarray]:
     steps = round(duration / step)
     table = np.zeros((2 * steps + 1, 0, 5))
-    states, rates = engine.integrate(start, step, table, *model.tables(defaults(model)).values(), None, 0.0)
+    tables = tuple(model.tables(defaults(model)).values())
+    states, rates = engine.integrate(start, step, table, tables, None, 0.0)
     return states, rates
 
 
@@ -703,7 +703,8 @@ def slender(drag_N_s_m: float) -> MultilinkModel:
             {"kind": "drag", "link": names[0], "strips": 1, "at_m": 0.0, "axial_linear_N_s_m": drag_N_s_m},
         ],
     }  # fmt: skip
-    return MultilinkModel(Robot.model_validate({"format": "swimid-robot/1", "name": "s", "multilink": body}))
+    document = {"format": "swimid-robot/1", "name": "s", "multilink": body}
+    return MultilinkModel(schema_of().model_validate(document))
 
 
 def undulate(model: MultilinkModel, speed: float, times: np.ndarray) -> dict[str, np.ndarray]:
@@ -813,7 +814,7 @@ def test_double_pendulum() -> None:
         ],
         "elements": [{"kind": "hydrostatics", "link": n} for n in ("wall", "upper", "lower")],
     }  # fmt: skip
-    robot = Robot.model_validate({"format": "swimid-robot/1", "name": "pendulum", "multilink": body})
+    robot = schema_of().model_validate({"format": "swimid-robot/1", "name": "pendulum", "multilink": body})
     model = MultilinkModel(robot, max_step=0.0025)
     at = {p.name: i for i, p in enumerate(model.parameters)}
     times = np.linspace(0.0, 10.0, 2001)

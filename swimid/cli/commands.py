@@ -64,7 +64,7 @@ def import_log(
 #: Model of each format that is not a result, as ``module:attribute``.
 OTHERS = {
     "trials": "swimid.logs.trials:AnyTrials",
-    "robot": "swimid.robots.file:Robot",
+    "robot": "swimid.robots.file:schema_of",
     "setup": "swimid.tracking.setup:Setup",
     "mapping": "swimid.logs.mapping:Mapping",
     "evidence": "swimid.results.evidence:Evidence",
@@ -95,6 +95,8 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
         raise UsageError(f"there is no format '{name}'", hint=suggestion(name, list(places)))
     module, _, attribute = places[name].partition(":")
     found = getattr(importlib.import_module(module), attribute)
+    if name == "robot":
+        found = found()
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",

@@ -263,7 +263,7 @@ class WakeLift(Effect):
 
     u and w are the velocities of the trailing edge along and across its link. m is the added mass per length
     at the trailing edge. t and n are the unit vectors along and across the link
-    (:mod:`swimid.swimmer.planar.assembly`).
+    (:mod:`swimid.swimmer.planar.model`).
     """
 
     name = "wake-lift"

@@ -18,7 +18,7 @@ from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.assembly import Assembly
+from swimid.swimmer.planar.model import Assembly
 from swimid.swimmer.tree import Polynomial
 
 #: Names of the numerical values of each kind of force element, in the order in which the equations of motion

@@ -7,16 +7,22 @@ writing code.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat
+from pydantic import Field, PositiveFloat, create_model, model_validator
 
 from swimid.errors import InputError, UsageError, nearest
 from swimid.files import yamlio
-from swimid.robots.planar import Multilink, Reading
-from swimid.robots.spatial import Multibody
+
+if TYPE_CHECKING:
+    from swimid.robots.planar import Multilink
+    from swimid.robots.spatial import Multibody
+else:
+    # schema_of replaces the types of these parts
+    Multilink = Multibody = Any
 
 FORMAT = "swimid-robot/1"
 NonNegative = Annotated[float, Field(ge=0)]
@@ -82,6 +88,29 @@ class Fin(yamlio.Document):
     hydrodynamic_inertia_kg_m2: PositiveFloat | None = None
 
 
+class ReadingOption(yamlio.Document):
+    """One interpretation of an ambiguous symbol in the source, and the values that it changes in the file."""
+
+    says: str
+    #: New values by dotted path, such as ``elements.0.axial_area_m2``. Members of lists are addressed by name
+    #: or index.
+    set: dict[str, Any] = {}
+
+
+class Reading(yamlio.Document):
+    """An ambiguity of the source, its possible interpretations, and the chosen interpretation."""
+
+    question: str
+    chosen: str
+    options: dict[str, ReadingOption]
+
+    @model_validator(mode="after")
+    def _known(self) -> Reading:
+        if self.chosen not in self.options:
+            raise ValueError(f"'{self.chosen}' is none of its options: {', '.join(self.options)}")
+        return self
+
+
 class Robot(yamlio.Document):
     """A robot file: the known properties of a robot before any fit.
 
@@ -140,6 +169,26 @@ class Robot(yamlio.Document):
                 for name, marker in self.multilink.markers.items()
             }
         return {}
+
+
+@cache
+def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> type[Robot]:
+    """Return the class of robot files with these parts, which are imported here."""
+    fields: dict[str, Any] = {}
+    if "multilink" in parts:
+        from swimid.robots.planar import Multilink
+
+        fields["multilink"] = Multilink | None, None
+    if "multibody" in parts:
+        from swimid.robots.spatial import Multibody
+
+        fields["multibody"] = Multibody | None, None
+    return create_model("Robot", __base__=Robot, __doc__=Robot.__doc__, **fields)
+
+
+def _validated(data: Mapping[str, Any], path: Path) -> Robot:
+    """Return the robot of loaded data."""
+    return yamlio.validate(data, schema_of(frozenset(data) & {"multilink", "multibody"}), path)
 
 
 def built_in() -> list[str]:
@@ -201,7 +250,7 @@ class RobotFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._data = yamlio.load(path)
-        self._written = yamlio.validate(self._data, Robot, path)
+        self._written = _validated(self._data, path)
 
     def read(self, readings: Mapping[str, str]) -> Robot:
         """Return the robot with interpretations that replace those of the file (see :func:`read`)."""
@@ -225,7 +274,7 @@ class RobotFile:
             for place, value in written[key].options[option].set.items():
                 _put(patched, place, value, f"readings.{key}.options.{option}", path)
             patched["readings"][key]["chosen"] = option
-        return yamlio.validate(patched, Robot, path)
+        return _validated(patched, path)
 
 
 def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:

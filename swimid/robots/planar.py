@@ -346,29 +346,6 @@ Element = Annotated[
 ]
 
 
-class ReadingOption(yamlio.Document):
-    """One interpretation of an ambiguous symbol in the source, and the values that it changes in the file."""
-
-    says: str
-    #: New values by dotted path, such as ``elements.0.axial_area_m2``. Members of lists are addressed by name
-    #: or index.
-    set: dict[str, Any] = {}
-
-
-class Reading(yamlio.Document):
-    """An ambiguity of the source, its possible interpretations, and the chosen interpretation."""
-
-    question: str
-    chosen: str
-    options: dict[str, ReadingOption]
-
-    @model_validator(mode="after")
-    def _known(self) -> Reading:
-        if self.chosen not in self.options:
-            raise ValueError(f"'{self.chosen}' is none of its options: {', '.join(self.options)}")
-        return self
-
-
 class Reference(yamlio.Document):
     """A point of the first link: the reference point whose pose is logged, or a marker."""
 

@@ -152,11 +152,18 @@ class DrivenJoints:
         return known[2]
 
     def motion(
-        self, values: Array, trial: Trial, grid: Grid, phase_rad: float, hooks: Hooks = NONE
+        self,
+        values: Array,
+        trial: Trial,
+        grid: Grid,
+        phase_rad: float,
+        hooks: Hooks = NONE,
+        *,
+        cached: bool = True,
     ) -> DrivenMotion:
         """Return the motion of the joints in a simulation.
 
-        The motion is cached. It depends on coefficients only through servos.
+        The motion depends on coefficients only through servos.
 
         Parameters
         ----------
@@ -168,25 +175,18 @@ class DrivenJoints:
             Phase of the drive at time zero, in addition to the phase that the trial states.
         hooks : Hooks
             Effects on the actuators. They do not apply to measured angles, which already contain them.
+        cached : bool
+            Whether the motion is kept for later simulations.
         """
         if trial.swim.measured:
             hooks = NONE
-        servos = self._servos_at(values)
-        key = (grid, phase_rad, servos, hooks.command_key)
-        known = self._motions.get(trial.id, key)
-        if known is not None:
-            return known
-        return self._motions.put(trial.id, key, self._moved(trial, grid, phase_rad, servos, hooks))
-
-    def fresh_motion(
-        self, values: Array, trial: Trial, grid: Grid, phase_rad: float, hooks: Hooks
-    ) -> DrivenMotion:
-        """Return the motion of the joints as :meth:`motion` does, but without the cache."""
-        return self._moved(trial, grid, phase_rad, self._servos_at(values), hooks)
-
-    def _servos_at(self, values: Array) -> Servos:
         named = dict(zip(self._names, values, strict=False))
-        return tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
+        servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
+        key = (grid, phase_rad, servos, hooks.command_key)
+        found = self._motions.get(trial.id, key) or self._moved(trial, grid, phase_rad, servos, hooks)
+        if cached:
+            self._motions.put(trial.id, key, found)
+        return found
 
     def _moved(
         self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks

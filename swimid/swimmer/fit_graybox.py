@@ -27,9 +27,6 @@ from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Fitted, ParameterFile
 from swimid.robots import file as robot_format
-from swimid.robots.file import Robot
-from swimid.robots.planar import Multilink
-from swimid.robots.spatial import Multibody
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.options import FitGrayboxOptions
 
@@ -157,21 +154,18 @@ def fit_graybox(
             fit_common.beat_check(experiment.facts["beats"]),
         ]
         if search.ends:
-            checks.append(_starts_check(search.ends, asked=options.starts is not None))
+            checks.append(_starts_check(search, asked=options.starts is not None))
         explanation: mistakes.Explanation | None = None
-        notes = []
-        if options.method == "least-squares":
-            before = {t.id: _misfits(result, t) for t in result.trials}
-            if mistakes.is_suspect(checks, before):
-                known = mistakes.catalogue(model, result.trials)
-                explanation = _explain(result, known, before, options, progress)
-                checks.append(mistakes.check(explanation, len(known)))
-                notes = [e.sentence for e in (explanation,) if e is not None]
+        before = {t.id: _misfits(result, t) for t in result.trials}
+        if options.method == "least-squares" and mistakes.is_suspect(checks, before):
+            known = mistakes.catalogue(model, result.trials)
+            explanation = _explain(result, known, before, options, progress)
+            checks.append(mistakes.check(explanation, len(known)))
     evidence = ev.Evidence(
         command="fit-graybox",
         title=f"Gray-box identification of {experiment.robot.name}",
         verdict=ev.judged(fit_common.answer(file), checks),
-        notes=notes,
+        notes=[e.sentence for e in (explanation,) if e is not None],
         checks=checks,
         tables=_tables(experiment, result, search.ends),
         figures=[*_track(experiment, result), *fit_common.figures(result)],
@@ -181,17 +175,13 @@ def fit_graybox(
         provenance=origin,
     )
     with atomic.together():
-        if search.front is None:
-            fitted = Fitted.of(file, evidence).saved(output)
-        else:
-            from swimid.swimmer import front
-
-            front.add_evidence(evidence, search.front, result, options)
-            fitted = Fitted.of(file, evidence).saved(output)
-            if output is not None:
-                points = front.save(output, search.front, options)
-                fitted = replace(fitted, outputs=[*fitted.outputs, *points])
-                search.checkpoint.done()
+        if search.front is not None:
+            search.front.add_evidence(evidence, result, options)
+        fitted = Fitted.of(file, evidence).saved(output)
+        if search.front is not None and output is not None:
+            points = search.front.save(output, options)
+            fitted = replace(fitted, outputs=[*fitted.outputs, *points])
+            search.checkpoint.done()
     _require_result(result, file, search, trials, output, explanation)
     return fitted
 
@@ -218,6 +208,13 @@ class _Search:
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     ends: list[Start] = field(default_factory=list)
     starts: int = 1
+
+    @property
+    def agreeing(self) -> int:
+        """Number of starting points from which the fit ends in the reported minimum."""
+        from swimid.fitting.global_search import agreeing
+
+        return agreeing(self.ends)
 
 
 def _search(
@@ -315,8 +312,9 @@ def _require_result(
             hint=f"--start-from {output} goes on from there",
         )
     if not result.converged:
-        kept = f"; the result so far is in {output}, marked so" if output else ""
-        params = f" --params {output}" if output else ""
+        kept = params = ""
+        if output is not None:
+            kept, params = f"; the result so far is in {output}, marked so", f" --params {output}"
         hint = (
             "the model may lack an effect; to find it: swimid diagnose "
             f"{trials_format.place(source)}{params} -o gap.yaml; if it lacks none, check units and trial "
@@ -335,15 +333,13 @@ def _require_result(
 
 def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parameter]) -> None:
     """Raise an error if a trial begins in steady swimming but the model reaches no steady speed."""
-    model, stated = experiment.model.swimmer, experiment.model.stated()
-    known = {p.name: p.start for p in parameters}
-    starts = {p.name: known.get(p.name, p.start) for p in model.parameters}
+    model = experiment.model.swimmer
+    known = {p.name: p.start for p in model.parameters} | {p.name: p.start for p in parameters}
     fixed = {p.name for p in parameters if not p.free}
-    points = [starts, {**starts, **{n: v for n, v in stated.items() if n not in fixed}}]
-    for trial in experiment.trials:
-        if not trial.swim.steady:
-            continue
-        cruises = [model.cruise(np.array(list(point.values())), trial) for point in points]
+    stated = {name: value for name, value in model.stated().items() if name not in fixed}
+    for trial in (t for t in experiment.trials if t.swim.steady):
+        points = [np.array([p[q.name] for q in model.parameters]) for p in (known, known | stated)]
+        cruises = [model.cruise(point, trial) for point in points]
         if all(c is not None and not np.isfinite(c.speed_m_s) for c in cruises):
             raise NoTrustworthyResult(
                 f"the model has no steady swimming under the drive of '{trial.id}': its speed never settles",
@@ -489,21 +485,13 @@ def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, outp
     return Path(os.path.relpath(path, folder.resolve())).as_posix()
 
 
-def _body_of(robot: Robot) -> Multilink | Multibody:
-    """Return the links of a robot: in 3-D if the robot file describes them so, otherwise in a plane."""
-    body = robot.multibody or robot.multilink
-    assert body is not None
-    return body
-
-
 def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
     """Plot the paths if the pose was fitted; paths in 3-D are seen from above and from the side."""
-    body = _body_of(experiment.robot)
-    if isinstance(body, Multibody):
-        panels = [*_paths(result, "x_m", "z_m"), *_paths(result, "x_m", "y_m")]
-    else:
-        across, along, *_ = result.model.swimmer.pose
-        panels = _paths(result, across, along)
+    across, *others = result.model.swimmer.pose
+    sides = others[:1]
+    if result.model.swimmer.in_space:
+        sides = ["z_m", "y_m"]
+    panels = [panel for along in sides for panel in _paths(result, across, along)]
     if not panels:
         return []
     caption = (
@@ -542,53 +530,56 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
     return panels
 
 
-def _starts_check(ends: Sequence[Start], *, asked: bool) -> ev.Check:
+def _starts_check(search: _Search, *, asked: bool) -> ev.Check:
     """Count the starting points from which the fit ends in the reported minimum.
 
     The count can fail as a check only if the user asked for several starting points.
     """
-    from swimid.fitting.global_search import agreeing
-
-    agree = agreeing(ends)
-    value = f"{agree} of {len(ends)} starts end in it"
-    text = "the other starts end higher; the lowest is reported" if agree < len(ends) else ""
-    passed = agree == len(ends) if asked else None
-    reason = f"only {agree} of {len(ends)} starts end in the reported minimum"
+    agree, count = search.agreeing, len(search.ends)
+    passed, text = None, ""
+    if agree < count:
+        text = "the other starts end higher; the lowest is reported"
+    if asked:
+        passed = agree == count
+    reason = f"only {agree} of {count} starts end in the reported minimum"
+    value = f"{agree} of {count} starts end in it"
     return ev.check("one minimum", value, passed, "every start", text, reason=reason)
 
 
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) -> list[ev.Table]:
     """Return tables of errors, starting points, and interpretations of the source."""
-    readings = experiment.robot.readings.items()
-    found: list[tuple[str, str, list[str], list[list[Any]], str]] = [
-        (
-            "metrics",
-            "Errors of every trial",
-            ["trial", "data", "channel", "RMSE", "NRMSE", "VAF", "peak", "DTW"],
-            _error_rows(result),
-            "NRMSE: over the measured range (tendon fish, Eq 13). Peak: difference of the largest magnitudes "
-            "over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of the record.",
+    found = [
+        ev.Table(
+            id="metrics",
+            title="Errors of every trial",
+            columns=["trial", "data", "channel", "RMSE", "NRMSE", "VAF", "peak", "DTW"],
+            rows=_error_rows(result),
+            caption="NRMSE: over the measured range (tendon fish, Eq 13). Peak: difference of the largest "
+            "magnitudes over the measured one (Eq 14). DTW: distance per sample after warping within 5 % of "
+            "the record.",
+            folded=True,
         ),
-        (
-            "starts",
-            "Starts",
-            ["start", "converged", "cost"],
-            [[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)],
-            "The cost is the mean squared residual, averaged geometrically over the channels.",
+        ev.Table(
+            id="starts",
+            title="Starts",
+            columns=["start", "converged", "cost"],
+            rows=[[k, end.converged, float(end.cost)] for k, end in enumerate(ends, start=1)],
+            caption="The cost is the mean squared residual, averaged geometrically over the channels.",
+            folded=True,
         ),
-        (
-            "readings",
-            "Readings of the source",
-            ["reading", "question", "chosen", "meaning"],
-            [[name, r.question, r.chosen, r.options[r.chosen].says] for name, r in readings],
-            "Other readings are options of the robot file (--reading NAME=OPTION).",
+        ev.Table(
+            id="readings",
+            title="Readings of the source",
+            columns=["reading", "question", "chosen", "meaning"],
+            rows=[
+                [name, r.question, r.chosen, r.options[r.chosen].says]
+                for name, r in experiment.robot.readings.items()
+            ],
+            caption="Other readings are options of the robot file (--reading NAME=OPTION).",
+            folded=True,
         ),
     ]
-    return [
-        ev.Table(id=name, title=title, columns=columns, rows=rows, caption=caption, folded=True)
-        for name, title, columns, rows, caption in found
-        if rows
-    ]
+    return [table for table in found if table.rows]
 
 
 def _error_rows(result: FitResult) -> list[list[str]]:
@@ -596,47 +587,36 @@ def _error_rows(result: FitResult) -> list[list[str]]:
     rows = []
     units = {c.name: c.unit for c in result.model.channels}
     for s in result.series:
-        unit = units[s.channel]
+        unit, role = units[s.channel], {"validate": "held out"}.get(s.role, "fit")
         score = fit_common.scores(result, s.role, [s.trial])[s.channel]
         warped = metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
-        rows.append(
-            [
-                s.trial,
-                {"validate": "held out"}.get(s.role, "fit"),
-                s.channel,
-                numbers.number(score.rmse, 3, unit),
-                numbers.percent(score.nrmse),
-                numbers.percent(score.vaf, 4),
-                numbers.percent(metrics.peak_error(s.measured, s.simulated)[1]),
-                numbers.number(warped, 3, unit),
-            ]
-        )
+        peak = metrics.peak_error(s.measured, s.simulated)[1]
+        shares = numbers.percent(score.nrmse), numbers.percent(score.vaf, 4), numbers.percent(peak)
+        errors = [numbers.number(error, 3, unit) for error in (score.rmse, warped)]
+        rows.append([s.trial, role, s.channel, errors[0], *shares, errors[1]])
     return rows
 
 
 def _methods(experiment: Experiment, result: FitResult, search: _Search, method: str) -> list[str]:
     """Describe the fit in sentences for a methods section."""
     fitted = sum(t.role == "fit" for t in result.trials)
-    body = _body_of(experiment.robot)
-    kind, by = "model in space", "output-error maximum likelihood"
-    if isinstance(body, Multilink):
-        kind = "planar model"
+    model = result.model.swimmer
+    kind, by = "planar model", "output-error maximum likelihood"
+    if model.in_space:
+        kind = "model in space"
     if method == "nsga2":
         by = "the search on the front"
     said = [
         f"{', '.join(result.shared)} were estimated from {fitted} {experiment.name} trials "
         f"({result.samples} samples of {', '.join(result.noise)}) by {by} with a {kind} of "
-        f"{len(body.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at most "
-        f"{1e3 * result.model.swimmer.max_step:g} ms; halving them changes no sample by more than "
+        f"{len(model.tree.links)} links, integrated by a fourth-order Runge-Kutta method with steps of at "
+        f"most {1e3 * model.max_step:g} ms; halving them changes no sample by more than "
         f"{result.step_error:.2g} standard deviations of its noise.",
         fit_common.COVARIANCE,
     ]
     if search.ends:
-        from swimid.fitting.global_search import agreeing
-
-        drawn = "on the front" if method == "hybrid" else "drawn evenly within the bounds"
-        agree = agreeing(search.ends)
-        said.append(f"{agree} of {len(search.ends)} starts, {drawn}, end in the reported minimum.")
+        drawn = {"hybrid": "on the front"}.get(method, "drawn evenly within the bounds")
+        said.append(f"{search.agreeing} of {len(search.ends)} starts, {drawn}, end in the reported minimum.")
     own = dict.fromkeys(label.split("[")[0] for label in result.labels if "[" in label)
     if own:
         said.append(

@@ -11,6 +11,8 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +33,13 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions
 
-#: Channels whose errors enter each kind of distance.
-KINDS: dict[str, tuple[str, ...]] = {
-    "position": ("x_m", "y_m", "z_m"),
-    "orientation": ("roll_rad", "pitch_rad", "yaw_rad"),
-    "speed": ("u_m_s", "v_m_s", "w_m_s"),
-    "turning": ("roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s"),
-}
-#: Error that gives a distance of 1, for each kind: in m, rad (5 degrees), m/s and rad/s (10 degrees per
-#: second).
-SCALES = {
-    "position": 0.05,
-    "orientation": math.radians(5.0),
-    "speed": 0.05,
-    "turning": math.radians(10.0),
+#: Kind of distance to which the error of a channel contributes, and the error that gives a distance of 1, by
+#: the unit at the end of the channel's name: 0.05 m, 5 degrees, 0.05 m/s and 10 degrees per second.
+KINDS = {
+    "_m": ("position", 0.05),
+    "_rad": ("orientation", math.radians(5.0)),
+    "_m_s": ("speed", 0.05),
+    "_rad_s": ("turning", math.radians(10.0)),
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 BAND = 0.05
@@ -54,15 +49,9 @@ RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 UNTUNED, CHOSEN, AFTER = "untuned", "chosen on the front", "least squares"
 
 
-def kind_of(channel: str) -> str:
-    """Return the kind of distance to which the error of a channel contributes.
-
-    The angle of a joint counts as orientation, and its rate as turning.
-    """
-    for kind, names in KINDS.items():
-        if channel in names:
-            return kind
-    return "turning" if channel.endswith("_rate_rad_s") else "orientation"
+def kind_of(channel: str) -> tuple[str, float]:
+    """Return the kind of distance to which the error of a channel contributes, and the error that gives 1."""
+    return next(kind for unit, kind in KINDS.items() if channel.endswith(unit))
 
 
 def distance(
@@ -122,7 +111,7 @@ class Profiles:
     profiles : mapping of trial id to str
         Motion profile of each trial.
     scales : mapping of channel to float
-        Errors of channels that count as 1, in place of :data:`SCALES`.
+        Errors of channels that count as 1, in place of those of :data:`KINDS`.
     jobs : int
 
     Attributes
@@ -157,16 +146,14 @@ class Profiles:
         self._profiles = [profiles[t.id] for t in self.problem.trials]
         self.names = list(dict.fromkeys(self._profiles))
         self._scales = scales or {}
-        self._groups = [
-            {kind: [c for c in channels if kind_of(c) == kind] for kind in KINDS}
-            for channels in self.problem.channels
-        ]
-        self.objectives = [
-            (name, kind)
-            for name in self.names
-            for kind in KINDS
-            if any(self._groups[k][kind] for k in self._members(name))
-        ]
+        #: Channels of each trial, by objective and index of the trial.
+        self._parts: dict[tuple[str, str], dict[int, list[str]]] = {}
+        for name, (kind, _) in product(self.names, KINDS.values()):
+            for k in self._members(name):
+                channels = [c for c in self.problem.channels[k] if kind_of(c)[0] == kind]
+                if channels:
+                    self._parts.setdefault((name, kind), {})[k] = channels
+        self.objectives = list(self._parts)
         self.columns = [f"{kind}[{profile}]" for profile, kind in self.objectives]
 
     def _members(self, profile: str | None) -> list[int]:
@@ -211,18 +198,13 @@ class Profiles:
     def _scored(
         self, simulated: Mapping[int, Mapping[str, Array]], profile: str | None = None
     ) -> list[float]:
-        found = []
-        for name, kind in self.objectives:
-            if profile in (None, name):
-                members = [k for k in self._members(name) if self._groups[k][kind]]
-                found.append(float(np.mean([self._distance(k, kind, simulated.get(k)) for k in members])))
-        return found
+        parts = [own for (name, _), own in self._parts.items() if profile in (None, name)]
+        return [float(np.mean([self._distance(k, own[k], simulated.get(k)) for k in own])) for own in parts]
 
-    def _distance(self, k: int, kind: str, simulated: Mapping[str, Array] | None) -> float:
+    def _distance(self, k: int, channels: list[str], simulated: Mapping[str, Array] | None) -> float:
         if simulated is None:
             return math.nan
-        channels = self._groups[k][kind]
-        scales = [self._scales.get(channel, SCALES[kind]) for channel in channels]
+        scales = [self._scales.get(channel, kind_of(channel)[1]) for channel in channels]
         return distance(self.problem.trials[k].measured, simulated, channels, scales)
 
 
@@ -273,6 +255,30 @@ class FrontResult:
         along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]
         distinct = list(dict.fromkeys([*ruled, *along]))
         return [self.profiles.theta(self.points[k]) for k in distinct[: max(count, len(ruled))]]
+
+    def save(self, output: Path, options: FitGrayboxOptions) -> list[Path]:
+        """Write the front to the folder of the parameter file, and return the path of the front.
+
+        The front is not written if it was read from this path.
+        """
+        path = output.with_name(f"{output.stem}.front.csv")
+        if options.front is not None and options.front.resolve() == path.resolve():
+            return []
+        atomic.write_text(path, self.table.to_csv(index=False))
+        return [path]
+
+    def add_evidence(self, evidence: ev.Evidence, result: FitResult, options: FitGrayboxOptions) -> None:
+        """Add the front, the chosen point, and the errors of all fits to the evidence of a fit."""
+        stages = dict(self.stages)
+        if options.method == "hybrid":
+            stages[AFTER] = result
+        known = {title: r for title, r in stages.items() if r is not None}
+        scored = {title: self.profiles.scored(r.series) for title, r in known.items()}
+        evidence.tables[:0] = [_stages_table(self, list(stages), known, scored)]
+        evidence.figures[:0] = _figures(self, scored)
+        evidence.methods[:0] = _methods(self, options)
+        chosen = ", ".join(rule for rule, k in self.rules.items() if k == self.chosen) or "by index"
+        evidence.facts["Front"] = f"{len(self.points)} points, {self.chosen} chosen ({chosen})"
 
 
 def fit(
@@ -343,19 +349,18 @@ def _search(
     """Search the front of each profile."""
     searches: dict[str, Front] = {}
     total = options.generations * len(profiles.names)
-    done = 0
+    done: list[str] = []
     try:
         with progress("generations", total=total) as step:
+
+            def advance(name: str) -> None:
+                done.append(name)
+                step()
+                show(step, name)
+
             for number, name in enumerate(profiles.names):
-
-                def advance(name: str = name) -> None:
-                    nonlocal done
-                    done += 1
-                    step()
-                    show(step, name)
-
                 searches[name] = global_search.nsga2(
-                    lambda points, name=name: profiles.evaluate(points, name),  # type: ignore[misc]
+                    partial(profiles.evaluate, profile=name),
                     profiles.lower,
                     profiles.upper,
                     objectives=len(profiles.objectives_of(name)),
@@ -365,13 +370,15 @@ def _search(
                     first=profiles.start,
                     checkpoint=checkpoint,
                     name=name,
-                    advance=advance,
+                    advance=partial(advance, name),
                 )
     except KeyboardInterrupt:
         kept, hint = "nothing was written", "with -o it can be continued"
         if checkpoint.path:
             kept, hint = f"{checkpoint.path} keeps them", "the same command goes on from there"
-        raise Interrupted(f"interrupted after {done} of {total} generations; {kept}", hint=hint) from None
+        raise Interrupted(
+            f"interrupted after {len(done)} of {total} generations; {kept}", hint=hint
+        ) from None
     return searches
 
 
@@ -446,62 +453,35 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
     return int(pick)
 
 
-def save(output: Path, found: FrontResult, options: FitGrayboxOptions) -> list[Path]:
-    """Write the front to the folder of the parameter file, and return the path of the front.
-
-    The front is not written if it was read from this path.
-    """
-    path = output.with_name(f"{output.stem}.front.csv")
-    if options.front is not None and options.front.resolve() == path.resolve():
-        return []
-    atomic.write_text(path, found.table.to_csv(index=False))
-    return [path]
-
-
 # ---------------------------------------------------------------- evidence
 
 
-def add_evidence(
-    evidence: ev.Evidence, found: FrontResult, result: FitResult, options: FitGrayboxOptions
-) -> None:
-    """Add the front, the chosen point, and the errors of all fits to the evidence of a fit."""
-    stages = dict(found.stages)
-    if options.method == "hybrid":
-        stages[AFTER] = result
-    evidence.tables[:0] = [_stages_table(found, stages)]
-    evidence.figures[:0] = _figures(found, stages)
-    evidence.methods[:0] = _methods(found, options)
-    chosen = ", ".join(rule for rule, k in found.rules.items() if k == found.chosen) or "by index"
-    evidence.facts["Front"] = f"{len(found.points)} points, {found.chosen} chosen ({chosen})"
-
-
-def _stages_table(found: FrontResult, stages: Mapping[str, FitResult | None]) -> ev.Table:
+def _stages_table(
+    found: FrontResult, titles: list[str], known: Mapping[str, FitResult], scored: Mapping[str, Array]
+) -> ev.Table:
     """List objectives and errors before the search, at the chosen point and after least squares."""
-    known = {title: r for title, r in stages.items() if r is not None}
-    scored = {title: found.profiles.scored(r.series) for title, r in known.items()}
     rows: list[list[Any]] = []
     for j, (profile, kind) in enumerate(found.profiles.objectives):
-        row = [float(scored[title][j]) if title in scored else None for title in stages]
+        row = [float(scored[title][j]) if title in scored else None for title in titles]
         rows.append([f"DTW distance, {kind}", profile, *row])
     for role, name in (("fit", "fitted trials"), ("validate", "held-out trials")):
         errors = {title: fit_common.scores(r, role) for title, r in known.items()}
         units = {c.name: c.unit for r in known.values() for c in r.model.channels}
         for channel in dict.fromkeys(c for own in errors.values() for c in own):
             shown = {t: numbers.number(e[channel].rmse, 3, units[channel]) for t, e in errors.items()}
-            rows.append([f"RMSE, {channel}", name, *(shown.get(title, "") for title in stages)])
+            rows.append([f"RMSE, {channel}", name, *(shown.get(title, "") for title in titles)])
     return ev.Table(
         id="stages",
         title="Errors before and after the search",
-        columns=["quantity", "of", *stages],
+        columns=["quantity", "of", *titles],
         rows=rows,
         caption="DTW distances are per sample, over the scale of the channel, averaged over trials.",
     )
 
 
-def _figures(found: FrontResult, stages: Mapping[str, FitResult | None]) -> list[ev.Figure]:
+def _figures(found: FrontResult, ends: Mapping[str, Array]) -> list[ev.Figure]:
     """Plot the fronts of all profiles with the fits."""
     profiles = found.profiles
-    ends = {t: profiles.scored(r.series) for t, r in stages.items() if r is not None}
     fronts = []
     for name in profiles.names:
         objectives = profiles.objectives_of(name)

@@ -16,10 +16,9 @@ from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, 
 from swimid.notices import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
-from swimid.swimmer.lanes.kernel import Kernels, Room
-from swimid.swimmer.lanes.tracing import LANES
+from swimid.swimmer.lanes import LANES, Kernels, Room
 from swimid.swimmer.options import STEP_S
-from swimid.swimmer.planar.engine import sampled
+from swimid.swimmer.planar.engine import outside, sampled
 from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
@@ -160,9 +159,7 @@ class Swimmer(Model):
         self.free_base, self.coefficients = self.tree.free_base, self.tree.names
         # parameters for the offset of the start pose of each trial
         self.starts = tuple(f"start_{word}" for word in self.places)
-        self.parameters = (
-            *coefficients(self.tree.body.coefficients), *_initial_parameters(self), *_view_parameters(self)
-        )  # fmt: skip
+        self.parameters = (*coefficients(self.tree.body.coefficients), *_trial_parameters(self))
         self.channels = _channels(self)
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         views = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
@@ -198,10 +195,6 @@ class Swimmer(Model):
     @abstractmethod
     def determined_starts(self, measured: Collection[str]) -> list[str]:
         """Return the names of the initial velocities, angles and rates that these channels determine."""
-
-    @abstractmethod
-    def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Integrate the equations of motion, and return the states and their time derivatives."""
 
     @abstractmethod
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
@@ -351,13 +344,13 @@ class Swimmer(Model):
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
-        if not self.kernels.use_own:
-            return super().hooked_many(runs)
-        trajectories = [trajectory for _, trajectory in self._simulated(runs)]
-        begun = [(*run, t) for run, t in zip(runs, trajectories, strict=True) if t is not None]
-        channels = iter(unless_broken(self._at_samples, begun))
-        found = [None if t is None else next(channels) for t in trajectories]
-        return [own or self.broken_down(trial) for own, (_, trial, _) in zip(found, runs, strict=True)]
+
+        def seen(run: tuple[Array, Trial, Hooks], found: Trajectory | None) -> dict[str, Array] | None:
+            return None if found is None else self._at_samples(*run, found)
+
+        simulated = zip(runs, self._simulated(runs), strict=True)
+        channels = unless_broken(seen, [(run, trajectory) for run, (_, trajectory) in simulated])
+        return [own or self.broken_down(trial) for own, (_, trial, _) in zip(channels, runs, strict=True)]
 
     def with_energetics(
         self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
@@ -440,6 +433,17 @@ class Swimmer(Model):
         run = Run(values, trial, hooks, key, grid, None, start, motion, tables)
         return replace(run, start=self.steady.initial_state(run)) if trial.swim.steady else run
 
+    def integrate(self, run: Run) -> tuple[Array, Array]:
+        """Integrate the equations of motion, and return the states and their time derivatives."""
+        forced = None
+        if run.hooks.force:
+            forced = outside(run.hooks.force, self.frame(run), len(self.tree.links))
+        tables = tuple(run.tables.values())
+        states, rates = self.engine.integrate(
+            run.start, run.grid.step_s, run.drive.table, tables, forced, run.grid.begin_s
+        )
+        return states, rates
+
     def value(self, values: Array, name: str) -> float:
         """Return the value of a parameter, or 0 if the model does not have the parameter."""
         return float(values[self._at[name]]) if name in self._at else 0.0
@@ -505,31 +509,37 @@ class Swimmer(Model):
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
 
-def _initial_parameters(model: Swimmer) -> list[Parameter]:
-    """Return the parameters of the initial state: velocities, passive angles and rates, drive phase."""
-    found = []
+#: Units of channels by the ending of their name.
+UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_m": "m"}
+#: Typical scales of the start pose and velocity of a free base, by unit.
+SCALES = {"m": 0.01, "rad": 0.05, "m/s": 0.1, "rad/s": 0.5}
+
+
+def _unit(channel: str) -> str:
+    """Return the unit of a channel."""
+    return next(unit for ending, unit in UNITS.items() if channel.endswith(ending))
+
+
+def _trial_parameters(model: Swimmer) -> list[Parameter]:
+    """Return the parameters of each trial: initial state, drive phase, and those of the measurement only.
+
+    The last are start pose, clock offset and camera.
+    """
+    initial, view = [], []
     if model.free_base:
         for name, column in zip(model.rates, model.velocity, strict=True):
-            unit, scale = ("m/s", 0.1) if column.endswith("_m_s") else ("rad/s", 0.5)
             meaning = f"{name.replace('_', ' ')} at the first sample"
-            found.append(trial_parameter(f"initial_{name}", unit, scale, meaning))
+            initial.append(trial_parameter(f"initial_{name}", _unit(column), SCALES[_unit(column)], meaning))
+        for name, word, column in zip(model.starts, model.places, model.pose, strict=True):
+            meaning = f"{word} of the start against the first sample"
+            view.append(trial_parameter(name, _unit(column), SCALES[_unit(column)], meaning))
     for axis in model.passive:
         for word, unit, scale in (("angle", "rad", 0.1), ("rate", "rad/s", 1.0)):
             meaning = f"{word} of {axis.name} at the first sample"
-            found.append(trial_parameter(f"initial_{word}_{axis.name}", unit, scale, meaning))
-    return [*found, trial_parameter("drive_phase", "rad", 1.0, "phase of the beat at time zero")]
-
-
-def _view_parameters(model: Swimmer) -> list[Parameter]:
-    """Return the parameters that affect only the measurement: start pose, clock offset and camera."""
+            initial.append(trial_parameter(f"initial_{word}_{axis.name}", unit, scale, meaning))
+    phase = trial_parameter("drive_phase", "rad", 1.0, "phase of the beat at time zero")
     clock = trial_parameter("clock_offset", "s", 0.01, "the log's clock ahead of the drive's")
-    if not model.free_base:
-        return [clock]
-    found = []
-    for name, word, column in zip(model.starts, model.places, model.pose, strict=True):
-        unit, scale = ("m", 0.01) if column.endswith("_m") else ("rad", 0.05)
-        found.append(trial_parameter(name, unit, scale, f"{word} of the start against the first sample"))
-    return [*found, clock, *model.camera]
+    return [*initial, phase, *view, clock, *model.camera[: len(view)]]
 
 
 def _channels(model: Swimmer) -> tuple[Channel, ...]:
@@ -538,11 +548,8 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
     if model.free_base:
         names, words = (*model.pose, *model.velocity), (*model.places, *model.rates)
         for name, word in zip(names, words, strict=True):
-            unit = name.split("_", 1)[1].replace("rate_rad_s", "rad/s").replace("_", "/")
-            meaning = word.replace("_", " ")
-            if unit == "m/s":
-                meaning += " speed"
-            found.append(Channel(name, unit, meaning))
+            meaning = word.replace("_", " ") + " speed" * (_unit(name) == "m/s")
+            found.append(Channel(name, _unit(name), meaning))
 
     def position(axis: Axis) -> tuple[int, str]:
         return len(axis.column), axis.column
@@ -560,7 +567,7 @@ def _energetics(model: Swimmer, values: Array, run: Trajectory, last_s: float) -
     rows = slice(len(run.states) - count, None)
     tables = model.tree.tables(values[: len(model.coefficients)])
     states, drive = run.states[rows], run.drive.table[::2][rows]
-    torque = model.engine.torques(states, run.rates[rows], drive, *tables.values())
+    torque = model.engine.torques(states, run.rates[rows], drive, tuple(tables.values()))
     driven = [a.link for a in model.driven]
     return Energetics(run.grid.times(1)[rows], torque[:, driven], drive[:, :, 1])
 

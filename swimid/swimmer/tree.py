@@ -10,6 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from types import ModuleType
 from typing import Any
 
@@ -18,12 +19,13 @@ import numpy as np
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Array, Parameter
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Coefficient, Driven, Joint, factors
-from swimid.robots.spatial import Hinge
+from swimid.robots.planar import Coefficient, Connection, Driven, factors
 from swimid.swimmer.planar.engine import PASSIVE
 
 #: Maximum number of coefficient vectors whose input arrays are cached.
 MAX_TABLES = 64
+#: Indices of the entries of a symmetric 3 by 3 matrix in its upper part, which is stored row by row.
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 class Polynomial:
@@ -130,6 +132,12 @@ class Rows:
         self.elements[table].append((self.index[link], row))
 
 
+def strips(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
+    """Yield the points of Gauss's rule between two points, each with its share of the whole."""
+    for node, weight in zip(*np.polynomial.legendre.leggauss(count), strict=True):
+        yield low + 0.5 * (high - low) * (1.0 + float(node)), 0.5 * float(weight)
+
+
 class Table:
     """Matrix whose entries are polynomials in the coefficients.
 
@@ -171,19 +179,8 @@ class Table:
         return np.asarray((self.constant + self.gains @ products).reshape(self.shape))
 
 
-#: Keys of a robot file whose strings are not physical quantities.
-WORDS = {
-    "name",
-    "link",
-    "parent",
-    "child",
-    "kind",
-    "inertia_about",
-    "plane",
-    "base",
-    "frame",
-    "added_mass_direction",
-}
+#: Keys of links, joints and elements whose strings are not physical quantities.
+WORDS = {"name", "link", "parent", "child", "kind", "inertia_about", "frame", "added_mass_direction"}
 
 
 @dataclass(frozen=True)
@@ -299,22 +296,9 @@ def coefficients(known: Mapping[str, Coefficient]) -> list[Parameter]:
     found = []
     for name, c in known.items():
         start = given(c.start, c.value)
-        low, high = c.limits
-        found.append(
-            Parameter(
-                name,
-                c.unit,
-                low,
-                high,
-                start,
-                c.scale or abs(c.value) or abs(start) or 1.0,
-                c.free,
-                c.per_trial,
-                meaning=c.meaning,
-                source=c.source,
-                known=c.value,
-            )
-        )
+        scale = c.scale or abs(c.value) or abs(start) or 1.0
+        words = c.meaning, c.source
+        found.append(Parameter(name, c.unit, *c.limits, start, scale, c.free, c.per_trial, *words, c.value))
     return found
 
 
@@ -377,7 +361,7 @@ class Tree(ABC):
                 column=f"{self.part}.base",
             )
         self.constants = {"free_base": self.free_base}
-        self._known: dict[bytes, dict[str, Any]] = {}
+        self._evaluated = lru_cache(MAX_TABLES)(self._evaluate)
 
     def fill(self, fluid: Fluid) -> Rows:
         """Collect the rows of links and elements, and check them at the coefficient values of the file."""
@@ -395,7 +379,7 @@ class Tree(ABC):
             return Table(entries, len(columns), self.names)
 
         self._joint = table([self._place(j) for j in self._joints], engine.JOINT)
-        self._rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
+        self.rigid, self._inertia = table(rigid, engine.INERTIA), table(rows.inertia, engine.INERTIA)
         self._passive = table([law_of(axis.joint) for axis in self.passive], PASSIVE)
         self._elements = []
         for name, own in elements.items():
@@ -417,22 +401,20 @@ class Tree(ABC):
         dict
             The arrays are cached for later calls with these values. Do not write into them.
         """
-        key = values.tobytes()
-        known = self._known.get(key)
-        if known is None:
-            known = {
-                "topology": self.topology,
-                "joint": self._joint(values),
-                "inertia": self._inertia(values),
-                "passive": self._passive(values),
-            }
-            for name, owner, table in self._elements:
-                known[f"{name}_link"], known[name] = owner, table(values)
-            known.update(self.constants)
-            if len(self._known) >= MAX_TABLES:
-                self._known.clear()
-            self._known[key] = known
-        return dict(known)
+        return dict(self._evaluated(np.asarray(values, dtype=float).tobytes()))
+
+    def _evaluate(self, key: bytes) -> dict[str, Any]:
+        """Return the arguments at values of the coefficients, which are given by their bytes."""
+        values = np.frombuffer(key)
+        found = {
+            "topology": self.topology,
+            "joint": self._joint(values),
+            "inertia": self._inertia(values),
+            "passive": self._passive(values),
+        }
+        for name, owner, table in self._elements:
+            found[f"{name}_link"], found[name] = owner, table(values)
+        return {**found, **self.constants}
 
     @abstractmethod
     def check(self, values: Array) -> None:
@@ -474,7 +456,7 @@ def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> N
         )
 
 
-def law_of(joint: Joint | Hinge) -> list[Polynomial]:
+def law_of(joint: Connection) -> list[Polynomial]:
     """Return the row of a passive joint in the ``passive`` input array of the engine."""
     law = joint.passive
     assert law is not None

@@ -519,29 +519,23 @@ def _moves(log: Log, name: str, is_joint: bool) -> bool:
     if count < MIN_OPENING:
         return False
     time = log.time_s[opening] - log.time_s[opening][0]
-    largest = float(np.max(np.abs(values[known])))
+
+    def is_off_zero(derivative: int, changes: Array) -> bool:
+        """Return whether a value or rate at first is significant, and not small compared with the largest."""
+        value, error = _fitted(time, values[opening], derivative)
+        return abs(value) > max(MIN_ERRORS * error, MIN_SHARE * float(np.max(np.abs(changes))))
+
     if name.endswith("_s"):
-        return _is_off_zero(time, values[opening], 0, largest)
+        return is_off_zero(0, values[known])
     steps = values[known][count - 1 :] - values[known][: 1 - count]
     rates = steps / (log.time_s[known][count - 1 :] - log.time_s[known][: 1 - count])
-    if _is_off_zero(time, values[opening], 1, float(np.max(np.abs(rates)))):
-        return True
-    return is_joint and _is_off_zero(time, values[opening], 0, largest)
+    return is_off_zero(1, rates) or (is_joint and is_off_zero(0, values[known]))
 
 
 def _is_opening(log: Log) -> NDArray[np.bool_]:
     """Return which samples belong to the opening of a log, its first part (see OPENING_S)."""
     length = max(OPENING_S, OPENING_STEPS * float(np.median(np.diff(log.time_s))))
     return log.time_s <= log.time_s[0] + length
-
-
-def _is_off_zero(time_s: Array, values: Array, derivative: int, top: float) -> bool:
-    """Return whether a quantity at time zero is significant, and not small compared with ``top``.
-
-    The quantity is the value (derivative 0) or its rate (derivative 1).
-    """
-    value, error = _fitted(time_s, values, derivative)
-    return abs(value) > max(MIN_ERRORS * error, MIN_SHARE * top)
 
 
 def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
@@ -561,12 +555,9 @@ def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float
 
 def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple[float, float, float]:
     """Return a coefficient of a fitted polynomial, its standard error, and the residual sum of squares."""
-    design = np.vander(time_s, order + 1, increasing=True)
-    weights, *_ = np.linalg.lstsq(design, values, rcond=None)
-    residuals = values - design @ weights
-    squares = float(residuals @ residuals)
-    spread = float(np.linalg.inv(design.T @ design)[derivative, derivative])
-    return float(weights[derivative]), math.sqrt(squares / (len(time_s) - order - 1) * spread), squares
+    weights, covariance = np.polyfit(time_s, values, order, cov=True)
+    residuals, at = values - np.polyval(weights, time_s), order - derivative
+    return float(weights[at]), math.sqrt(covariance[at, at]), float(residuals @ residuals)
 
 
 # ---------------------------------------------------------------- checks of the logs

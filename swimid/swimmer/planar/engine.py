@@ -14,7 +14,7 @@ factorisation gives the accelerations. The result equals the Lagrange equations 
 
 The state of a robot with p passive joints, n = 3 + p, is
 ``(x, y, theta, passive angles.., u, v, r, passive rates..)``: the pose in the world, and the velocity in the
-base's own axes. The functions check no index. :mod:`swimid.swimmer.planar.assembly` has done so.
+base's own axes. The functions check no index. :mod:`swimid.swimmer.planar.model` has done so.
 """
 
 from __future__ import annotations
@@ -41,6 +41,11 @@ def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
     2.0
     """
     return then if asked > 0.0 else otherwise
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def settled(state):  # type: ignore[no-untyped-def]
+    """Leave the state after a step as it is."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -79,10 +84,6 @@ PASSIVE = (
 )
 #: Entries of tables that effects may change although the robot file leaves them at zero.
 FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
-#: Arguments of :func:`derivative` between the tables and the work arrays, without forces of effects.
-LAST = (None, 0.0)
-#: Correction of the state after each step.
-settled = None
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
@@ -258,7 +259,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
     """Add the forces of effects (:class:`swimid.fitting.model.Force`)."""
-    links, places, constants, ends, frame, pose, velocity, wrench, first, second, third, fourth = forced
+    links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):
         i = links[e]
         x, y = places[e, 0], places[e, 1]
@@ -272,14 +273,7 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
         pose[2] = facing(world, (state[2], c, s), (work[i, 17], work[i, 18]))
         wrench[:] = 0.0
         own = constants[ends[e] : ends[e + 1]]
-        if e == 0:
-            first(time, pose, velocity, own, wrench)
-        elif e == 1:
-            second(time, pose, velocity, own, wrench)
-        elif e == 2:
-            third(time, pose, velocity, own, wrench)
-        else:
-            fourth(time, pose, velocity, own, wrench)
+        functions[e](time, pose, velocity, own, wrench)
         _push(work, i, x, y, wrench[0], wrench[1])
         work[i, 10] -= wrench[2]
 
@@ -471,7 +465,7 @@ def begin_stage(stage, step, here, slope, total, trial):  # type: ignore[no-unty
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
+def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
     """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
 
     Parameters
@@ -480,9 +474,12 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
     step : float, s
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Driven joints on the half-step grid; see :func:`derivative`.
-    tables
-        Arguments of :func:`derivative` from ``topology`` to ``forced``, and then the time of the first state,
-        s.
+    tables : tuple
+        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
+    forced : tuple or None
+        Forces of effects (see :func:`derivative`).
+    begin : float, s
+        Time of the first state.
 
     Returns
     -------
@@ -490,7 +487,7 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
         NaN from where the motion breaks down.
     """
     topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
-    force_link, force, wake_link, wake, free_base, forced, begin = tables[8:]
+    force_link, force, wake_link, wake, free_base = tables[8:]
     steps, size = (table.shape[0] - 1) // 2, len(start)
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, right = np.zeros((topology.shape[0], 19)), np.zeros(size // 2)
@@ -519,7 +516,7 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     """Return the joint torques of a run by inverse dynamics, shape (m, links), N m.
 
     The torque of a link is the moment of the link ahead on it: the generalised force of a driven joint, the
@@ -531,7 +528,7 @@ def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
         Result of :func:`integrate`, without forces of effects.
     table : ndarray, shape (m, driven joints, 5)
         Driven joints at the same instants.
-    tables
+    tables : tuple
         Arguments of :func:`derivative` from ``topology`` to ``free_base``.
     """
     topology, joint, inertia = tables[:3]
@@ -592,7 +589,7 @@ def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> 
         np.zeros(3),
         np.zeros(3),
         np.zeros(3),
-        *functions,
+        tuple(functions),
     )
 
 

@@ -1,28 +1,337 @@
-"""Model of a robot in a plane, its links as effects use them, and typical scales of its trials."""
+"""Model of a robot in a plane: input arrays from a robot file, links as effects use them, and simulation.
+
+Each kind of element (:mod:`swimid.robots.planar`) has a function in ``ADDERS`` that adds rows to the input
+arrays of the equations of motion. :class:`Assembly` collects and checks them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.errors import InputError
 from swimid.fitting.drives import Beat, SwimInput
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, Trial
 from swimid.notices import Progress, silent
-from swimid.robots.planar import Multilink
+from swimid.robots import planar as parts
+from swimid.robots.file import Fluid
 from swimid.swimmer import drive
-from swimid.swimmer.lanes.kernel import Room
+from swimid.swimmer.lanes import Room
 from swimid.swimmer.model import Run, Swimmer, trial_parameter
 from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.assembly import Assembly
-from swimid.swimmer.tree import Polynomial
+from swimid.swimmer.tree import (
+    SYMMETRIC,
+    Polynomial,
+    Row,
+    Rows,
+    Table,
+    Tree,
+    check_apparent,
+    given,
+    quantities,
+    strips,
+)
 
 Point = tuple[float, float]
 Frames = tuple[Array, Array, Array]
+
+
+def _add_mass(
+    rows: Rows,
+    link: str,
+    at: Sequence[Polynomial],
+    forward: Polynomial,
+    port: Polynomial,
+    turning: Polynomial,
+) -> None:
+    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point."""
+    x, y = at
+    about = turning + forward * y * y + port * x * x
+    rows.add_inertia(link, [forward, 0.0, -(forward * y), port, port * x, about])
+
+
+def _point(station: float | str, offset: float | str) -> list[Polynomial]:
+    """Return a point of a link in the axes of the link."""
+    return [-Polynomial.of(station), Polynomial.of(offset)]
+
+
+def _added_mass(element: parts.AddedMass, link: parts.Link, rows: Rows) -> None:
+    """Add the added mass of a link at a station, by default at its centre of mass.
+
+    It enters the kinetic energy only (tendon fish Eq 2, dolphin Eq 3). The added-mass force of Eqs 6 and 7 in
+    these papers is a derivative of this energy, and must not be applied again.
+    """
+    station = given(element.at_m, link.com_m)
+    masses = element.surge_kg, element.sway_kg, element.inertia_kg_m2
+    _add_mass(rows, link.name, _point(station, element.offset_m), *(Polynomial.of(m) for m in masses))
+
+
+def _damping(element: parts.Damping, link: parts.Link, rows: Rows) -> None:
+    """Add the moment ``-(linear + quadratic |r|) r`` against the rotation of a link at the rate r."""
+    turning = element.quadratic_N_m_s2_rad2, element.linear_N_m_s_rad
+    rows.add("drag", link.name, [*[0.0] * 6, *turning])
+
+
+def _drag(element: parts.Drag, link: parts.Link, rows: Rows) -> None:
+    """Add Morison drag ``-rho/2 c S |v| v`` along each axis of a link (tendon fish, Eq 7).
+
+    The drag acts at a point or on strips. The areas are divided among the strips by the weights of Gauss's
+    rule.
+    """
+    half = 0.5 * rows.density_kg_m3
+    gains = (
+        half * Polynomial.of(element.axial_area_m2) * Polynomial.of(element.axial_coefficient),
+        half * Polynomial.of(element.normal_area_m2) * Polynomial.of(element.normal_coefficient),
+        Polynomial.of(element.axial_linear_N_s_m),
+        Polynomial.of(element.normal_linear_N_s_m),
+    )
+    places: Iterable[tuple[Any, float]] = [(element.at_m, 1.0)]
+    if element.at_m is None:
+        places = strips(element.from_m or 0.0, given(element.to_m, link.length_m), element.strips)
+    for station, share in places:
+        row: Row = [*_point(station, element.offset_m), *(share * g for g in gains), 0.0, 0.0]
+        rows.add("drag", link.name, row)
+
+
+def _foil(element: parts.Foil, link: parts.Link, rows: Rows) -> None:
+    """Add lift and drag of a fin with the polar of a flat plate (dolphin, Eq 9)."""
+    chord = math.radians(element.chord_deg)
+    polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
+    gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
+    at = _point(element.at_m, element.offset_m)
+    rows.add("foil", link.name, [*at, gain, *polar, math.cos(chord), math.sin(chord)])
+
+
+def _force(element: parts.Force, link: parts.Link, rows: Rows) -> None:
+    """Add a constant force at a point of a link, in the axes of the link or of the world."""
+    at, world = _point(element.at_m, element.offset_m), float(element.frame == "world")
+    rows.add("force", link.name, [*at, element.forward_N, element.port_N, world])
+
+
+def _hydrostatics(element: parts.Hydrostatics, link: parts.Link, rows: Rows) -> None:
+    """Add the weight of a link at its centre of mass, and the buoyancy of the link, in the vertical plane."""
+    gravity = rows.gravity_m_s2
+    weight = -gravity * Polynomial.of(link.mass_kg)
+    rows.add("force", link.name, [*_point(link.com_m, link.com_offset_m), 0.0, weight, 1.0])
+    lift = gravity * rows.density_kg_m3 * Polynomial.of(element.volume_m3)
+    if lift.terms:
+        station = given(element.buoyancy_at_m, link.com_m)
+        where = _point(station, element.buoyancy_offset_m)
+        rows.add("force", link.name, [*where, 0.0, lift, 1.0])
+
+
+def _slender_body(element: parts.SlenderBody, link: parts.Link, rows: Rows) -> None:
+    """Add added mass ``c_m rho pi h^2 / 4`` and drag ``rho/2 (c_f p, c_d h) |v| v`` per length.
+
+    Both act on strips of a link with a height h and a perimeter p that vary along it (dolphin, Eqs 4, 7 and
+    8).
+    """
+    at = np.array([s.station_m for s in element.sections])
+    heights = np.array([s.height_m for s in element.sections])
+    girths = np.array([s.perimeter_m for s in element.sections])
+    low, high = float(at[0]), float(at[-1])
+    for station, share in strips(low, high, element.strips):
+        height, girth = float(np.interp(station, at, heights)), float(np.interp(station, at, girths))
+        half = 0.5 * rows.density_kg_m3 * share * (high - low)
+        mass = 0.5 * half * math.pi * height**2 * Polynomial.of(element.added_mass_coefficient)
+        forward, none = mass * float(element.added_mass_direction == "both"), Polynomial.of(0.0)
+        _add_mass(rows, link.name, _point(station, 0.0), forward, mass, none)
+        friction = half * girth * Polynomial.of(element.friction_coefficient)
+        drag = half * height * Polynomial.of(element.drag_coefficient)
+        rows.add("drag", link.name, [-station, 0.0, friction, drag, *[0.0] * 4])
+
+
+def _trailing_edge(element: parts.TrailingEdge, link: parts.Link, rows: Rows) -> None:
+    """Add the momentum shed into the wake at a trailing edge (Lighthill 1971, Proc. R. Soc. Lond. B 179:125).
+
+    With the velocity u of the edge along the axis of its link, the velocity w across, and the added mass m
+    per length at the edge, the reaction of the water on a slender body is
+
+        ``[-m u w n + 1/2 m w^2 t] at the edge - d/dt integral of m w n over the body``
+
+    with unit vectors n across and t along. The integral is the impulse of the lateral added mass of the
+    links, and acts through their kinetic energy. The other terms are added here. They take the power 1/2 m u
+    w^2, which the wake carries away. The theory does not cover an edge that moves backwards (u < 0). Such an
+    edge sheds nothing: the force across is then zero, and the remaining force resists the motion.
+    """
+    station = given(element.at_m, link.length_m)
+    half = 0.5 * Polynomial.of(element.added_mass_kg_m)
+    rows.add("wake", link.name, [*_point(station, element.offset_m), half])
+
+
+#: Functions that add the rows of an element to the input arrays, by kind of element.
+ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
+    "added-mass": _added_mass,
+    "damping": _damping,
+    "drag": _drag,
+    "foil": _foil,
+    "force": _force,
+    "hydrostatics": _hydrostatics,
+    "slender-body": _slender_body,
+    "trailing-edge": _trailing_edge,
+}
+
+
+#: Minimum and maximum radius of gyration of a link, as a multiple of its length. Other values indicate a
+#: wrong unit.
+GYRATION = (0.02, 5.0)
+#: Maximum density of a link, kg/m3. The volume is a block as long as the link, and as wide and high as the
+#: robot is long. A higher density indicates a wrong unit (solid lead has 11340).
+MAX_DENSITY = 5000.0
+#: Maximum length, as a multiple of the robot's length, and maximum area, as a multiple of the square of that
+#: length.
+MAX_EXTENT = 3.0
+#: Pattern of the keys of lengths, and pattern of the paths of quantities that must not be negative.
+LENGTH = re.compile(r"(?!.*_(N|N_s|kg)_m$).*_m")
+LOSS = re.compile(
+    r"multilink\.elements\..*\.\w*(area_m2|coefficient|linear|quadratic|volume|mass_kg_m)\w*"
+    r"|multilink\.joints\..*\.passive\.(tendon\.)?(stiffness|damping|quadratic|spring|friction_N)\w*"
+)
+#: Maximum magnitude of any quantity.
+MAX_QUANTITY = 1e15
+
+
+class Assembly(Tree):
+    """Links of a robot in a plane, with their input arrays and checks (:class:`swimid.swimmer.tree.Tree`).
+
+    Parameters
+    ----------
+    body : Multilink
+    fluid : Fluid
+
+    Attributes
+    ----------
+    world_forces : bool
+        Whether forces with a fixed direction in the world act, such as weight.
+    """
+
+    part = "multilink"
+    elements = ("drag", "foil", "force", "wake")
+    engine, adders = engine, ADDERS
+
+    def __init__(self, body: parts.Multilink, fluid: Fluid) -> None:
+        super().__init__(body)
+        self._sizes = self._sized()
+        rows = self.fill(fluid)
+        self.world_forces = any(row[4] == 1.0 for _, row in rows.elements["force"])
+
+    def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
+        """Return paths, powers of a length, sign constraints and values of all quantities.
+
+        The power is 1 for a length, 2 for an area and 0 otherwise. The sign constraint is true if the
+        quantity must not be negative. The values are a :class:`Table` of the coefficients.
+        """
+        named = list(quantities(self.body, self.part))
+        paths = [path for path, _ in named]
+        keys = [path.rsplit(".", 1)[-1] for path in paths]
+        powers = [2 * key.endswith("area_m2") or int(bool(LENGTH.fullmatch(key))) for key in keys]
+        losses = [LOSS.fullmatch(path) is not None for path in paths]
+        table = Table([[Polynomial.of(quantity)] for _, quantity in named], 1, self.names)
+        return paths, np.array(powers), np.array(losses), table
+
+    @property
+    def unknowns(self) -> int:
+        """Degrees of freedom n: 3 of the base and one per passive joint."""
+        return 3 + len(self.passive)
+
+    def check(self, values: Array) -> None:
+        """Raise an error for impossible masses or inertias, and for values that indicate a wrong unit.
+
+        Raises
+        ------
+        InputError
+        """
+        rigid, apparent = self.rigid(values), self._inertia(values)
+        self._check_sizes(values)
+        span = sum(link.length_m for link in self.links)
+        for link, own, whole in zip(self.links, rigid, apparent, strict=True):
+            _check_link(link, own, span)
+            check_apparent(
+                whole[SYMMETRIC],
+                np.diag(own[SYMMETRIC]),
+                column=f"multilink.links.{link.name}",
+                hint="an added mass or inertia is negative",
+            )
+
+    def _check_sizes(self, values: Array) -> None:
+        """Raise an error for sizes out of proportion to the robot, and for negative areas or coefficients."""
+        paths, powers, one_sign, table = self._sizes
+        numbers, span = table(values)[:, 0], sum(link.length_m for link in self.links)
+        far = np.where(powers > 0, MAX_EXTENT * span**powers, np.inf)
+        sound = (np.abs(numbers) < MAX_QUANTITY) & (np.abs(numbers) <= far) & ~(one_sign & (numbers < 0))
+        for k in np.flatnonzero(~sound)[:1]:
+            text, hint = f"{numbers[k]:g} is negative; it must not be", None
+            if not abs(numbers[k]) < MAX_QUANTITY:
+                text = f"{numbers[k]:g} is out of all proportion"
+            elif abs(numbers[k]) > far[k]:
+                unit, small = {1: ("m", "mm"), 2: ("m2", "cm2")}[powers[k]]
+                text = f"{numbers[k]:g} {unit} is out of proportion to a robot {span:g} m long"
+                hint = f"lengths are in m, areas in m2: is it in {small}?"
+            raise InputError(text, column=paths[k], hint=hint)
+
+    def _add_rigid(self, link: parts.Link, rows: Rows) -> None:
+        mass = Polynomial.of(link.mass_kg)
+        x, y = _point(link.com_m, link.com_offset_m)
+        inertia = Polynomial.of(link.inertia_kg_m2)
+        if link.inertia_about == "front":
+            inertia = inertia - mass * (x * x + y * y)
+        _add_mass(rows, link.name, (x, y), mass, mass, inertia)
+
+    def _place(self, joint: parts.Joint | None) -> Row:
+        if joint is None:
+            return [0.0, 0.0, 1.0, 0.0]
+        station = given(joint.at_m, self.links[self.index[joint.parent]].length_m)
+        mount = math.radians(joint.mount_deg)
+        return [*_point(station, joint.offset_m), math.cos(mount), math.sin(mount)]
+
+
+def _centre(row: Array) -> Point:
+    """Return the centre of mass (m) of a row of the ``inertia`` input array without added mass."""
+    return float(row[4] / row[0]), float(-row[2] / row[0])
+
+
+def _check_link(link: parts.Link, own: Array, span: float) -> None:
+    """Raise an error for a mass and inertia that no rigid link can have."""
+    where = f"multilink.links.{link.name}"
+    mass = float(own[0])
+    if mass <= 0:
+        raise InputError(f"its mass is {mass:g} kg; it must be positive", column=f"{where}.mass_kg")
+    if mass > MAX_DENSITY * link.length_m * span**2:
+        raise InputError(
+            f"it weighs {mass:g} kg at a length of {link.length_m:g} m, in a robot {span:g} m long",
+            column=f"{where}.mass_kg",
+            hint="masses are in kg, lengths in m: is one of them in g or mm?",
+        )
+    x, y = _centre(own)
+    central = float(own[5] - mass * (x * x + y * y))
+    if central <= 1e-9 * mass * link.length_m**2:
+        hint = None
+        if link.inertia_about == "front":
+            shift = f"the mass alone gives {mass * (x * x + y * y):.4g} kg m2 about the front end"
+            hint = f"the file says it is about the front end: {shift}"
+        raise InputError(
+            f"its inertia leaves {central:.4g} kg m2 about the centre of mass; it must be positive",
+            column=f"{where}.inertia_kg_m2",
+            hint=hint,
+        )
+    radius = math.sqrt(central / mass)
+    if not GYRATION[0] <= radius / link.length_m <= GYRATION[1]:
+        raise InputError(
+            f"mass {mass:g} kg and inertia {central:.4g} kg m2 give a radius of gyration of "
+            f"{1e3 * radius:.4g} mm for a length of {1e3 * link.length_m:.4g} mm",
+            column=f"{where}.inertia_kg_m2",
+            hint="lengths are in m, masses in kg, inertias in kg m2: is one in mm, g or g m2?",
+        )
+
+
+# ---------------------------------------------------------------- links as effects use them
+
 STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
 WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
 QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
@@ -66,15 +375,9 @@ class Body:
         self.density_kg_m3 = model.robot.fluid.density_kg_m3
         self.step_s = model.max_step
         self.driven, self.passive = model.driven, model.passive
-        values = {p.name: p.start for p in model.parameters}
-        self.masses_kg: list[float] = []
-        self._centres: list[Point] = []
-        for link in model.tree.links:
-            mass, com, y = (
-                Polynomial.of(q).at(values) for q in (link.mass_kg, link.com_m, link.com_offset_m)
-            )
-            self.masses_kg.append(mass)
-            self._centres.append((-mass * com / mass, mass * y / mass))
+        rigid = model.tree.rigid(np.array([p.start for p in model.parameters[: len(model.tree.names)]]))
+        self.masses_kg = [float(row[0]) for row in rigid]
+        self._centres = [_centre(row) for row in rigid]
 
     @property
     def vertical(self) -> bool:
@@ -373,7 +676,7 @@ class MultilinkModel(Swimmer):
     # -------------------------------------------------------- links and drive
 
     @property
-    def links(self) -> Multilink:
+    def links(self) -> parts.Multilink:
         """Part of the robot file with links, joints and elements."""
         assert self.robot.multilink is not None
         return self.robot.multilink
@@ -475,17 +778,6 @@ class MultilinkModel(Swimmer):
         if self._heading_matters():
             start[2] = self._heading(values, trial)
 
-    def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Integrate the equations of motion, and return the states and their time derivatives."""
-        forced = None
-        if run.hooks.force:
-            forced = engine.outside(run.hooks.force, self.frame(run), len(self.tree.links))
-        begin_s, step_s, _ = run.grid
-        states, rates = engine.integrate(
-            run.start, step_s, run.drive.table, *run.tables.values(), forced, begin_s
-        )
-        return states, rates
-
     def frame(self, run: Run) -> Array:
         """Return the coordinate frame of the simulation in the world, for external forces."""
         x, y, _ = run.trial.swim.posed()
@@ -554,5 +846,3 @@ def warm_up() -> None:
     )
     drive.simulate_servo(np.zeros(5), 0.1, 1.0, 1.0)
     drive.measured(np.arange(6.0), np.zeros(6))
-    engine.seen(np.zeros((1, 6)), 3, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0)
-    engine.sampled(np.array([0.0101]), 0.0, 0.005, np.zeros((3, 1)), np.zeros((3, 1)))

@@ -17,7 +17,7 @@ Kadapa et al., sea lion, Eq 1).
 
 The state of a robot with p passive hinges is ``(x, y, z, qw, qx, qy, qz, passive angles.., velocity of the
 base in its own axes (u, v, w), its angular velocity, passive rates..)``. The functions check no index.
-:mod:`swimid.swimmer.spatial.assembly` has done so.
+:mod:`swimid.swimmer.spatial.model` has done so.
 """
 
 from __future__ import annotations
@@ -32,8 +32,6 @@ import numpy as np
 from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
 
 __all__ = ["FILLED"]
-#: Arguments of :func:`derivative` between the tables and the work arrays.
-LAST = ()
 #: Columns of the tables.
 TOPOLOGY = ("parent", "driven", "passive", "massless")
 #: Columns of the table of hinges: place on the parent, axis in the child, and rotation from child to parent
@@ -51,18 +49,7 @@ INERTIA = (
 )
 #: Columns of the table of drag points; ``size`` is half the height over which a point leaves the water, 0 if
 #: it never does.
-DRAG = (
-    "x",
-    "y",
-    "z",
-    "quadratic_x",
-    "quadratic_y",
-    "quadratic_z",
-    "linear_x",
-    "linear_y",
-    "linear_z",
-    "size",
-)
+DRAG = (*"xyz", *(f"quadratic_{c}" for c in "xyz"), *(f"linear_{c}" for c in "xyz"), "size")
 DAMPING = ("quadratic_p", "quadratic_q", "quadratic_r", "linear_p", "linear_q", "linear_r")
 FOIL = (
     "x", "y", "z", "half_rho_area", "cl", "cd0", "cd1",
@@ -335,6 +322,16 @@ def _add_upper(w, k, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _rotated(w, product, k):  # type: ignore[no-untyped-def]
+    """Return the rows of ``R M R'``; ``product`` multiplies the matrix M at column ``k`` and a vector."""
+    return (
+        _apply(w, _R, product(w, k, _at(w, _R))),
+        _apply(w, _R, product(w, k, _at(w, _R + 3))),
+        _apply(w, _R, product(w, k, _at(w, _R + 6))),
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     """Add the wrench and composite inertia of a link to those of its parent, in its axes, at its origin."""
     w, u, place = work[i], work[p], _at(joint[i], 0)
@@ -343,23 +340,9 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     moment = _plus(_apply(w, _R, _at(w, _M)), _cross(place, force))
     _put(u, _F, _plus(_at(u, _F), force))
     _put(u, _M, _plus(_at(u, _M), moment))
-    # rows of R A R', R B R' and R D R'
-    r0, r1, r2 = _at(w, _R), _at(w, _R + 3), _at(w, _R + 6)
-    a0, a1, a2 = (
-        _apply(w, _R, _symmetric(w, _A, r0)),
-        _apply(w, _R, _symmetric(w, _A, r1)),
-        _apply(w, _R, _symmetric(w, _A, r2)),
-    )
-    b0, b1, b2 = (
-        _apply(w, _R, _transposed(w, _B, r0)),
-        _apply(w, _R, _transposed(w, _B, r1)),
-        _apply(w, _R, _transposed(w, _B, r2)),
-    )
-    d0, d1, d2 = (
-        _apply(w, _R, _symmetric(w, _D, r0)),
-        _apply(w, _R, _symmetric(w, _D, r1)),
-        _apply(w, _R, _symmetric(w, _D, r2)),
-    )
+    a0, a1, a2 = _rotated(w, _symmetric, _A)
+    b0, b1, b2 = _rotated(w, _transposed, _B)
+    d0, d1, d2 = _rotated(w, _symmetric, _D)
     a1, a2 = (a0[1], a1[1], a1[2]), (a0[2], a1[2], a2[2])
     # with S = r x, the velocity of the link's origin is v - S w, so that B becomes C = B - A S, and D becomes
     # D - B' S + S C
@@ -409,6 +392,8 @@ def derivative(  # type: ignore[no-untyped-def]
     force,
     surface,
     free_base,
+    forced,
+    time,
     work,
     matrix,
     right,
@@ -430,6 +415,9 @@ def derivative(  # type: ignore[no-untyped-def]
         Height of the water surface in the world.
     free_base : bool
         Whether the base moves; otherwise it keeps its pose.
+    forced : None
+        No forces of effects act.
+    time : float, s
     work : ndarray, shape (links, 60)
     matrix : ndarray, shape (n, n), n = 6 + passive hinges
     right : ndarray, shape (n,)
@@ -483,22 +471,10 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
-    """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
+def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
+    """Return states and rates on the step grid (see :func:`swimid.swimmer.planar.engine.integrate`).
 
-    Parameters
-    ----------
-    start : ndarray, shape (13 + 2 passive hinges,)
-    step : float, s
-    table : ndarray, shape (2 steps + 1, driven hinges, 5)
-        Driven hinges on the half-step grid; see :func:`derivative`.
-    tables
-        Arguments of :func:`derivative` from ``topology`` to ``free_base``.
-
-    Returns
-    -------
-    states, rates : ndarray, shape (steps + 1, 13 + 2 passive hinges)
-        NaN from where the motion breaks down. The quaternion is scaled to length 1 after each step.
+    The quaternion is scaled to length 1 after each step.
     """
     topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
     foil, force_link, force, surface, free_base = tables[9:]
@@ -512,7 +488,7 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
             begin_stage(stage, step, states[i], slope, total, trial)
             derivative(
                 trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
-                damping_link, damping, foil_link, foil, force_link, force, surface, free_base,
+                damping_link, damping, foil_link, foil, force_link, force, surface, free_base, forced, begin,
                 work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
@@ -529,7 +505,7 @@ def integrate(start, step, table, *tables):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def torques(states, rates, table, *tables):  # type: ignore[no-untyped-def]
+def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     """Return the hinge torques of a run by inverse dynamics, shape (m, links), N m.
 
     See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.

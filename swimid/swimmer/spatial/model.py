@@ -1,18 +1,303 @@
-"""Model of a robot in 3-D."""
+"""Model of a robot in 3-D: input arrays from a robot file, and simulation.
+
+Each kind of element (:mod:`swimid.robots.spatial`) has a function in ``ADDERS`` that adds rows to the input
+arrays of the equations of motion. :class:`Assembly` collects and checks them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from swimid.errors import InputError
 from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.rotation import angles, from_angles
-from swimid.swimmer.model import Run, Swimmer
+from swimid.robots import spatial as parts
+from swimid.robots.file import Fluid
+from swimid.swimmer.model import Swimmer
 from swimid.swimmer.spatial import engine
-from swimid.swimmer.spatial.assembly import Assembly
+from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given, strips
+
+#: Row and column indices of the entries that are stored of a symmetric 3 by 3 matrix.
+UPPER = np.triu_indices(3)
+ZERO = np.zeros((3, 3))
+
+
+def _vector(entries: Sequence[Entry]) -> Any:
+    """Return an array of polynomials."""
+    return np.array([Polynomial.of(entry) for entry in entries], dtype=object)
+
+
+def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: Any = ZERO) -> None:
+    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point.
+
+    The entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) are the blocks A = M, ``B = -M S`` and ``D = J
+    - S M S`` of the inertia matrix. S is the matrix of the cross product with the position of the point. The
+    velocity of the point is ``v - S w``.
+
+    Parameters
+    ----------
+    mass : 3 by 3 entries, kg
+        Symmetric matrix M. Its product with the velocity of the point is the momentum.
+    at : 3 entries, m
+        Position of the point.
+    turning : 3 by 3 entries, kg m2
+        Inertia J about the point.
+    """
+    x, y, z = _vector(at)
+    lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=object)
+    ms = mass @ lever
+    rows.add_inertia(link, [*mass[UPPER], *(-ms).ravel(), *(turning - lever @ ms)[UPPER]])
+
+
+def full(row: Array) -> Array:
+    """Return the inertia matrix of a row of the ``inertia`` input array, shape (6, 6)."""
+    b = row[6:15].reshape(3, 3)
+    return np.block([[row[:6][SYMMETRIC], b], [b.T, row[15:][SYMMETRIC]]])
+
+
+def _added_mass(element: parts.AddedMass, body: parts.Body, rows: Rows) -> None:
+    """Add added masses along the axes of a link, and added inertias about these axes."""
+    mass, turning = (np.diag(_vector(v)) for v in (element.mass_kg, element.inertia_kg_m2))
+    _add_mass(rows, body.name, mass, element.at_m, turning)
+
+
+def spheroid_coefficients(semi_major: float, semi_minor: float) -> tuple[float, float, float]:
+    """Return Lamb's coefficients of a prolate spheroid: along its axis, across its axis, and for rotation.
+
+    Returns
+    -------
+    k1, k2 : float
+        Added masses along and across the axis, divided by the displaced mass: ``alpha_0 / (2 - alpha_0)`` and
+        ``beta_0 / (2 - beta_0)``. Eq 7 of the sea lion paper prints a_0 in place of alpha_0.
+    k : float
+        Added inertia about a cross axis, divided by the moment of inertia of the displaced water (Lamb 1932,
+        section 115): ``e^4 (b - a) / ((2 - e^2) (2 e^2 - (2 - e^2) (b - a)))`` with a = alpha_0 and b =
+        beta_0.
+
+    >>> [round(k, 3) for k in spheroid_coefficients(6.0, 1.0)]
+    [0.045, 0.917, 0.762]
+    """
+    e = math.sqrt(1.0 - (semi_minor / semi_major) ** 2)
+    log = math.log((1.0 + e) / (1.0 - e))
+    alpha = 2.0 * (1.0 - e * e) / e**3 * (0.5 * log - e)
+    beta = 1.0 / (e * e) - (1.0 - e * e) / (2.0 * e**3) * log
+    off = 2.0 - e * e
+    turning = e**4 * (beta - alpha) / (off * (2.0 * e * e - off * (beta - alpha)))
+    return alpha / (2.0 - alpha), beta / (2.0 - beta), turning
+
+
+def _spheroid(element: parts.Spheroid, body: parts.Body, rows: Rows) -> None:
+    """Add the added mass of a prolate spheroid at the centre of the spheroid (sea lion, Eqs 3 to 8)."""
+    a, b = element.semi_major_m, element.semi_minor_m
+    displaced = 4.0 / 3.0 * math.pi * rows.density_kg_m3 * a * b * b
+    k1, k2, turning = spheroid_coefficients(a, b)
+    factors = _vector(element.factors)
+    masses = factors * (np.array([k1, k2, k2]) * displaced)
+    inertia = turning * displaced * (a * a + b * b) / 5.0 * element.turning
+    # rotation about z moves water along y, and rotation about y along z, so the factors of these axes apply
+    about = factors[[0, 2, 1]] * np.array([0.0, inertia, inertia])
+    _add_mass(rows, body.name, np.diag(masses), element.at_m, np.diag(about))
+
+
+def _plate(element: parts.Plate, body: parts.Body, rows: Rows) -> None:
+    """Add the added mass ``pi rho k b c^2 / 4`` of a flat plate across its plane (sea lion, Eq 9)."""
+    mass = 0.25 * math.pi * rows.density_kg_m3 * element.span_m * element.chord_m**2
+    unit: Any = _unit(element.normal)
+    _add_mass(rows, body.name, np.outer(unit, unit) * (Polynomial.of(element.k) * mass), element.at_m)
+
+
+def _unit(direction: Sequence[float] | Array) -> Array:
+    """Return the unit vector of a direction."""
+    return np.asarray(direction, dtype=float) / np.linalg.norm(direction)
+
+
+def _drag(element: parts.Drag, body: parts.Body, rows: Rows) -> None:
+    """Add drag ``-rho/2 C A |v| v`` and linear drag along each axis of a link (sea lion, Eq 2).
+
+    The drag acts at a point, or on a row of strips at the points of Gauss's rule.
+    """
+    half = 0.5 * rows.density_kg_m3
+    quadratic = half * _vector(element.area_m2) * _vector(element.coefficient)
+    gains = [*quadratic, *_vector(element.linear_N_s_m)]
+    ends = _vector(element.at_m), _vector(given(element.to_m, element.at_m))
+    for at, share in strips(*ends, element.strips):
+        shares = [share * gain for gain in gains]
+        rows.add("drag", body.name, [*at, *shares, element.half_height_m or 0.0])
+
+
+def _damping(element: parts.Damping, body: parts.Body, rows: Rows) -> None:
+    """Add quadratic and linear moments against rotation about the axes of a link."""
+    rows.add("damping", body.name, [*element.quadratic_N_m_s2_rad2, *element.linear_N_m_s_rad])
+
+
+def _foil(element: parts.Foil, body: parts.Body, rows: Rows) -> None:
+    """Add lift and drag of a fin with the polar of a flat plate."""
+    gain = 0.5 * rows.density_kg_m3 * Polynomial.of(element.area_m2)
+    polar = element.lift_coefficient, element.drag_coefficient_0, element.drag_coefficient_1
+    row = [
+        *element.at_m,
+        gain,
+        *polar,
+        *_unit(element.chord),
+        *_unit(element.normal),
+        element.half_height_m or 0.0,
+    ]
+    rows.add("foil", body.name, row)
+
+
+def _hydrostatics(element: parts.Hydrostatics, body: parts.Body, rows: Rows) -> None:
+    """Add the weight of a link at its centre of mass, and the buoyancy of the link."""
+    gravity = rows.gravity_m_s2
+    weight = -gravity * Polynomial.of(body.mass_kg)
+    rows.add("force", body.name, [*body.com_m, 0.0, 0.0, weight, 1.0, 0.0])
+    lift = gravity * rows.density_kg_m3 * Polynomial.of(element.volume_m3)
+    if lift.terms:
+        at = given(element.buoyancy_at_m, body.com_m)
+        rows.add("force", body.name, [*at, 0.0, 0.0, lift, 1.0, element.half_height_m or 0.0])
+
+
+def _water(element: parts.Water, body: parts.Body, rows: Rows) -> None:
+    """Add the inertia of the water inside a hull, and the weight of this water if ``weighs`` is true."""
+    mass = rows.density_kg_m3 * Polynomial.of(element.volume_m3)
+    about = np.array(element.gyration_m, dtype=object) ** 2 * mass
+    _add_mass(rows, body.name, np.diag([mass] * 3), element.at_m, np.diag(about))
+    if element.weighs:
+        weight = -rows.gravity_m_s2 * mass
+        rows.add("force", body.name, [*element.at_m, 0.0, 0.0, weight, 1.0, 0.0])
+
+
+def _force(element: parts.Force, body: parts.Body, rows: Rows) -> None:
+    """Add a constant force at a point of a link."""
+    world = float(element.frame == "world")
+    rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
+
+
+#: Functions that add the rows of an element to the input arrays, by kind of element.
+ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
+    "added-mass": _added_mass,
+    "spheroid": _spheroid,
+    "plate": _plate,
+    "drag": _drag,
+    "damping": _damping,
+    "foil": _foil,
+    "hydrostatics": _hydrostatics,
+    "water": _water,
+    "force": _force,
+}
+
+
+#: Height of the water surface if the robot file states none, m. It is high enough that the robot is always
+#: under water.
+NOWHERE = 1e9
+
+
+class Assembly(Tree):
+    """Links of a robot in 3-D, with their input arrays and checks (:class:`swimid.swimmer.tree.Tree`).
+
+    Parameters
+    ----------
+    body : Multibody
+    fluid : Fluid
+
+    Attributes
+    ----------
+    topology : ndarray of int, shape (links, 4)
+        The columns of :attr:`Tree.topology`, and a column with 1 for links without mass and added mass.
+    reference : ndarray, shape (3,)
+        Point of the base whose pose is logged, m.
+    """
+
+    part = "multibody"
+    elements = ("drag", "damping", "foil", "force")
+    engine, adders = engine, ADDERS
+
+    def __init__(self, body: parts.Multibody, fluid: Fluid) -> None:
+        super().__init__(body)
+        self.reference = np.array(body.reference.at_m)
+        self.constants = {"surface": given(body.surface_z_m, NOWHERE), **self.constants}
+        rows = self.fill(fluid)
+        massless = [[all(not Polynomial.of(e).terms for e in row)] for row in rows.inertia]
+        self.topology = np.ascontiguousarray(np.hstack([self.topology, massless]), dtype=np.int64)
+
+    def check(self, values: Array) -> None:
+        """Raise an error for physically impossible masses or inertias.
+
+        Raises
+        ------
+        InputError
+        """
+        rigid, apparent = self.rigid(values), self._inertia(values)
+        for i, link in enumerate(self.links):
+            where = f"{self.part}.links.{link.name}"
+            mass = float(rigid[i, 0])
+            if mass < 0:
+                raise InputError(
+                    f"its mass is {mass:g} kg; it must not be negative", column=f"{where}.mass_kg"
+                )
+            whole = full(apparent[i])
+            if not whole.any():
+                if not (self.topology[:, 0] == i).any():
+                    raise InputError("it has no mass and nothing hangs on it", column=f"{where}.mass_kg")
+                continue
+            check_apparent(
+                whole,
+                np.diag(whole),
+                column=f"{where}.inertia_kg_m2",
+                hint="every moment of inertia of a link with mass must be positive",
+            )
+            if mass > 0:
+                _check_moments(rigid[i], mass, where)
+
+    def _add_rigid(self, link: parts.Body, rows: Rows) -> None:
+        mass = Polynomial.of(link.mass_kg)
+        moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
+        turning = _vector(moments)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+        _add_mass(rows, link.name, np.diag([mass] * 3), link.com_m, turning)
+
+    def _place(self, joint: parts.Hinge | None) -> Row:
+        if joint is None:
+            return [0.0] * len(engine.JOINT)
+        mount = Rotation.from_euler("xyz", joint.mount_deg, degrees=True)
+        return hinge_row(joint.at_m, np.array(joint.axis), mount)
+
+
+def _check_moments(row: Array, mass: float, where: str) -> None:
+    """Raise an error if a principal moment of inertia is not positive or exceeds the sum of the others."""
+    whole = full(row)
+    lever = -whole[:3, 3:] / mass
+    central = whole[3:, 3:] - mass * (lever.T @ lever)
+    moments = np.sort(np.linalg.eigvalsh(central))
+    if moments[0] <= 0 or moments[2] > (1.0 + 1e-9) * (moments[0] + moments[1]):
+        raise InputError(
+            f"no body has the principal moments {', '.join(f'{m:.4g}' for m in moments)} kg m2",
+            column=f"{where}.inertia_kg_m2",
+            hint="they are about the centre of mass; each is at most the sum of the other two",
+        )
+
+
+def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
+    """Return the row of a hinge in the ``joint`` input array.
+
+    Parameters
+    ----------
+    at : sequence of 3 entries, m
+        Position of the hinge on the parent link.
+    axis : ndarray, shape (3,)
+        Direction of the hinge in the axes of the child link, of any length.
+    mount : Rotation
+        Rotation from the child's axes to the parent's axes at zero angle.
+    """
+    x, y, z = unit = _unit(axis)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    zero = mount.as_matrix()
+    turns = [zero, zero @ cross, zero @ cross @ cross]
+    return [*at, *unit, *np.ravel(turns)]
+
 
 #: Signs of roll, pitch (positive nose up) and yaw relative to rotations about x, y and z.
 SIGNS = np.array([1.0, -1.0, 1.0])
@@ -96,11 +381,6 @@ class MultibodyModel(Swimmer):
         spin = speed[3:] * SIGNS
         start[7 + passives : 10 + passives] = speed[:3] - np.cross(spin, self.tree.reference)
         start[10 + passives : 13 + passives] = spin
-
-    def integrate(self, run: Run) -> tuple[Array, Array]:
-        """Integrate the equations of motion, and return the states and their time derivatives."""
-        states, rates = engine.integrate(run.start, run.grid.step_s, run.drive.table, *run.tables.values())
-        return states, rates
 
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point."""

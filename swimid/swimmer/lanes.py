@@ -1,0 +1,1068 @@
+"""Compiled kernels of a robot, which integrate a batch of simulations at once. They are stored on disk.
+
+An engine is the compiled equations of motion of a robot. Its compiled functions are Python functions. When
+they are called with symbols instead of numbers, they run through their loops over links and elements once,
+and record a list of sums and products. Operations with input entries that are always 0 or 1 are removed. An
+engine must be written for this: it may branch on a value only by
+:func:`swimid.swimmer.planar.engine.positive`, ``max``, ``min`` and ``abs``.
+
+:func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
+fourth-order Runge-Kutta method. The operations are the body of a loop ``for lane in range(LANES)`` over one
+flat work array, which the compiler vectorises. It does so only if the loop writes no second array, all
+indices are literal, and no statement leaves the loop early. Therefore inputs and results are copied in other
+loops.
+
+A :class:`Kernel` is such a module of one robot, with or without the forces and elements of effects.
+:class:`Kernels` has both, and chooses one of them for each simulation. Without a kernel, the scalar engine
+computes one simulation at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from types import FunctionType, ModuleType, SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import llvmlite  # type: ignore[import-untyped]
+import numba
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.core.codegen import get_host_cpu_features
+from numba.core.dispatcher import Dispatcher
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from swimid.errors import UsageError
+from swimid.files import atomic
+from swimid.fitting.model import Force, Traceable
+from swimid.notices import Progress, silent
+from swimid.swimmer.planar.engine import BROKEN, integrate
+
+if TYPE_CHECKING:
+    from swimid.files.atomic import Checkpoint
+    from swimid.swimmer.model import Run
+
+
+Array = NDArray[np.float64]
+#: Taylor coefficients of ``(sin(x) - x) / x^3`` and ``(cos(x) - 1 + x^2 / 2) / x^4`` in powers of x^2, for
+#: angles x between -45 and 45 degrees. The first omitted terms are below 5e-17.
+SINE = tuple((-1.0) ** (k + 1) / math.factorial(2 * k + 3) for k in range(6, -1, -1))
+COSINE = tuple((-1.0) ** k / math.factorial(2 * k + 4) for k in range(6, -1, -1))
+#: The angle pi / 2, rad, as a sum of three numbers. They are short enough for exact products (Cody and Waite
+#: 1980).
+QUARTER = (1.5707962512969971, 7.549789415861596e-08, 5.390302858158119e-15)
+#: Logarithm of 2 as a sum of two numbers. The first number ends in zero bits (Cephes: exp.c, double
+#: precision).
+LOG_2 = (6.93145751953125e-1, 1.42860682030941723212e-6)
+#: Taylor coefficients of the exponential, for arguments up to half the logarithm of 2, and of ``artanh(x) /
+#: x`` in powers of x^2, for x^2 up to ``(sqrt(2) - 1)^2 / (sqrt(2) + 1)^2``. The first omitted term is below
+#: 1e-17.
+EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(13, -1, -1))
+LOGARITHM = tuple(1.0 / (2 * k + 1) for k in range(10, -1, -1))
+#: Minimum and maximum arguments of the exponential for which the result is a normal double.
+LEAST, MOST = -708.0, 709.0
+#: The number 1.5 * 2^52. A number to which it is added, and from which it is then subtracted, is rounded to
+#: an integer.
+ROUNDER = 6755399441055744.0
+
+
+class Tracer:
+    """List of operations on symbols, in the order of their first use. Equal operations are listed once.
+
+    Attributes
+    ----------
+    operations : list of Symbol
+    """
+
+    def __init__(self) -> None:
+        self.operations: list[Symbol] = []
+        self._known: dict[tuple[Any, ...], Symbol] = {}
+
+    def symbol(self, kind: str, *of: Symbol | float | int) -> Symbol:
+        """Return the symbol for the result of an operation."""
+        key = (kind, *(a.number if isinstance(a, Symbol) else (repr(a),) for a in of))
+        if key not in self._known:
+            self._known[key] = Symbol(self, kind, of, len(self.operations))
+            self.operations.append(self._known[key])
+        return self._known[key]
+
+
+class Symbol:
+    """Result of an operation, or an input of the equations with its index.
+
+    Inputs are ``state``, ``row`` (of the drive array), ``table``, ``number`` (of the forces of effects) and
+    ``elapsed`` (time since the start).
+
+    Raises
+    ------
+    TypeError
+        If an ``if`` statement needs the value of the symbol, which cannot be traced.
+    """
+
+    __slots__ = ("kind", "number", "of", "tracer")
+
+    def __init__(self, tracer: Tracer, kind: str, of: tuple[Any, ...], number: int) -> None:
+        self.tracer, self.kind, self.of, self.number = tracer, kind, of, number
+
+    def __add__(self, other: Symbol | float) -> Symbol | float:
+        if _is(other, 0.0):
+            return self
+        return self.tracer.symbol("+", self, other)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Symbol | float) -> Symbol | float:
+        if other is self:
+            return 0.0
+        if _is(other, 0.0):
+            return self
+        return self.tracer.symbol("-", self, other)
+
+    def __rsub__(self, other: float) -> Symbol | float:
+        if _is(other, 0.0):
+            return -self
+        return self.tracer.symbol("-", other, self)
+
+    def __mul__(self, other: Symbol | float) -> Symbol | float:
+        if _is(other, 0.0):
+            return 0.0
+        if _is(other, 1.0):
+            return self
+        if _is(other, -1.0):
+            return -self
+        return self.tracer.symbol("*", self, other)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Symbol | float) -> Symbol | float:
+        if isinstance(other, Symbol):
+            return self * (1.0 / other)
+        if _is(other, 1.0):
+            return self
+        return self.tracer.symbol("/", self, other)
+
+    def __rtruediv__(self, other: float) -> Symbol | float:
+        # several quotients may have one divisor, so its reciprocal is an operation of its own
+        return other * self.tracer.symbol("/", 1.0, self)
+
+    def __neg__(self) -> Symbol | float:
+        if self.kind == "neg":
+            return self.of[0]
+        return self.tracer.symbol("neg", self)
+
+    def __pow__(self, power: Symbol | float) -> Any:
+        if isinstance(power, int) and power > 0:
+            return math.prod([self] * power)
+        return _exponential(power * _logarithm(self))
+
+    def __abs__(self) -> Symbol:
+        return self.tracer.symbol("abs", self)
+
+    def _given(self, other: object) -> bool:
+        """Return True for an entry of an input array: a symbol stands for a positive value, not for zero."""
+        if self.kind == "table" and _is(other, 0.0):
+            return True
+        raise TypeError("the equations ask for a value: write positive(), max() or min()")
+
+    __gt__ = __ne__ = _given
+
+    def __le__(self, other: object) -> bool:
+        return not self._given(other)
+
+    __eq__ = __le__
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __bool__(self) -> bool:
+        raise TypeError("the equations ask for a value: write positive(), max() or min()")
+
+
+class Angle:
+    """Angle that is represented by its sine and cosine."""
+
+    __slots__ = ("cosine", "sine")
+
+    def __init__(self, sine: Any, cosine: Any) -> None:
+        self.sine, self.cosine = sine, cosine
+
+
+def _is(value: object, number: float) -> bool:
+    return isinstance(value, (int, float)) and value == number
+
+
+def positive(asked: Any, then: Any, otherwise: Any) -> Any:
+    """Return ``then`` where ``asked`` is above 0, and ``otherwise`` elsewhere."""
+    if then is otherwise:
+        return then
+    if isinstance(asked, Symbol):
+        return asked.tracer.symbol("positive", asked, then, otherwise)
+    return then if asked > 0.0 else otherwise
+
+
+def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that computes with numbers, and records an operation of this kind for symbols."""
+
+    def apply(*values: Any) -> Any:
+        tracer = next((v.tracer for v in values if isinstance(v, Symbol)), None)
+        if tracer is None:
+            return function(*values)
+        return tracer.symbol(kind, *values)
+
+    return apply
+
+
+_largest, _smallest, _root = _traced("max", max), _traced("min", min), _traced("sqrt", math.sqrt)
+
+
+def sine_and_cosine(x: Any) -> tuple[Any, Any]:
+    """Return sine and cosine of an angle of up to some thousand rotations, with an error below 2.3e-16."""
+    if isinstance(x, Angle):
+        return x.sine, x.cosine
+    if not isinstance(x, Symbol):
+        return math.sin(x), math.cos(x)
+    quarter: Any = (x * (2.0 / math.pi) + ROUNDER) - ROUNDER
+    rest = ((x - quarter * QUARTER[0]) - quarter * QUARTER[1]) - quarter * QUARTER[2]
+    # the quadrant is 0, 1, 2 or 3
+    quadrant = quarter - 4.0 * (((quarter * 0.25 - 0.375) + ROUNDER) - ROUNDER)
+    square: Any = rest * rest
+    sine = rest * square * _horner(SINE, square) + rest
+    cosine = square * square * _horner(COSINE, square) + (1.0 - 0.5 * square)
+    odd = 0.5 - abs(abs(quadrant - 2.0) - 1.0)
+    sine, cosine = positive(odd, cosine, sine), positive(odd, sine, cosine)
+    return positive(quadrant - 1.5, -sine, sine), positive(1.0 - abs(quadrant - 1.5), -cosine, cosine)
+
+
+def _facing(frame: Any, base: Any, turn: Any) -> Angle:
+    """Return the angle that :func:`swimid.swimmer.planar.engine.facing` returns."""
+    _, c, s = frame
+    cosine, sine = turn
+    return Angle(s * cosine + c * sine, c * cosine - s * sine)
+
+
+def _exponential(x: Any) -> Any:
+    """Return the exponential for results from e^-708 to e^709, with a relative error below 3e-16.
+
+    It is a power of two multiplied by the Taylor series of the remaining factor.
+    """
+    if not isinstance(x, Symbol):
+        return math.exp(x)
+    inside = _largest(_smallest(x, MOST), LEAST)
+    rounded = inside * (1.0 / math.log(2.0)) + ROUNDER
+    whole: Any = rounded - ROUNDER
+    rest = (inside - whole * LOG_2[0]) - whole * LOG_2[1]
+    return _horner(EXPONENTIAL, rest) * x.tracer.symbol("two to", rounded)
+
+
+def _logarithm(x: Any) -> Any:
+    """Return the logarithm of a positive normal number, with an absolute or relative error below 3e-16."""
+    if not isinstance(x, Symbol):
+        return math.log(x)
+    power, rest = (x.tracer.symbol(kind, x) for kind in ("exponent", "mantissa"))
+    above = rest - math.sqrt(2.0)
+    power, rest = positive(above, power + 1.0, power), positive(above, 0.5 * rest, rest)
+    ratio = (rest - 1.0) / (rest + 1.0)
+    series = 2.0 * ratio * _horner(LOGARITHM, ratio * ratio)
+    return power * LOG_2[0] + (series + power * LOG_2[1])
+
+
+def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
+    """Return the value of a polynomial, whose coefficients begin with that of the highest power."""
+    value: Any = coefficients[0]
+    for c in coefficients[1:]:
+        value = value * x + c
+    return value
+
+
+#: Replacement of the module ``math`` for symbols.
+MATH = SimpleNamespace(
+    sqrt=_root,
+    exp=_exponential,
+    log=_logarithm,
+    sin=lambda x: sine_and_cosine(x)[0],
+    cos=lambda x: sine_and_cosine(x)[1],
+    pi=math.pi,
+    nan=math.nan,
+    inf=math.inf,
+)
+
+
+def on_symbols(function: Any) -> Callable[..., Any]:
+    """Convert a compiled function, and all functions that it calls, to Python functions of symbols."""
+    return _plain(function, {})
+
+
+def _plain(function: Any, known: dict[Any, Any]) -> Any:
+    if function in known:
+        return known[function]
+    # cfunc compiles the function of a force, and its result is not a Dispatcher
+    text = function.py_func if isinstance(function, Dispatcher) else function.__wrapped__
+    names: dict[str, Any] = {}
+    known[function] = FunctionType(text.__code__, names, text.__name__, text.__defaults__)
+    for name, value in text.__globals__.items():
+        names[name] = _plain(value, known) if isinstance(value, Dispatcher) else value
+    names.update(math=MATH, max=_largest, min=_smallest, positive=positive, facing=_facing)
+    return known[function]
+
+
+def array(tracer: Tracer, kind: str, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    """Return an array of input symbols, numbered from 0."""
+    inputs = np.empty(shape, dtype=object)
+    inputs.reshape(-1)[:] = [tracer.symbol(kind, i) for i in range(inputs.size)]
+    return inputs
+
+
+#: Number of simulations in a batch. Eight doubles fill one register of AVX-512, two of AVX2, or four of NEON.
+LANES = 8
+
+
+@dataclass(frozen=True)
+class Traced:
+    """A traced engine, which is the input of :func:`source_of`.
+
+    Attributes
+    ----------
+    operations : sequence of Symbol
+    rates : sequence of Symbol or float, length of the state
+    settled : (sequence of Symbol, mapping of index to Symbol or float)
+        Operations on the state after a step, and the entries of the state that they correct.
+    parameters : int
+        Number of inputs from the input arrays of the engine.
+    width : int
+        Number of entries in a row of the drive array.
+    """
+
+    operations: Sequence[Symbol]
+    rates: Sequence[Symbol | float]
+    settled: tuple[Sequence[Symbol], Mapping[int, Symbol | float]]
+    parameters: int
+    width: int
+
+
+_MODULE = '''"""Generated by swimid: {lanes} runs of one robot side by side."""
+
+import math
+
+import numba
+{imports}
+SIGNATURE = "void(f8[::1], f8[::1], {drives}, b1, i8, f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1])"
+
+
+@numba.njit(nogil=True, error_model="numpy", fastmath={{"contract", "nsz"}}, boundscheck=False, cache=True)
+def integrate(start, step, {tables}, shared, steps, parameters, states, rates, w):
+    count = states.shape[0]
+    for q in range({numbers}):
+        w[{parameter} + q] = parameters[q]
+    for q in range({states}):
+        w[{here} + q] = start[q]
+        w[{total} + q] = start[q]
+        w[{stage} + q] = start[q]
+    for lane in range({lanes}):
+        w[{step} + lane] = step[lane]
+    for evaluation in range(4 * steps + 1):
+        part = evaluation & 3
+        whole = evaluation >> 2
+        half = 1.0 if part == 2 else 0.5
+        share = 1.0 / 3.0 if part == 1 or part == 2 else 1.0 / 6.0
+        if part == 1 or part == 3 or evaluation == 0:
+            n = (evaluation + 1) >> 1
+            if shared:
+                n0 = min(n, table0.shape[0] - 1)
+{shared}
+            else:
+{rows}
+        for lane in range({lanes}):
+{rates}
+        if part == 0:
+            for lane in range({lanes}):
+{check}
+            for lane in range(count):
+                for q in range({size}):
+                    states[lane, whole, q] = w[{here} + {lanes} * q + lane]
+                    rates[lane, whole, q] = w[{rate} + {lanes} * q + lane]
+        if part == 3:
+{settled}
+            for q in range({states}):
+                w[{here} + q] = w[{total} + q]
+                w[{stage} + q] = w[{total} + q]
+'''
+
+
+_BITS = """
+from swimid.swimmer.lanes import bits, double
+"""
+#: Operations on the bits of a positive normal double. A double has 52 bits of mantissa below the exponent,
+#: which has an offset of 1023. After 1.5 * 2^52 is added to a number, its last bits are an integer. The same
+#: holds for 2^52 (0x433).
+_OF_BITS = {
+    "two to": "double((bits({0}) + 1023) << 52)",
+    "exponent": "double((bits({0}) >> 52) | 0x4330000000000000) - 4503599627371519.0",
+    "mantissa": "double((bits({0}) & 0xFFFFFFFFFFFFF) | 0x3FF0000000000000)",
+}
+
+
+#: Program text of each operation.
+_TEXTS = {
+    "+": "{0} + {1}",
+    "-": "{0} - {1}",
+    "*": "{0} * {1}",
+    "/": "{0} / {1}",
+    "positive": "{1} if {0} > 0.0 else {2}",
+    "max": "{0} if {0} > {1} else {1}",
+    "min": "{0} if {0} < {1} else {1}",
+    "neg": "-{0}",
+    "abs": "abs({0})",
+    "sqrt": "math.sqrt({0})",
+    **_OF_BITS,
+}
+
+
+def length(traced: Traced) -> int:
+    """Return the length of the work array."""
+    return LANES * (4 * len(traced.rates) + 2 + traced.width + traced.parameters)
+
+
+def source_of(traced: Traced) -> str:
+    """Return the text of the module of a traced engine.
+
+    Its function is ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``:
+
+    - ``start``, ``step`` and ``parameters`` are flat. The simulation is the last axis.
+    - ``table0`` and so on are drive arrays of shape (2 steps + 1 or fewer, width).
+      The last row holds for all later times. If ``shared`` is true, all simulations read the first array.
+    - ``states`` and ``rates`` have shape (simulations, steps + 1, size). They are NaN after a breakdown.
+    """
+    size = len(traced.rates)
+    here, total, stage, rate = (LANES * size * k for k in range(4))
+    step = 4 * LANES * size
+    row = step + LANES
+    parameter = row + LANES * traced.width
+    elapsed = parameter + LANES * traced.parameters
+    slots = {"state": stage, "row": row, "table": parameter, "number": parameter, "elapsed": elapsed}
+
+    def at(first: int, place: int) -> str:
+        return f"w[{first + LANES * place} + lane]"
+
+    lines = _operations(traced.operations, lambda x: at(slots[x.kind], x.of[0]))
+    for j, x in enumerate(traced.rates):
+        lines += [
+            f"{at(rate, j)} = {_value(x)}",
+            f"{at(stage, j)} = {at(here, j)} + half * {at(step, 0)} * {_value(x)}",
+            f"{at(total, j)} = {at(total, j)} + share * {at(step, 0)} * {_value(x)}",
+        ]
+    check = ["far = 0.0"]
+    check += [f"far = abs({at(here, j)}) if abs({at(here, j)}) > far else far" for j in range(size)]
+    check += ["gone = 0.0 * (" + " + ".join(at(rate, j) for j in range(size)) + ")"]
+    check += [f"gone = gone if far < {BROKEN!r} else math.nan"]
+    check += [f"{at(first, j)} = {at(first, j)} + gone" for first in (here, total, rate) for j in range(size)]
+    ends = _operations(traced.settled[0], lambda x: at(total, x.of[0]))
+    ends += [f"{at(total, j)} = {_value(x)}" for j, x in traced.settled[1].items()]
+    used = sorted(x.of[0] for x in traced.operations if x.kind == "row")
+    rows = []
+    for lane in range(LANES):
+        rows.append(f"n{lane} = min(n, table{lane}.shape[0] - 1)")
+        rows += [f"w[{row + LANES * q + lane}] = table{lane}[n{lane}, {q}]" for q in used]
+    alike: list[str] = []
+    for q in used:
+        alike += [f"number = table0[n0, {q}]", f"for lane in range({LANES}):", f"    {at(row, q)} = number"]
+    kinds = {x.kind for x in traced.operations}
+    if "elapsed" in kinds:
+        late = [f"for lane in range({LANES}):", f"    {at(elapsed, 0)} = 0.5 * n * {at(step, 0)}"]
+        rows, alike = [*rows, *late], [*alike, *late]
+    return _MODULE.format(
+        imports=_BITS if kinds & _OF_BITS.keys() else "",
+        lanes=LANES,
+        drives=", ".join(["f8[:, ::1]"] * LANES),
+        tables=", ".join(f"table{lane}" for lane in range(LANES)),
+        numbers=LANES * traced.parameters,
+        states=LANES * size,
+        size=size,
+        parameter=parameter,
+        here=here,
+        total=total,
+        stage=stage,
+        rate=rate,
+        step=step,
+        rows=_indented(rows, 16),
+        shared=_indented(alike or ["pass"], 16),
+        rates=_indented(lines, 12),
+        check=_indented(check, 16),
+        settled=f"            for lane in range({LANES}):\n" + _indented(ends, 16) if ends else "",
+    )
+
+
+def _indented(lines: Sequence[str], by: int) -> str:
+    """Return lines as one text, indented by a number of blanks."""
+    return "\n".join(" " * by + line for line in lines)
+
+
+def _value(x: Symbol | float) -> str:
+    """Return the program text of a symbol or a number."""
+    if isinstance(x, Symbol):
+        return f"x{x.number}"
+    return "math.nan" if x != x else repr(float(x))
+
+
+def _operations(operations: Sequence[Symbol], given: Any) -> list[str]:
+    """Return one line of program text for each operation.
+
+    Parameters
+    ----------
+    operations : sequence of Symbol
+    given : callable
+        Function from an input symbol to its program text.
+    """
+    lines = []
+    for x in operations:
+        of = [_value(a) if isinstance(a, (Symbol, float)) else str(a) for a in x.of]
+        text = _TEXTS.get(x.kind) or given(x)
+        lines.append(f"x{x.number} = {text.format(*of)}")
+    return lines
+
+
+@intrinsic
+def bits(typing: Any, number: Any) -> Any:
+    """Return the bits of a double as an integer."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], ir.IntType(64))
+
+    return types.int64(types.float64), generate
+
+
+@intrinsic
+def double(typing: Any, number: Any) -> Any:
+    """Return the double whose bits are those of an integer."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], ir.DoubleType())
+
+    return types.float64(types.int64), generate
+
+
+# ---------------------------------------------------------------- kernels
+
+#: Time of one operation in the scalar engine, and time to compile one operation, s. Measured with the built-
+#: in robots by ``python -m benchmarks.bench_lanes --only engine compile``.
+OPERATION_S, COMPILING_S = 3.5e-10, 5e-3
+#: Maximum simulation time with the scalar engine, s, for which kernels are not used.
+MAX_SCALAR_S = 0.5
+#: Minimum ratio of the simulation time with the scalar engine to the compilation time at which a kernel is
+#: compiled at once. The amount of simulation is known in advance only within a factor of two.
+MIN_GAIN = 2.0
+#: Maximum number of result arrays that are reused by later batches.
+N_BUFFERS = 8
+
+
+@dataclass(frozen=True)
+class Room:
+    """Elements, changes of input arrays, and forces that effects may add to a robot.
+
+    Attributes
+    ----------
+    rows : mapping of table to links
+        Links of additional elements, in the order in which effects append them. The links of table ``t``
+        are in table ``t_link``.
+    filled : mapping of table to index
+        Entries that effects change.
+    forces : sequence of (Traceable, link)
+        Forces. Each may act at most once in a simulation.
+    """
+
+    rows: Mapping[str, Sequence[int]]
+    filled: Mapping[str, Any]
+    forces: Sequence[tuple[Traceable, int]]
+
+
+#: Name of the input array with the external forces in a simulation. Its entries are the start time (s), the
+#: coordinate frame (``placed`` of the engine), and for each force: 1 or 0 (whether the force acts), its point
+#: and its constants.
+ACTING = "acting"
+#: Number of entries for the coordinate frame.
+FRAME = 7
+
+
+class Kernel:
+    """Compiled equations of motion of one robot, which integrate up to :data:`LANES` simulations at once.
+
+    With a room for effects, each simulation has its own effects or none. One kernel serves all effects,
+    because compiling takes seconds. A simulation also computes the forces of effects that it does not have.
+    This costs little compared with a simulation by the scalar engine.
+
+    Parameters
+    ----------
+    engine : module
+        Compiled equations of motion: ``planar.engine`` or ``spatial.engine``.
+    tables : callable
+        Function of the coefficients. It returns the input arrays of the engine by name.
+    coefficients : int
+        Number of coefficients.
+    room : Room, optional
+        Elements, entries and forces of the effects.
+    """
+
+    def __init__(
+        self,
+        engine: ModuleType,
+        tables: Callable[[Array], dict[str, Any]],
+        coefficients: int,
+        room: Room | None = None,
+    ) -> None:
+        self.engine, self.room = engine, room
+        if room is not None:
+            tables = self._roomy(room, tables)
+        self._example = tables(np.ones(coefficients))
+        self.size, self._scratch = engine.shapes(self._example)
+        self.fixed = _fixed(tables, coefficients)
+        for name, columns in engine.FILLED.items():
+            self.fixed[name][:, columns] = np.nan
+        entries = self._entries(self.fixed)
+        self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
+        self._structure = entries[self._known]
+        self._lock = threading.RLock()
+        self._buffers: list[Array] = []
+        self.module: ModuleType | None = None
+
+    def _roomy(
+        self, room: Room, tables: Callable[[Array], dict[str, Any]]
+    ) -> Callable[[Array], dict[str, Any]]:
+        """Return a function for input arrays with NaN for the entries that effects may change."""
+        self._slots: dict[tuple[int, int], slice] = {}
+        at = 1 + FRAME
+        for known, link in room.forces:
+            self._slots[id(known.function), link] = slice(at, at + 3 + known.constants)
+            at += 3 + known.constants
+        # the constants of a force that does not act are ones, because the force may divide by them
+        self._idle = np.ones(at)
+        self._idle[[place.start for place in self._slots.values()]] = 0.0
+
+        def opened(values: Array) -> dict[str, Any]:
+            found = dict(tables(values))
+            for name, links in room.rows.items():
+                added = np.full((len(links), found[name].shape[1]), np.nan)
+                found[f"{name}_link"] = np.append(found[f"{name}_link"], np.array(links, dtype=np.int64))
+                found[name] = np.vstack([found[name], added])
+            for name, places in room.filled.items():
+                found[name] = found[name].copy()
+                found[name][places] = np.nan
+            return {**found, ACTING: np.full(at, np.nan)}
+
+        return opened
+
+    def fits(self, tables: Mapping[str, Any]) -> bool:
+        """Return whether ``tables`` has the constant entries of this robot, so that the kernel applies.
+
+        The result is False if an effect has changed an entry that is constant in the kernel.
+        """
+        for name, example in self._example.items():
+            given = tables[name]
+            if np.shape(given) != np.shape(example):
+                return False
+            if name not in self.fixed and given is not example and not np.array_equal(given, example):
+                return False
+        return bool((self._entries(tables)[self._known] == self._structure).all())
+
+    @cached_property
+    def traced(self) -> Traced:
+        """Equations of motion as operations on symbols."""
+        tracer = Tracer()
+        tables = dict(self._example)
+        count = 0
+        for name, fixed in self.fixed.items():
+            # entries for forces have a kind of their own, because even their signs are unknown
+            kind = {ACTING: "number"}.get(name, "table")
+            entries = np.array(fixed, dtype=object)
+            for place in np.argwhere(np.isnan(fixed)):
+                entries[tuple(place)], count = tracer.symbol(kind, count), count + 1
+            tables[name] = entries if entries.ndim else entries.item()
+        driven = int(self._example["topology"][:, 1].max()) + 1
+        state = array(tracer, "state", (self.size,))
+        row = array(tracer, "row", (driven, 5))
+        scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]
+        rate = np.zeros(self.size, dtype=object)
+        forced, time = None, 0.0
+        if self.room is not None:
+            acting = tables.pop(ACTING)
+            forced, time = self._forced(self.room, acting), acting[0] + tracer.symbol("elapsed", 0)
+        derivative = on_symbols(self.engine.derivative)
+        derivative(state, row, *tables.values(), forced, time, *scratch, rate)
+        after = Tracer()
+        settled = array(after, "state", (self.size,))
+        on_symbols(self.engine.settled)(settled)
+        corrected = {j: x for j, x in enumerate(settled) if x.kind != "state"}
+        ends = _used(after.operations, corrected.values())
+        return Traced(_used(tracer.operations, rate), list(rate), (ends, corrected), count, 5 * driven)
+
+    def _forced(self, room: Room, acting: Any) -> tuple[Any, ...]:
+        """Return forces as the engine takes them. A force that does not act is zero."""
+        slots = [acting[place] for place in self._slots.values()]
+        constants = [np.append(slot[:1], slot[3:]) for slot in slots]
+
+        def call(plain: Any, time: Any, pose: Any, velocity: Any, own: Any, wrench: Any) -> None:
+            plain(time, pose, velocity, own[1:], wrench)
+            wrench[:] = [positive(own[0], part, 0.0) for part in wrench]
+
+        return (
+            [link for _, link in room.forces],
+            np.array([slot[1:3] for slot in slots], dtype=object).reshape(-1, 2),
+            np.concatenate([np.empty(0, dtype=object), *constants]),
+            np.concatenate(([0], np.cumsum([len(own) for own in constants]))).astype(int),
+            acting[1 : 1 + FRAME],
+            *(np.zeros(3, dtype=object) for _ in range(3)),
+            [partial(call, on_symbols(known.function)) for known, _ in room.forces],
+        )
+
+    def widened(
+        self, tables: Mapping[str, Any], forces: Sequence[Force], frame: Array, begin_s: float
+    ) -> dict[str, Any] | None:
+        """Return the input arrays of a simulation in the form of this kernel; None if its effects do not fit.
+
+        Parameters
+        ----------
+        tables : mapping
+            Input arrays of the equations of motion.
+        forces : sequence of Force
+        frame : ndarray, shape (7,)
+            Coordinate frame of the simulation in the world (``placed`` of the engine).
+        begin_s : float
+            Time of the initial state.
+        """
+        assert self.room is not None
+        found = dict(tables)
+        for name in self.room.rows:
+            links = self._example[f"{name}_link"]
+            rows = _in_places(tables[name], tables[f"{name}_link"], links)
+            if rows is None:
+                return None
+            found[name], found[f"{name}_link"] = rows, links
+        acting = self._idle.copy()
+        acting[0], acting[1 : 1 + FRAME] = begin_s, frame
+        count = len(found["topology"])
+        for force in forces:
+            place = self._slots.get((id(force.function), force.link % count))
+            if place is None or acting[place.start] != 0.0:
+                return None
+            acting[place] = 1.0, force.x, force.y, *force.constants
+        found[ACTING] = acting
+        return found if self.fits(found) else None
+
+    def worth(self, derivatives: float, progress: Progress = silent) -> bool:
+        """Return whether the kernel saves time, and compile it if it does.
+
+        It saves time if it is stored on this machine already, or if compiling it takes less time than it
+        saves. Otherwise a process in the background compiles it for the next command. The environment
+        variable ``SWIMID_LANES`` overrides this decision with ``always`` or ``never``. Results of the kernel
+        and the scalar engine agree to about fourteen digits.
+
+        Parameters
+        ----------
+        derivatives : float
+            Expected number of evaluations of the equations of motion.
+        progress : Progress
+        """
+        wanted = os.environ.get("SWIMID_LANES", "auto")
+        if wanted == "never":
+            return False
+        operations = len(self.traced.operations)
+        scalar_s = derivatives * OPERATION_S * operations
+        if wanted == "auto" and scalar_s < MAX_SCALAR_S:
+            return False
+        text = source_of(self.traced)
+        if on_disk(text):
+            self.compiled()
+            return True
+        if wanted == "auto" and scalar_s < MIN_GAIN * COMPILING_S * operations:
+            compile_later(text)
+            return False
+        with progress("compiling the simulation for several runs at once (on first use only)"):
+            self.compiled()
+        return True
+
+    def compiled(self) -> ModuleType:
+        """Return the compiled module. Compile it if this machine does not have it yet."""
+        with self._lock:
+            if self.module is None:
+                self.module = imported(source_of(self.traced))
+                self.module.integrate.compile(self.module.SIGNATURE)
+            return self.module
+
+    def run(self, runs: Sequence[tuple[Array, float, Array, Mapping[str, Any]]]) -> list[tuple[Array, Array]]:
+        """Return states and rates of each simulation, as ``engine.integrate`` does.
+
+        Parameters
+        ----------
+        runs : sequence of (start, step, drive, tables)
+            Initial state, step (s), motion of the driven joints, shape (2 steps + 1, driven joints, 5), and
+            input arrays of each simulation, for which :meth:`fits` must be true.
+
+        Returns
+        -------
+        list of (states, rates), each shape (steps + 1, size)
+        """
+        module, traced = self.compiled(), self.traced
+        found: dict[int, tuple[Array, Array]] = {}
+        # simulations of similar length share a batch
+        order = sorted(range(len(runs)), key=lambda k: len(runs[k][2]))
+        for first in range(0, len(order), LANES):
+            batch = order[first : first + LANES]
+            full = [runs[k] for k in [*batch, *[batch[0]] * (LANES - len(batch))]]
+            starts, steps_s, drives, tables = zip(*full, strict=True)
+            steps = [(len(drive) - 1) // 2 for drive in drives]
+            states, rates = self._buffer((2, len(batch), max(steps) + 1, self.size))
+            module.integrate(
+                np.stack(starts, axis=-1).reshape(-1),
+                np.array(steps_s, dtype=float),
+                *(np.ascontiguousarray(drive).reshape(len(drive), -1) for drive in drives),
+                all(drive is drives[0] for drive in drives),
+                max(steps),
+                np.stack([self.numbers(t) for t in tables], axis=-1).reshape(-1),
+                states,
+                rates,
+                np.empty(length(traced)),
+            )
+            for j, k in enumerate(batch):
+                found[k] = states[j, : steps[j] + 1], rates[j, : steps[j] + 1]
+        return [found[k] for k in range(len(runs))]
+
+    def _buffer(self, shape: tuple[int, ...]) -> Array:
+        """Return an array to write into, from memory that no earlier result uses any more.
+
+        With newly allocated memory, a simulation would take one and a half times as long because of page
+        faults.
+        """
+        need = math.prod(shape)
+        with self._lock:
+            counts = _references(self._buffers)
+            idle = [k for k, n in enumerate(counts) if n == IDLE and len(self._buffers[k]) >= need]
+            if not idle:
+                self._buffers = [np.empty(need), *self._buffers[: N_BUFFERS - 1]]
+                idle = [0]
+            return self._buffers[idle[0]][:need].reshape(shape)
+
+    def numbers(self, tables: Mapping[str, Any]) -> Array:
+        """Return the entries of ``tables`` that are inputs of the kernel, shape (parameters,)."""
+        return self._entries(tables)[self._taken]
+
+    def _entries(self, tables: Mapping[str, Any]) -> Array:
+        """Return all entries of the input arrays in one array."""
+        return np.concatenate([np.reshape(tables[name], -1) for name in self.fixed])
+
+
+def _references(arrays: Sequence[Array]) -> list[int]:
+    """Return the number of references to each array."""
+    return [sys.getrefcount(array) for array in arrays]
+
+
+#: Reference count of an array that is referenced only by a list.
+IDLE = _references([np.empty(0)])[0]
+
+
+def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
+    """Return the input arrays with NaN for entries that are not 0, 1 or -1 for all coefficients."""
+    draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, coefficients))
+    samples = [tables(draw) for draw in draws]
+    fixed = {}
+    for name in samples[0]:
+        values = np.array([s[name] for s in samples])
+        if values.dtype.kind != "f":
+            continue
+        same = (values == values[0]).all(axis=0) & np.isin(values[0], (0.0, 1.0, -1.0))
+        fixed[name] = np.where(same, values[0], np.nan)
+    return fixed
+
+
+def _used(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
+    """Return the operations on which the results depend, in their order."""
+    needed = {x.number for x in results if isinstance(x, Symbol)}
+    for x in reversed(operations):
+        if x.number in needed:
+            needed.update(a.number for a in x.of if isinstance(a, Symbol))
+    return [x for x in operations if x.number in needed]
+
+
+def folder() -> Path:
+    """Return the folder of generated modules, in the folder of numba's compiled engine."""
+    return Path(integrate.stats.cache_path) / "lanes"
+
+
+def _path(text: str) -> Path:
+    """Return the path of a module. Its name is a hash of the text, the compiler and the processor."""
+    host = f"{sys.version} {numba.__version__} {llvmlite.__version__} {get_host_cpu_features()}"
+    return folder() / f"lanes_{hashlib.sha256(f'{host} {text}'.encode()).hexdigest()[:16]}.py"
+
+
+def on_disk(text: str) -> bool:
+    """Return whether the module with this text is compiled on this machine."""
+    module = imported(text)
+    return any(Path(module.integrate.stats.cache_path).glob(f"{module.__name__}.integrate-*.nbc"))
+
+
+def imported(text: str) -> ModuleType:
+    """Return the module with this text, and write its file if there is none.
+
+    The module is compiled at its first call.
+    """
+    path = _path(text)
+    if path.stem not in sys.modules:
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            atomic.write_text(path, text)
+        module = ModuleType(path.stem)
+        module.__file__ = str(path)
+        exec(compile(text, path, "exec"), vars(module))
+        sys.modules[path.stem] = module
+    return sys.modules[path.stem]
+
+
+def compile_later(text: str) -> None:
+    """Compile a module for the next command, in a process that outlives this process."""
+    imported(text)
+    command = "import sys; from swimid.swimmer import lanes; lanes.compile_file(sys.argv[1])"
+    with contextlib.suppress(OSError):  # without a process the next command is as slow as this one
+        subprocess.Popen(
+            [sys.executable, "-c", command, str(_path(text))],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+
+def compile_file(path: str) -> None:
+    """Compile the module at a path at low priority, unless another process does so already."""
+    with contextlib.suppress(UsageError), atomic.locked(Path(path)):
+        if hasattr(os, "nice"):
+            os.nice(10)
+        module = imported(Path(path).read_text(encoding="utf-8"))
+        module.integrate.compile(module.SIGNATURE)
+
+
+def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64]) -> Array | None:
+    """Return rows of elements, each moved to the next row of ``places`` for its link.
+
+    Rows without an element are zero. The result is None if a link has too few rows.
+    """
+    if np.array_equal(links, places):
+        return rows
+    found, at = np.zeros((len(places), rows.shape[1])), 0
+    for link, row in zip(links, rows, strict=True):
+        while at < len(places) and places[at] != link:
+            at += 1
+        if at == len(places):
+            return None
+        found[at] = row
+        at += 1
+    return found
+
+
+class Kernels:
+    """Kernels of one robot: one for the robot alone, and one for simulations with effects.
+
+    Parameters
+    ----------
+    engine, tables, coefficients
+        See :class:`Kernel`.
+    room : callable
+        Function that returns the :class:`Room` for effects, or None if there are none.
+
+    Attributes
+    ----------
+    own, wide : Kernel or None
+        Kernels for the robot alone and with effects. They are created when first needed.
+    use_own, use_wide : bool
+        Whether simulations use these kernels. Otherwise they use the scalar engine.
+    """
+
+    def __init__(
+        self,
+        engine: ModuleType,
+        tables: Callable[[Array], dict[str, Any]],
+        coefficients: int,
+        room: Callable[[], Room | None],
+    ) -> None:
+        self._made = engine, tables, coefficients
+        self._room = room
+        self.own: Kernel | None = None
+        self.wide: Kernel | None = None
+        self.use_own = self.use_wide = False
+
+    def make(self, *, effects: bool = True) -> Kernel:
+        """Create the kernels without compiling them, and return the kernel of the robot alone."""
+        self.own = self.own or Kernel(*self._made)
+        if effects and self.wide is None and (room := self._room()) is not None:
+            self.wide = Kernel(*self._made, room)
+        return self.own
+
+    def prepare(
+        self,
+        name: str,
+        derivatives: float,
+        affected: float,
+        checkpoint: Checkpoint | None,
+        progress: Progress = silent,
+    ) -> None:
+        """Decide whether simulations use the kernels, and compile those that are used.
+
+        Parameters
+        ----------
+        name : str
+            Name of the decision in the checkpoint.
+        derivatives, affected : float
+            Expected number of evaluations of the equations of motion, without and with effects.
+        checkpoint : Checkpoint, optional
+            Storage of the decision. A resumed search repeats its decision, because results of kernel and
+            scalar engine differ in the last digits.
+        progress : Progress
+        """
+        own = self.make(effects=affected > 0.0)
+        begun = None if checkpoint is None else checkpoint.get(name)
+        if begun is not None:
+            self.use_own, self.use_wide = bool(begun[0]), bool(begun[1])
+            return
+        self.use_own = own.worth(derivatives, progress)
+        if self.use_own and self.wide is not None:
+            self.use_wide = self.wide.worth(affected, progress)
+        if checkpoint is not None:
+            checkpoint.put(name, np.array([self.use_own, self.use_wide], dtype=float))
+
+    def choose(self, run: Run, frame: Callable[[Run], Array]) -> tuple[Kernel, Mapping[str, Any]] | None:
+        """Return the kernel for a simulation with its input arrays; None if the scalar engine is needed.
+
+        Parameters
+        ----------
+        run : Run
+        frame : callable
+            Function from a simulation to its coordinate frame in the world, shape (7,).
+        """
+        if self.own is None or not self.use_own:
+            return None
+        if not run.hooks.force and (not run.hooks.tables or self.own.fits(run.tables)):
+            return self.own, run.tables
+        if self.wide is None or not self.use_wide:
+            return None
+        tables = self.wide.widened(run.tables, run.hooks.force, frame(run), run.grid.begin_s)
+        return None if tables is None else (self.wide, tables)
+
+    def run(self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]) -> dict[Any, tuple[Array, Array]]:
+        """Return states and rates of the simulations that the kernels can compute, by key of ``runs``."""
+        taken: dict[Kernel, dict[Any, tuple[Array, float, Array, Mapping[str, Any]]]] = {}
+        for key, run in runs.items():
+            choice = self.choose(run, frame)
+            if choice is not None:
+                kernel, tables = choice
+                own = taken.setdefault(kernel, {})
+                own[key] = run.start, run.grid.step_s, run.drive.table, tables
+        found: dict[Any, tuple[Array, Array]] = {}
+        for kernel, own in taken.items():
+            found.update(zip(own, kernel.run(list(own.values())), strict=True))
+        return found
