@@ -32,7 +32,7 @@ NAMES = {
     "track_setup": "swimid.tracking.track_setup",
     "track_imu": "swimid.inertial.track_imu",
     "import_log": "swimid.logs.import_log",
-    "guess_mapping": "swimid.logs.guess_mapping",
+    "guess_mapping": "swimid.logs.mapping",
     # identification
     "fit_drag": "swimid.rig.fit_drag",
     "fit_propulsion": "swimid.propulsion.fit_propulsion",
@@ -53,7 +53,7 @@ NAMES = {
     # classes of results
     "Result": "swimid.results.result",
     "Fitted": "swimid.results.parameters",
-    "Logged": "swimid.logs.logged",
+    "Logged": "swimid.logs.tracks",
     "Simulation": "swimid.simulation.simulate",
     "Comparison": "swimid.simulation.compare",
     "Diagnosis": "swimid.diagnosis.evidence",

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from swimid.errors import SwimidError
 from swimid.logs import mapping
 from swimid.logs.foreign import open_table
-from swimid.logs.guess_mapping import guess_mapping
+from swimid.logs.mapping import guess_mapping
 from swimid.notices import SwimidWarning
 from tests.conftest import Ran
 from tests.test_fuzz_readers import _ends_in_order, examples, mutated, rewritten

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import log, mapping, units
-from swimid.logs.foreign import formats, open_table
+from swimid.logs import log, mapping
+from swimid.logs.foreign import formats, open_table, unit_factor
 from tests.conftest import ROOT, Ran
 
 Run = Callable[..., Ran]
@@ -228,7 +228,7 @@ def test_the_rows_of_a_mapped_log_are_lines_of_the_file(tmp_path: Path) -> None:
     ],
 )
 def test_units(unit: str, column: str, value: float) -> None:
-    assert units.factor(unit, column) == pytest.approx(value, rel=1e-15)
+    assert unit_factor(unit, column) == pytest.approx(value, rel=1e-15)
 
 
 def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None:

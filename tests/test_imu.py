@@ -16,7 +16,7 @@ from swimid.inertial import alone, motion
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import Record, integrated_attitude
 from swimid.inertial.setup import find_rests, measure_noise, prepare
-from swimid.logs.rotation import angles, from_angles
+from swimid.logs.kinematics import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
 

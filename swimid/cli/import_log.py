@@ -43,7 +43,7 @@ def import_log(
     if options.guess:
         if options.map_path is not None:
             raise UsageError("--guess drafts a mapping, and takes none")
-        from swimid.logs.guess_mapping import guess_mapping
+        from swimid.logs.mapping import guess_mapping
 
         return guess_mapping(file, select=options.select, output=output)
     if output is None:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import NoTrustworthyResult
 from swimid.inertial.record import GRAVITY_M_S2, Array, Poses, Record, integral, resampled, turns_of
 from swimid.inertial.setup import BAND, Source
-from swimid.logs.rotation import angles
+from swimid.logs.kinematics import angles
 
 #: Minimum number of samples for a comparison of two logs.
 MIN_SAMPLES = 16

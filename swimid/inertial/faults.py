@@ -29,9 +29,9 @@ from swimid.inertial.record import (
 )
 from swimid.inertial.setup import DEG, MAX_REST_ACCELERATION
 from swimid.logs import sampling
+from swimid.logs.kinematics import rearranged
 from swimid.logs.log import runs
 from swimid.logs.mapping import in_order
-from swimid.logs.rotation import rearranged
 
 #: Test of a fault. It returns the record, repaired if the fault was found, and the fault or None. It raises
 #: an InputError for a fault that cannot be repaired.

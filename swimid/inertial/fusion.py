@@ -17,7 +17,7 @@ from swimid.inertial.alone import GATE, Estimate, class_findings, most_likely_cl
 from swimid.inertial.record import Array, Finding, Flags, Poses, resampled, turn_to_angles
 from swimid.inertial.setup import BAND, DEG, Sensor, Setup
 from swimid.inertial.smoother import Nominal, Observation, Prior, Smoothed, State, jacobian
-from swimid.logs.rotation import angles
+from swimid.logs.kinematics import angles
 from swimid.logs.sampling import white_noise_sd
 
 #: Standard deviations before any observation: lever, m; mounting from gravity and from rotations, rad; tilt

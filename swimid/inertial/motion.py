@@ -26,9 +26,9 @@ from swimid.inertial.record import (
 )
 from swimid.inertial.setup import BAND, Setup
 from swimid.inertial.smoother import Nominal, Smoothed, cross_matrix, gravity, jacobian
-from swimid.logs import beat, rhythm
-from swimid.logs.rhythm import Rhythm
-from swimid.logs.rotation import angles
+from swimid.logs import beat
+from swimid.logs.beat import Rhythm
+from swimid.logs.kinematics import angles
 
 #: Maximum half-width of the 95 % band of a usable position: in m, and relative to the distance travelled.
 TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
@@ -344,7 +344,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: Poses | None) -> Run:
     body, record, options = setup.body, setup.record, setup.options
     t = record.time_s
     readings = dict(zip((*RATE, *ACCELERATION), np.hstack([body.rate, body.acceleration]).T, strict=True))
-    stroke = rhythm.find(t, readings)
+    stroke = beat.find_stroke(t, readings)
     cutoff = LOWEST_HZ if stroke is None else STROKE_SHARE * stroke.beat.frequency_hz
     empty = np.full(len(record), np.nan)
     known: dict[str, Any] = {"poses": poses, "stroke": stroke, "cutoff_hz": cutoff, "findings": findings}

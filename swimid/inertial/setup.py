@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from swimid.errors import InputError, UsageError, extra_needed
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import GRAVITY_M_S2, Array, Finding, Record, resampled, rotations
+from swimid.logs.kinematics import from_angles
 from swimid.logs.log import runs
-from swimid.logs.rotation import from_angles
 
 #: Conversion factors: 1 mg in m/s^2, and 1 degree in rad.
 MILLI_G = 1e-3 * GRAVITY_M_S2

@@ -20,9 +20,9 @@ from swimid.inertial.record import GRAVITY_M_S2, Array, read_poses, read_record
 from swimid.inertial.setup import BAND, DEG, mean_accelerations, prepare
 from swimid.inertial.smoother import PARTS
 from swimid.logs import log, mapping
+from swimid.logs.kinematics import angles
 from swimid.logs.log import Log, LogLike
-from swimid.logs.logged import Logged
-from swimid.logs.rotation import angles
+from swimid.logs.tracks import Logged
 from swimid.notices import Notice, recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.logs.kinematics import AXES
 from swimid.logs.log import TIME
-from swimid.logs.rotation import AXES
 
 Array = NDArray[np.float64]
 #: Minimum ratio of a gain (regression coefficient between two columns) to its standard error. A gain with a

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import log, mapping, rhythm, sampling, tracks
-from swimid.logs.beat import contradiction
+from swimid.logs import beat, log, mapping, sampling, tracks
+from swimid.logs.beat import Rhythm, contradiction
 from swimid.logs.consistency import Comparison, compare_columns
 from swimid.logs.log import TIME, Doubt, Log, LogLike
-from swimid.logs.logged import Logged, figures_of
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
-from swimid.logs.rhythm import Rhythm
+from swimid.logs.plot import figures_of
 from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, find_unmeasured, may_freeze, usual_step
-from swimid.logs.tracks import Cleaning, TrackSpeed
+from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
 from swimid.notices import Notice, recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent
@@ -246,12 +245,12 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     stated_hz = metadata.get("frequency_hz")
     if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
         stated_hz = None
-    stroke = rhythm.find(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
+    stroke = beat.find_stroke(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
     unknown, against, periodic_hz, period_s = "", "", None, None
     if stroke is None:
-        unknown, periodic_hz = rhythm.explain_missing(columns[TIME], channels)
+        unknown, periodic_hz = beat.explain_missing(columns[TIME], channels)
     else:
-        stroke = rhythm.add_time_error(stroke, times_sd_s, times)
+        stroke = beat.add_time_error(stroke, times_sd_s, times)
         periodic_hz, period_s = stroke.beat.frequency_hz, 1.0 / stroke.beat.frequency_hz
         against = _against(stroke, stated_hz, name)
     if cleaning is not None:

@@ -147,6 +147,11 @@ class Log:
         """Sample times, s, shape (n,)."""
         return self.columns[TIME]
 
+    @property
+    def signals(self) -> dict[str, NDArray[np.float64]]:
+        """Columns except the time."""
+        return {name: values for name, values in self.columns.items() if name != TIME}
+
     def frame(self) -> pd.DataFrame:
         """Return the columns as a table, one row per sample."""
         import pandas as pd

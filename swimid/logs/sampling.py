@@ -713,7 +713,7 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     >>> find_unmeasured({"t_s": t, "depth_m": 0 * t + 1.2}, {})
     {'depth_m': 'holds one value in every sample (1.2)'}
     """
-    from swimid.logs.units import measured
+    from swimid.logs.foreign import measured
 
     found: dict[str, str] = {}
     earlier: dict[str, Array] = {}

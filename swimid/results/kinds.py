@@ -21,7 +21,7 @@ FORMATS = {
     "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
 }
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
-LOG = "swimid.logs.logged:Logged"
+LOG = "swimid.logs.tracks:Logged"
 
 
 def load_result(path: str | Path) -> Result:

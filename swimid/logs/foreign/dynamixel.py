@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs import mapping, units
-from swimid.logs.foreign import Format, Options, Peek, Table, is_text, open_table
+from swimid.logs import mapping
+from swimid.logs.foreign import UNITS, Format, Options, Peek, Table, canonical, is_text, open_table
 from swimid.logs.log import TIME
 
 _FIELD = re.compile(
@@ -46,7 +46,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         hit = _TIME.fullmatch(name.strip())
         unit = hit and (hit["unit"] or table.units.get(name))
         if unit and TIME not in columns:
-            time = mapping.Time(source=name, unit=units.canonical(unit))
+            time = mapping.Time(source=name, unit=canonical(unit))
             columns = {TIME: mapping.seconds(table, time, rows, path, {})}
     for name, hit in fields.items():
         if is_text(table.columns[name]):
@@ -57,7 +57,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         if hit["which"].lower() == "position":
             columns[f"{joint}_rad"] = (ticks - 2048) * 2 * np.pi / 4096
         else:
-            columns[f"{joint}_rad_s"] = ticks * 0.229 * units.UNITS["turn rate"]["rpm"]
+            columns[f"{joint}_rad_s"] = ticks * 0.229 * UNITS["turn rate"]["rpm"]
     return replace(table, columns=columns, metadata={"servos": numbers}, units={})
 
 

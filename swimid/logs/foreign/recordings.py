@@ -33,8 +33,8 @@ from swimid.logs.foreign import (
     renamed,
     safe,
 )
+from swimid.logs.kinematics import from_frd, with_angles
 from swimid.logs.log import TIME
-from swimid.logs.rotation import from_frd, with_angles
 
 ULOG_MAGIC, MCAP_MAGIC = b"ULog\x01\x12\x35", b"\x89MCAP0\r\n"
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swimid.fitting.model import Array, Hooks, Trial
-from swimid.logs.rotation import angles, from_angles
+from swimid.logs.kinematics import angles, from_angles
 from swimid.swimmer.model import Run, Swimmer
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.spatial.assembly import Assembly
