@@ -88,7 +88,8 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
     The repaired record is in order of time and has the first sample of each repeated time stamp.
     """
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
-    row, gone = order.reset_row, order.untimed + order.repeated + order.clashing
+    row, late = order.reset_row, order.counts["late"]
+    gone = sum(order.counts.values()) - late
     if row is not None:
         text = f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there"
         hint = "was the clock reset or wrapped? cut the log there, one file for each piece"
@@ -97,10 +98,10 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
         text = f"{gone} of {len(record)} samples have no time of their own"
         hint = "the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
-    if not order.changed:
+    if not order.summary:
         return record, None
-    text = f"{gone} samples without a time of their own left out, {order.late} out of order put in place"
-    return record.take(order.index), Finding("repeated stamps", "handled", text, gone + order.late)
+    text = f"{gone} samples without a time of their own left out, {late} out of order put in place"
+    return record.take(order.index), Finding("repeated stamps", "handled", text, gone + late)
 
 
 def find_samples(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +105,7 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
 
 
 def stated_against_found(
-    trial: str, stated_hz: float, beat: Beat | None, *, used: Literal["measured", "stated"]
+    trial: str, stated_hz: float, beat: Beat | None, consequence: str
 ) -> dict[str, float | str | None]:
     """Return the stated and the found frequency of a trial, Hz, and warn if they contradict each other.
 
@@ -114,20 +113,16 @@ def stated_against_found(
     ----------
     beat : Beat or None
         Beat of the heading.
-    used : {"measured", "stated"}
-        Which of both frequencies the caller uses; the warning names this choice.
+    consequence : str
+        Clause of the warning that says which of both frequencies the caller uses.
     """
-    if beat is None:
-        return {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
-    against = contradiction(beat, stated_hz)
-    if against is not None:
-        last = {
-            "stated": "correct it if it is wrong: it is used",
-            "measured": "the measured frequency is used",
-        }
-        text = f"the heading {against}, the trials file says {stated_hz:g} Hz; {last[used]}"
-        warn("SWM032", f"{trial}: {text}")
-    return {"stated_hz": stated_hz, "found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
+    found: dict[str, float | str | None] = {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
+    if beat is not None:
+        found |= {"found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
+        if against := contradiction(beat, stated_hz):
+            text = f"the heading {against}, the trials file says {stated_hz:g} Hz; {consequence}"
+            warn("SWM032", f"{trial}: {text}")
+    return found
 
 
 def find_beat(
@@ -379,23 +374,14 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
 
-#: Maximum number of samples of a dense eigenvalue problem, which takes less time than the import of SciPy's
-#: tridiagonal one (0.2 s).
-MAX_DENSE = 400
-
-
 def _slepian_tapers(count: int) -> Array:
     """Return the tapers most concentrated within :data:`BAND` cycles per record, shape (N_TAPERS, count)."""
-    k = np.arange(count)
-    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
-    beside = k[1:] * (count - k[1:]) / 2
-    if count <= MAX_DENSE:
-        dense = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
-        return np.linalg.eigh(dense)[1][:, -N_TAPERS:].T
     from scipy.linalg import eigh_tridiagonal
 
+    k = np.arange(count)
+    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
     largest = (count - N_TAPERS, count - 1)
-    return eigh_tridiagonal(diagonal, beside, select="i", select_range=largest)[1].T
+    return eigh_tridiagonal(diagonal, k[1:] * (count - k[1:]) / 2, select="i", select_range=largest)[1].T
 
 
 def _no_line(t: Array, x: Array, frequency: float) -> float:
@@ -617,9 +603,10 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
         Components of the oscillation: ``sway`` across the averaged path and ``surge`` along this path. For a
         body that stays in place, ``long_axis`` and ``short_axis``. Empty without a track.
     """
-    place = _place(columns)
-    if place is None:
+    coordinates = _coordinates(columns)
+    if not coordinates:
         return {}
+    place = np.column_stack(coordinates)
     there = np.isfinite(place).all(axis=1)
     if there.sum() < 16 or not np.ptp(place[there], axis=0).any():
         return {}
@@ -655,13 +642,13 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
     return middles[line] + slopes[line] * beyond[:, None], slopes[line]
 
 
-def _place(columns: Mapping[str, Array]) -> Array | None:
-    """Return the first two coordinates of a track, shape (n, 2), or a single coordinate, shape (n, 1)."""
-    units = [[n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px")]
-    names = next((found for found in units if found), [])[:2]
-    if not names:
-        return None
-    return np.column_stack([columns[name] for name in names])
+def _coordinates(columns: Mapping[str, Array]) -> list[Array]:
+    """Return the first two coordinates of a track, or its single coordinate; an empty list without a track."""
+    for unit in ("m", "px"):
+        names = [name for name in (f"x_{unit}", f"y_{unit}", f"z_{unit}") if name in columns]
+        if names:
+            return [columns[name] for name in names[:2]]
+    return []
 
 
 def find_stroke(
@@ -760,37 +747,23 @@ def _motions(
             seen[name] = [
                 b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= MAX_COMPASS_HARMONIC
             ]
-        last_place = _last_place(columns, name)
-        seen[name] = [beat for beat in seen[name] if not _is_rounding(beat, last_place)]
+        # a rounding error is at most half of the rounding step, and periodic in a steady motion: a beat that
+        # is not larger cannot be distinguished from it
+        measured = _coordinates(columns)
+        if name in columns:
+            measured = [columns[name]]
+        rounding = sum(map(quantum, measured))
+        seen[name] = [b for b in seen[name] if b.amplitude > rounding / 2 * np.sqrt(2.0 * b.share)]
     return {name: beats for name, beats in seen.items() if beats}
-
-
-def _last_place(columns: Mapping[str, Array], name: str) -> float:
-    """Return the quantisation step of a channel; of one computed from positions, the sum of their steps."""
-    if name in columns:
-        return quantum(columns[name])
-    place = _place(columns)
-    if place is None:
-        return 0.0
-    return sum(quantum(values) for values in place.T)
-
-
-def _is_rounding(beat: Beat, last_place: float) -> bool:
-    """Return whether rounding may cause a beat.
-
-    A rounding error is at most half of the rounding step. In a steady motion this error is periodic. A beat
-    whose amplitude is not larger cannot be distinguished from the rounding error.
-    """
-    return beat.amplitude <= last_place / 2 * np.sqrt(2.0 * beat.share)
 
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
     """Return whether the path makes one lap per period of a frequency."""
-    place = _place(columns)
-    if place is None or place.shape[1] < 2:
+    coordinates = _coordinates(columns)
+    if len(coordinates) < 2:
         return False
-    there = np.isfinite(place).all(axis=1)
-    x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in place.T)
+    there = np.isfinite(coordinates).all(axis=0)
+    x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in coordinates)
     if len(x) != len(y):
         return False
     less, more = sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
@@ -822,8 +795,9 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
     signals = {name: _unwrap(name, columns[name]) for name in names}
-    place = None if driven else _place(columns)
-    if place is not None:
+    coordinates = _coordinates(columns)
+    if coordinates and not driven:
+        place = np.column_stack(coordinates)
         there = np.isfinite(place).all(axis=1)
         if there.sum() > 2:
             line = np.polynomial.polynomial.polyfit(time_s[there], place[there], 1)
@@ -839,10 +813,12 @@ def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]
     """Return the candidate that is taken for the stroke, by the rules given in :func:`find_stroke`."""
 
     def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
-        at_it = {
-            name: max((_part(b, beats) for b in beats if multiple(b, beat) in (1, 2)), default=0.0)
-            for name, beats in seen.items()
-        }
+        # fraction of each channel's variance that its beats explain, from the amplitudes
+        at_it = {}
+        for name, beats in seen.items():
+            whole = sum(b.amplitude**2 for b in beats) / beats[0].share
+            largest = max((b.amplitude for b in beats if multiple(b, beat) in (1, 2)), default=0.0)
+            at_it[name] = largest**2 / whole
         names = [name for name, share in at_it.items() if share > 0]
         motions = sum(any(motion.fullmatch(name) for name in names) for motion in MOTIONS)
         return (
@@ -855,11 +831,6 @@ def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]
         )
 
     return max((beat for beats in candidates.values() for beat in beats), key=worth)
-
-
-def _part(beat: Beat, beats: list[Beat]) -> float:
-    """Return the fraction of a channel's variance that one of its beats explains, from the amplitudes."""
-    return beats[0].share * beat.amplitude**2 / sum(b.amplitude**2 for b in beats)
 
 
 def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
@@ -890,12 +861,12 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
     """Return the reason why no stroke is found, and the frequency of a slow motion, Hz, or None."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
     slow = find_slowest(time_s, columns)
-    slow_hz, laps, place = None, [], _place(columns)
+    slow_hz, laps, coordinates = None, [], _coordinates(columns)
     if slow is not None:
         slow_hz = slow[1].frequency_hz
         laps = [slow_hz]
-    elif place is not None and place.shape[1] > 1:
-        laps = [beat.frequency_hz for v in place.T for beat in find_beats(*_prepared(time_s, v))]
+    elif len(coordinates) > 1:
+        laps = [beat.frequency_hz for v in coordinates for beat in find_beats(*_prepared(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
             text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"

@@ -22,7 +22,6 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from swimid.errors import InputError
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import path_of
-from swimid.files.tabular import number_hint
 from swimid.logs import log
 from swimid.logs.foreign import (
     KNOWN,
@@ -37,7 +36,7 @@ from swimid.logs.foreign import (
     unit_factor,
 )
 from swimid.logs.kinematics import AXES, rearranged
-from swimid.logs.log import TIME, Log, LogLike, longest_run, metadata_of, written_by
+from swimid.logs.log import TIME, Log, LogLike, cells_to_numbers, longest_run, metadata_of, written_by
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 from swimid.results.result import Result
@@ -56,6 +55,8 @@ _INSTANCE = re.compile(
 #: default ``pcutoff`` of DeepLabCut.
 MIN_LIKELIHOOD = 0.6
 _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(ability)?)", re.I)
+#: Hint at the end of a message about a cell that is not a number.
+MISSING_HINT = ", or name what marks it under 'missing:' of the mapping"
 #: Pattern of a coordinate that follows the name of its point.
 _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 #: Unit of a dimensionless quantity in a mapping.
@@ -467,19 +468,10 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
     if values.dtype.kind == "M":
         return None
     if is_text(values):
-        import pandas as pd
-
-        cells = values
-        values = pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce").to_numpy(dtype=float)
-        bad = np.isnan(values) & pd.notna(cells)
-        if bad.any() and bad.sum() >= pd.notna(values).sum():
+        found = cells_to_numbers(values, False, table.place, path, name, MISSING_HINT)
+        if found is None:
             return None
-        if bad.any():
-            row = int(np.argmax(bad))
-            cell = str(cells[row]).strip()[:40]
-            text = f"'{cell}' is not a number"
-            hint = f"{number_hint(cell)}, or name what marks it under 'missing:' of the mapping"
-            raise InputError(text, file=path, column=name, hint=hint, **table.place(row))
+        values = found
     numbers = values.astype(float, copy=False)
     marks = [mark for mark in missing if isinstance(mark, int | float)]
     return np.where(np.isin(numbers, marks), np.nan, numbers) if marks else numbers
@@ -717,8 +709,7 @@ def _parsed(
 #: Maximum fraction of samples that arrive late, and maximum number of consecutive late samples. With more
 #: late samples, the clock is taken to have been reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
-#: Words of the summary for each kind of rows out of order, by the attribute of :class:`Order` that counts
-#: these rows.
+#: Words of the summary for each kind of rows out of order.
 ODD_ROWS = {
     "untimed": "without a time left out",
     "repeated": "repeated left out",
@@ -735,34 +726,17 @@ class Order:
     ----------
     index : ndarray of int, shape (m,)
         Numbers of the rows that are kept, sorted by time.
-    untimed : int
-        Number of rows without a time, which are left out.
-    repeated : int
-        Number of rows equal to an earlier row at the same time, which are left out.
-    clashing : int
-        Number of rows with other values at the time of an earlier row, which are left out.
-    late : int
-        Number of rows that follow a row with a later time, and that are moved to the place of their time.
+    counts : dict of str to int
+        Number of rows of each kind in :data:`ODD_ROWS`: rows without a time, rows equal to an earlier row at
+        the same time, rows with other values at the time of an earlier row (all left out), and rows that
+        follow a row with a later time (moved to the place of their time).
     reset_row : int or None
         Row at which the clock was reset, or None. A record with a reset clock cannot be sorted by time.
     """
 
     index: NDArray[np.int64]
-    untimed: int = 0
-    repeated: int = 0
-    clashing: int = 0
-    late: int = 0
+    counts: dict[str, int]
     reset_row: int | None = None
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Number of rows out of order, by kind (key of :data:`ODD_ROWS`)."""
-        return {name: getattr(self, name) for name in ODD_ROWS}
-
-    @property
-    def changed(self) -> bool:
-        """Whether any row is left out or moved."""
-        return any(self.counts.values())
 
     @property
     def summary(self) -> str:
@@ -788,18 +762,20 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     log does not show which times are right.
     """
     index = np.flatnonzero(np.isfinite(time_s))
-    times, untimed = time_s[index], len(time_s) - len(index)
+    times = time_s[index]
+    counts = dict.fromkeys(ODD_ROWS, 0) | {"untimed": len(time_s) - len(index)}
     if np.all(np.diff(times) > 0):
-        return Order(index, untimed)
+        return Order(index, counts)
     behind = times < np.maximum.accumulate(times)
-    late = int(behind.sum())
+    late = counts["late"] = int(behind.sum())
     if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
-        return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
+        return Order(index, counts, int(index[np.argmax(behind)]))
     import pandas as pd
 
     rows = pd.DataFrame({**columns, TIME: time_s}).iloc[index].sort_values(TIME, kind="stable")
-    again, repeated = rows.duplicated(TIME), int(rows.duplicated().sum())
-    return Order(rows.index[~again].to_numpy(), untimed, repeated, int(again.sum()) - repeated, late)
+    again, counts["repeated"] = rows.duplicated(TIME), int(rows.duplicated().sum())
+    counts["clashing"] = int(again.sum()) - counts["repeated"]
+    return Order(rows.index[~again].to_numpy(), counts)
 
 
 # ---------------------------------------------------------------- draft of a mapping
