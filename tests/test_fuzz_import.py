@@ -28,7 +28,6 @@ KINDS = {
     "mat 7.3": "",
     "parquet": "",
     "mcap": "/pose",
-    "ulog": "",
 }
 
 
@@ -75,7 +74,6 @@ def test_arbitrary_files(ending: str, folder: Path) -> None:
         b"\x89HDF\r\n\x1a\n",
         b"PAR1",
         b"\x89MCAP0\r\n",
-        b"ULog\x01\x12\x35",
         b'{"',
     ]
 

@@ -643,7 +643,7 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
 
 
 def _coordinates(columns: Mapping[str, Array]) -> list[Array]:
-    """Return the first two coordinates of a track, or its single coordinate; an empty list without a track."""
+    """Return the first two coordinates of a track, or its single coordinate, or an empty list."""
     for unit in ("m", "px"):
         names = [name for name in (f"x_{unit}", f"y_{unit}", f"z_{unit}") if name in columns]
         if names:

@@ -19,7 +19,6 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import chain
@@ -269,7 +268,8 @@ class Peek:
         InputError
             The file cannot be read.
         """
-        return cls(path, first_bytes(path, 1 << 14))
+        with file_errors(path), path.open("rb") as stream:
+            return cls(path, stream.read(1 << 14))
 
     @cached_property
     def lines(self) -> list[str]:
@@ -311,7 +311,7 @@ class Format:
         Name of the format in messages.
     open : callable
         Function ``open(path, options, select) -> Table``. ``select`` is the track, topic, struct or group to
-        read, or None. :func:`reading` converts the exceptions of a library to an :class:`InputError`.
+        read, or None. :func:`open_table` converts the exceptions of a library to an :class:`InputError`.
     recognises : callable, optional
         Function ``recognises(peek) -> bool``. It returns whether the content of a file is known, so that its
         columns can be named as in the log format. Without this function the format is recognised by the first
@@ -336,30 +336,6 @@ class Format:
 def is_text(values: NDArray[Any]) -> bool:
     """Return whether a column holds text."""
     return values.dtype.kind in "USO"
-
-
-def first_bytes(path: Path, count: int) -> bytes:
-    """Return the beginning of a file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    """
-    with file_errors(path), path.open("rb") as stream:
-        return stream.read(count)
-
-
-@contextmanager
-def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
-    """Convert each exception of a library to an :class:`InputError`: the file is no readable ``title``."""
-    try:
-        with extra_needed(f"reading this {title}", extra, file=path):
-            yield
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"is no readable {title}: {first_line(error)}", file=path) from error
 
 
 def flat(
@@ -593,13 +569,16 @@ def open_table(
     path = Path(given)
     found = find_format(path, kind)
     try:
-        with reading(path, found.title, found.extra):
+        with extra_needed(f"reading this {found.title}", found.extra, file=path):
             table = found.open(path, options or Options(), select)
-    except InputError as error:
-        if error.hint is None and found.recognises is not None:
+    except Exception as error:
+        refused = InputError(f"is no readable {found.title}: {first_line(error)}", file=path)
+        if isinstance(error, InputError):
+            refused = error
+        if refused.hint is None and found.recognises is not None:
             hint = f"the file is read as a {found.title}; --as names another format"
-            error.hint = in_words_of_the_caller(hint)
-        raise
+            refused.hint = in_words_of_the_caller(hint)
+        raise refused from error
     if not table.columns:
         raise InputError("holds no samples", file=path)
     if found.recognises is not None:
