@@ -603,10 +603,10 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
         Components of the oscillation: ``sway`` across the averaged path and ``surge`` along this path. For a
         body that stays in place, ``long_axis`` and ``short_axis``. Empty without a track.
     """
-    coordinates = _coordinates(columns)
-    if not coordinates:
+    axes = _coordinates(columns)
+    if not axes:
         return {}
-    place = np.column_stack(coordinates)
+    place = np.column_stack(axes)
     there = np.isfinite(place).all(axis=1)
     if there.sum() < 16 or not np.ptp(place[there], axis=0).any():
         return {}
@@ -642,13 +642,15 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
     return middles[line] + slopes[line] * beyond[:, None], slopes[line]
 
 
+def coordinates(columns: Mapping[str, Array]) -> list[str]:
+    """Return the names of the coordinates of a track: in metres if the log has them, else in pixels."""
+    metres, pixels = ([n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px"))
+    return metres or pixels
+
+
 def _coordinates(columns: Mapping[str, Array]) -> list[Array]:
     """Return the first two coordinates of a track, or its single coordinate, or an empty list."""
-    for unit in ("m", "px"):
-        names = [name for name in (f"x_{unit}", f"y_{unit}", f"z_{unit}") if name in columns]
-        if names:
-            return [columns[name] for name in names[:2]]
-    return []
+    return [columns[name] for name in coordinates(columns)[:2]]
 
 
 def find_stroke(
@@ -759,11 +761,11 @@ def _motions(
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
     """Return whether the path makes one lap per period of a frequency."""
-    coordinates = _coordinates(columns)
-    if len(coordinates) < 2:
+    axes = _coordinates(columns)
+    if len(axes) < 2:
         return False
-    there = np.isfinite(coordinates).all(axis=0)
-    x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in coordinates)
+    there = np.isfinite(axes).all(axis=0)
+    x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in axes)
     if len(x) != len(y):
         return False
     less, more = sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
@@ -795,9 +797,9 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
     signals = {name: _unwrap(name, columns[name]) for name in names}
-    coordinates = _coordinates(columns)
-    if coordinates and not driven:
-        place = np.column_stack(coordinates)
+    axes = _coordinates(columns)
+    if axes and not driven:
+        place = np.column_stack(axes)
         there = np.isfinite(place).all(axis=1)
         if there.sum() > 2:
             line = np.polynomial.polynomial.polyfit(time_s[there], place[there], 1)
@@ -861,12 +863,12 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
     """Return the reason why no stroke is found, and the frequency of a slow motion, Hz, or None."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
     slow = find_slowest(time_s, columns)
-    slow_hz, laps, coordinates = None, [], _coordinates(columns)
+    slow_hz, laps, axes = None, [], _coordinates(columns)
     if slow is not None:
         slow_hz = slow[1].frequency_hz
         laps = [slow_hz]
-    elif len(coordinates) > 1:
-        laps = [beat.frequency_hz for v in coordinates for beat in find_beats(*_prepared(time_s, v))]
+    elif len(axes) > 1:
+        laps = [beat.frequency_hz for v in axes for beat in find_beats(*_prepared(time_s, v))]
     for frequency_hz in laps:
         if _is_lap(time_s, columns, frequency_hz):
             text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"

@@ -7,6 +7,7 @@ they are mirrored to each other. Each column still looks plausible, but a model 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -65,19 +66,17 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     time = columns[TIME]
     found: list[Comparison] = []
     for name, values in columns.items():
-        stem, _, unit = name.rpartition("_")
-        unit = f"{stem.rpartition('_')[2]}_{unit}"
-        stem = name.removesuffix(f"_{unit}")
-        if unit not in ("m_s", "rad_s", "px_s"):
+        hit = re.fullmatch(r"(.+)_(m|rad|px)_s", name)
+        if hit is None or hit[1] in ("u", "v", "w"):
             continue
-        pose = unit.removesuffix("_s")
+        stem, pose = hit.groups()
         of = stem.removesuffix("_rate")
         if len(stem) == 2:
             of = of.removeprefix("v")
         against = f"{of}_{pose}"
         if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
             against = "yaw_rad"
-        if against in columns and stem not in ("u", "v", "w"):
+        if against in columns:
             motion = columns[against]
             if pose == "rad":
                 motion = np.unwrap(motion)

@@ -120,8 +120,6 @@ def import_log(
 
 # ---------------------------------------------------------------- examination
 
-METRES = ("x_m", "y_m", "z_m")
-PIXELS = ("x_px", "y_px", "z_px")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 #: Columns of ``swimid track`` with a pose before smoothing, and columns of a pose or of its rates of change.
 _RAW = re.compile(r"(x|y|z|yaw|pitch|roll)_raw_(.+)")
@@ -179,7 +177,7 @@ class Examined:
     @property
     def unit(self) -> str:
         """Unit of the track: m or px."""
-        return "px" if set(_track(self.log.columns)) & set(PIXELS) else "m"
+        return "px" if {"x_px", "y_px", "z_px"} & set(beat.coordinates(self.log.columns)) else "m"
 
     @property
     def done(self) -> str:
@@ -208,7 +206,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         warn("SWM057", f"{name}: rows {order.summary}")
     uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
-    coordinates, known = _track(columns), _measured(columns)
+    coordinates, known = beat.coordinates(columns), _measured(columns)
     cleaned = options.clean
     if cleaned is None:
         cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
@@ -286,11 +284,6 @@ def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
         columns[name] = columns[name][rows]
 
 
-def _track(columns: dict[str, Array]) -> list[str]:
-    """Return the names of the track's columns: in metres if the log has them, else in pixels."""
-    return [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
-
-
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
     """Return a doubt for each angle that oscillates over more than 180 degrees, which no joint can."""
     if stroke is None:
@@ -318,7 +311,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
     warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
     empty = out.copy()
     for column, values in columns.items():
-        if column in (*METRES, *PIXELS, *ANGLES):
+        if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
             columns[column] = np.where(out, np.nan, values)
         elif column != TIME:
             empty &= np.isnan(values)

@@ -98,11 +98,10 @@ def plot(
     records: list[log.Log] = []
     with recorded(repeat=True) as notices:
         for number, given in enumerate(logs, start=1):
-            if isinstance(given, str | Path):
-                records.append(log.read(given))
-            else:
-                name = f"log {number}" if len(logs) > 1 else "log"
-                records.append(log.of(given, name=name))
+            name = "log"
+            if len(logs) > 1:
+                name = f"log {number}"
+            records.append(log.of(given, name=name))
         figures = figures_of(records)
     proof = Evidence(
         command="plot",

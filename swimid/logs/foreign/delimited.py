@@ -146,11 +146,13 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
         # each line of samples ends with a delimiter, but the line of names does not
         above[-1] = [*above[-1], ""]
-    names = [str(k + 1) for k in range(width)]
-    if above and len(above[-1]) == width:
-        names = _unique(above.pop())
-        if above and options.skip_rows is None:
-            notes.append(f"{kept[first][0] - 1} lines above the samples are not read as samples")
+    levels: list[list[str]] = []
+    # repeated names are completed by the names in the line above
+    while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
+        levels.insert(0, above.pop())
+    if levels and above and options.skip_rows is None:
+        notes.append(f"{kept[first][0] - 1} lines above the samples are not read as samples")
+    names = _names(levels, width)
     known = [{*column} - {*MISSING, *map(str, options.missing)} for column in zip(*samples, strict=True)]
     numbers = [all(_value(cell, decimal) is not None for cell in cells) for cells in known]
     return Layout(names, stated, list(compress(names, numbers)), delimiter, decimal, kept[first][0])
@@ -209,17 +211,37 @@ def _differ(cells: list[str]) -> bool:
     return len(set(filled)) == len(filled)
 
 
-def _unique(header: list[str]) -> list[str]:
-    """Return a unique name for each column: ``x``, ``x (2)``, ``column 3``."""
+def _names(levels: list[list[str]], width: int) -> list[str]:
+    """Return a unique name for each column: ``x``, ``x (2)``, ``column 3``; numbers if there is no header.
+
+    A table may have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. The empty
+    cells to the right of a name repeat this name. A line that is equal in all columns is left out.
+    """
+    if not levels:
+        return [str(k + 1) for k in range(width)]
+    telling = [row for row in map(_fill, levels[:-1]) if len(set(row[1:])) > 1]
+    joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
+    if len(levels) > 1:
+        # the cells of the first column name the levels; in a table of DeepLabCut this column counts the
+        # frames
+        joined[0] = levels[-1][0].replace("coords", "") or "frame"
     names: list[str] = []
-    for at, name in enumerate(header, start=1):
-        again = header[:at].count(name)
+    for at, name in enumerate(joined, start=1):
+        again = joined[:at].count(name)
         if not name:
             name = f"column {at}"
         elif again > 1:
             name += f" ({again})"
         names.append(name)
     return names
+
+
+def _fill(cells: list[str]) -> list[str]:
+    """Return the cells of a line; each empty cell is replaced by the cell before it."""
+    filled = [""]
+    for cell in cells:
+        filled.append(cell or filled[-1])
+    return filled[1:]
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
