@@ -99,8 +99,8 @@ class Time(Stated):
     frame: ColumnKey | None = None
     #: Unit of the source column, or a list with the unit of each source column.
     unit: str | list[str] = "s"
-    #: Rate of the rows or frames, Hz, or the name of the single number in the file that states this rate.
-    rate_hz: PositiveFloat | str | None = None
+    #: Rate of the rows or frames, Hz.
+    rate_hz: PositiveFloat | None = None
     #: Format of dates for ``datetime.strptime``, if they are not ISO 8601.
     format: str | None = None
     #: Value at which the time counter restarts from 0, in the unit of the source column.
@@ -439,8 +439,6 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
             text = f"states its times in {sources[TIME]}: a sample rate contradicts them"
             raise InputError(text, file=path, hint="leave the rate out")
         return None
-    if time is None and has_frames and "rate_hz" in table.scalars:
-        time = Time(rate_hz="rate_hz")
     if time is None:
         hint = "add --rate-hz with the frames per second of the film, as in --rate-hz 30"
         raise InputError("states neither times nor a frame rate", file=path, hint=hint)
@@ -614,7 +612,7 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
     factors = [unit_factor(unit, TIME) for unit in time.units_of_sources]
     if time.rate_hz is not None:
         parts = [_frames(table, name, path) for name in names] or [np.arange(rows, dtype=float)]
-        factors = [1.0 / _rate(time.rate_hz, table, path)]
+        factors = [1.0 / time.rate_hz]
     elif any(is_text(part) for part in parts):
         # text of times of day is already converted to seconds
         parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
@@ -636,17 +634,6 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
     return np.where(known, total, np.nan)
-
-
-def _rate(given: float | str, table: Table, path: Path) -> float:
-    if not isinstance(given, str):
-        return given
-    rate = table.scalars.get(given, np.nan)
-    if not 0 < rate < np.inf:
-        known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
-        hint = f"single numbers in it: {known or 'none'}"
-        raise InputError(f"holds no positive number '{given}' for the rate", file=path, hint=hint)
-    return rate
 
 
 def _frames(table: Table, name: str, path: Path) -> Array:
@@ -884,7 +871,7 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
 def _of_profile(table: Table) -> list[str]:
     """Return the lines of the draft for a file of a known format."""
     lines = [f"as: {table.profile}"]
-    if TIME not in table.columns and "rate_hz" not in table.scalars:
+    if TIME not in table.columns:
         lines.append(_line("time", {"rate_hz": ASK}, "frames per second of the film"))
     names = [name for name in table.columns if name not in (TIME, "frame")]
     return [*lines, f"# columns of the log, which 'columns:' may choose and rename: {', '.join(names)}"]
