@@ -1,7 +1,8 @@
-"""Beat frequency of one channel of a log, and the stroke of a swimmer from all channels of a log."""
+"""Beat frequency of one channel, stroke of a swimmer from all channels, and course averaged over strokes."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -921,3 +922,123 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
     if known.sum() < 16 or np.ptp(even[known]) == 0:
         return np.empty(0), np.empty(0)
     return time, even
+
+
+# ---------------------------------------------------------------- course and heading
+
+#: Minimum number of windows in which the course is compared with the heading.
+MIN_COURSE_WINDOWS = 8
+#: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
+#: 1995, JASA 90).
+VERY_STRONG = math.log(150.0)
+#: Maximum drift angle of a hull in its tightest turn, rad (Fossen 2011, *Handbook of Marine Craft
+#: Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle between direction of travel and heading is
+#: taken for an error of the columns.
+LARGEST_SLIP = math.radians(30.0)
+
+
+@dataclass(frozen=True)
+class Course:
+    """Difference between the direction of travel (course) and the heading, over windows of tracks.
+
+    Attributes
+    ----------
+    slip_rad : float
+        Mean of course minus heading, rad, -pi to pi.
+    spread_rad : float
+        Circular standard deviation of course minus heading, rad.
+    mirrored : bool
+        Whether the course follows minus the heading, and not the heading.
+    """
+
+    slip_rad: float
+    spread_rad: float
+    mirrored: bool
+
+
+def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
+    """Compare the direction of travel (course) with the heading, in tracks seen by one camera.
+
+    Parameters
+    ----------
+    tracks : iterable of (t, x, y, heading)
+        Each shape (n,), in s, m, m and rad; NaN where missing.
+    window_s : float
+        Length of a window, s: at least one stroke, so that the oscillation of the body averages out.
+
+    Returns
+    -------
+    Course or None
+        None if fewer than :data:`MIN_COURSE_WINDOWS` windows have more advance than sway.
+    """
+    pairs = [pair for track in tracks for pair in _windows(*track, window_s)]
+    if len(pairs) < MIN_COURSE_WINDOWS:
+        return None
+    course, heading = np.array(pairs).T
+    along, against = np.mean(course * heading.conj()), np.mean(course * heading)
+    spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
+    evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
+    mirrored = bool(evidence > VERY_STRONG and spread > LARGEST_SLIP)
+    return Course(float(np.angle(along)), spread, mirrored)
+
+
+def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
+    """Return whether the course follows the heading only if the headings are interpreted as degrees.
+
+    Tracks that all have the same course do not show this; the result is then False.
+
+    Parameters
+    ----------
+    tracks, window_s
+        The arguments of :func:`compare_course`.
+    """
+    tracks = list(tracks)
+    turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
+    plain, found = compare_course(tracks, window_s), compare_course(turned, window_s)
+    # circular standard deviation of the course itself
+    still = compare_course([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
+    if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
+        return False
+    follows = found.spread_rad < LARGEST_SLIP and abs(found.slip_rad) < LARGEST_SLIP
+    return follows and still.spread_rad > LARGEST_SLIP
+
+
+def _windows(
+    time: Array, x: Array, y: Array, heading: Array, window_s: float
+) -> list[tuple[complex, complex]]:
+    """Return unit vectors of course and mean heading, for each window with more advance than sway."""
+    there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
+    if there.sum() < 3:
+        return []
+    time, path, heading = time[there], (x + 1j * y)[there], heading[there]
+    numbers = (time - time[0]) // window_s
+    pairs = []
+    for window in (numbers == number for number in np.unique(numbers)):
+        t, place, span = time[window], path[window], np.ptp(time[window])
+        if len(t) < 3 or span < 0.5 * window_s:
+            continue
+        slope, level = np.polyfit(t, place, 1)
+        sway = np.sqrt(np.mean(np.abs(place - slope * t - level) ** 2))
+        mean = np.mean(np.exp(1j * heading[window]))
+        if abs(slope) * span > 2.0 * sway and abs(mean) > 0.5:
+            pairs.append((complex(slope / abs(slope)), complex(mean / abs(mean))))
+    return pairs
+
+
+def _likelihood(length: float, count: int) -> float:
+    """Return the maximum log-likelihood of ``count`` angles under a von Mises distribution.
+
+    ``length`` is the mean resultant length of the angles.
+    """
+    from scipy.special import i0e
+
+    length = min(length, 1.0 - 1e-6)
+    # maximum-likelihood estimate of the concentration: Fisher 1993, *Statistical Analysis of Circular Data*,
+    # 4.5.5
+    if length < 0.53:
+        kappa = 2 * length + length**3 + 5 * length**5 / 6
+    elif length < 0.85:
+        kappa = -0.4 + 1.39 * length + 0.43 / (1 - length)
+    else:
+        kappa = 1 / (length**3 - 4 * length**2 + 3 * length)
+    return count * (kappa * length - kappa - math.log(i0e(kappa)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,16 @@ from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.logs import beat, log, mapping, sampling, tracks
 from swimid.logs.beat import Rhythm, contradiction
-from swimid.logs.consistency import Comparison, compare_columns
-from swimid.logs.foreign import quantity_of
-from swimid.logs.log import TIME, Doubt, Log, LogLike, runs
+from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
+from swimid.logs.log import TIME, Doubt, Log, LogLike
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
 from swimid.logs.sampling import (
     LONG_ENOUGH,
-    NEAR_ROUNDED,
     SET,
     find_frozen,
-    has_levels,
     may_freeze,
-    rounding_ratio,
     usual_step,
 )
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
@@ -341,88 +337,6 @@ def _measured(columns: dict[str, Array]) -> dict[str, Array]:
         return columns
     pose = {name: raw.get(name, values) for name, values in columns.items() if _OF_POSE.fullmatch(name)}
     return columns | {name: np.where(bridged == 1, np.nan, values) for name, values in pose.items()}
-
-
-# ---------------------------------------------------------------- channels that are no measurement
-
-#: Minimum distance of an outlying value (a code for missing samples, or an error) from all other values,
-#: divided by the range of the other values.
-FAR = 10.0
-#: Minimum number of consecutive samples at the largest or smallest value, and minimum number of such runs, of
-#: a channel that is saturated.
-CUT_SAMPLES, CUT_TIMES = 3, 3
-#: Relative tolerance of the increments of a column that counts the rows.
-COUNT_RTOL = 1e-6
-#: Two names of the yaw rate. Columns with these names may be equal.
-SYNONYMS = {"wz_rad_s", "yaw_rate_rad_s"}
-
-
-def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -> dict[str, str]:
-    """Return the channels whose values no working sensor gives, each with a description of the fault.
-
-    Such a channel is constant, counts the rows, equals another column, is saturated at a value, or holds a
-    value far from all others. Commands, standard deviations, likelihoods and confidences are not checked, nor
-    are channels with fewer than :data:`LONG_ENOUGH` values.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, each shape (n,)
-        Columns of a log, ``t_s`` among them; NaN where missing.
-    scales : mapping of str to float
-        Factor from the values in the file to the values of each column.
-
-    Examples
-    --------
-    >>> t = np.arange(50) / 10
-    >>> find_unmeasured({"t_s": t, "depth_m": 0 * t + 1.2}, {})
-    {'depth_m': 'holds one value in every sample (1.2)'}
-    """
-    found: dict[str, str] = {}
-    earlier: dict[str, Array] = {}
-    for name, values in columns.items():
-        known = values[np.isfinite(values)]
-        if len(known) < LONG_ENOUGH or SET.fullmatch(name) or quantity_of(name) is None:
-            continue
-        equal = [other for other, same in earlier.items() if np.array_equal(values, same, equal_nan=True)]
-        copied = [other for other in equal if {name, other} != SYNONYMS]
-        steps = np.diff(known) / scales.get(name, 1.0)
-        if name == TIME:
-            text = ""
-        elif not steps.any():
-            text = f"holds one value in every sample ({known[0]:.6g})"
-        elif copied:
-            text = f"equals {copied[0]} in every sample"
-        elif np.allclose(steps, 1.0, rtol=COUNT_RTOL):
-            text = "counts the rows"
-        else:
-            text = _find_far(known) or _find_cut(known)
-        if text:
-            found[name] = text
-        if "_raw_" not in name:
-            earlier[name] = values
-    return found
-
-
-def _find_far(known: Array) -> str:
-    """Return words that name an extreme value far from all other values; empty if there is none."""
-    for extreme in (known.min(), known.max()):
-        others = known[known != extreme]
-        away = float(np.min(np.abs(others - extreme)))
-        if away > FAR * np.ptp(others) > 0:
-            count = len(known) - len(others)
-            return f"holds {extreme:.6g} in {count} samples, far from all others: missing samples?"
-    return ""
-
-
-def _find_cut(known: Array) -> str:
-    """Return words that name the value at which a channel is saturated; empty if there is none."""
-    if has_levels(known) or rounding_ratio(known) > NEAR_ROUNDED:
-        return ""
-    for extreme in (known.min(), known.max()):
-        held = np.diff(runs(known == extreme)).ravel()
-        if np.count_nonzero(held >= CUT_SAMPLES) >= CUT_TIMES:
-            return f"is cut off at {extreme:.6g}"
-    return ""
 
 
 # ---------------------------------------------------------------- evidence
