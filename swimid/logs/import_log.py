@@ -487,7 +487,8 @@ def _track_checks(found: Examined) -> list[Check]:
     if cleaning.offset_rows:
         jumps += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
     lossy = lost > MAX_JUMPED * seen or not found.cleaned
-    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
+    longest_s = max((end - start for start, end in cleaning.gaps), default=0.0)
+    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(longest_s, 3, 's')}"
     kept, value = f"the track has gaps ({gaps}), which are kept", f"{repeats} of {seen} {done}"
     return [
         _check("Repeated pictures", found.cleaned or not repeats, "none kept", held, value),

@@ -170,11 +170,6 @@ class Column(Stated):
             return self.factor
         return self.factor * unit_factor(str(self.unit), self.target)
 
-    @property
-    def is_known(self) -> bool:
-        """Whether the name of the target states its quantity, or the quantity is declared dimensionless."""
-        return self.unit == NO_UNIT or states_quantity(self.target)
-
 
 class Quaternion(Stated):
     """Convention of the attitude quaternion in the file."""
@@ -380,7 +375,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         metadata,
         notes,
         {column.target: (str(column.source), column.scale, column.offset) for column in columns},
-        [column.target for column in columns if not (known or column.is_known)],
+        [c.target for c in columns if not (known or c.unit == NO_UNIT or states_quantity(c.target))],
         table.profile,
         unlikely,
     )

@@ -77,11 +77,6 @@ class Cleaning:
         repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
         return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
 
-    @property
-    def longest_gap_s(self) -> float:
-        """Length of the longest gap, s; 0 without a gap."""
-        return max((end - start for start, end in self.gaps), default=0.0)
-
 
 def clean(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:
     """Find the repeated samples, jumps and gaps of a track.

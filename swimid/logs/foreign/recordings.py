@@ -120,22 +120,17 @@ def _recognises(peek: Peek) -> bool:
     return False
 
 
-def _open(path: Path, select: str | None) -> tuple[Table, str]:
-    """Return the samples and the message type of the selected topic, or of the only topic."""
+def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
     topics = _topics(path)
     topic = choose(select, list(topics), "topic", path)
-    return open_table(path, select=topic), topics[topic]
-
-
-def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
-    table, kind = _open(path, select)
+    table = open_table(path, select=topic)
     stamp = table.columns.get("header.stamp")
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
         stamp = table.columns["log_time"]
         table.notes.append("its messages have no stamps; the times are those of the recorder")
     nanoseconds = stamp.astype("datetime64[ns]").astype(np.int64)
     table.metadata["first_stamp_s"] = float(nanoseconds[0]) * 1e-9
-    columns = renamed(table, FIELDS[kind] or _joints(table))
+    columns = renamed(table, FIELDS[topics[topic]] or _joints(table))
     time_s = (nanoseconds - nanoseconds[0]) * 1e-9
     return replace(table, columns={TIME: time_s, **with_angles(columns)})
 
