@@ -564,17 +564,18 @@ def open_table(
         return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
     path = Path(given)
     found = find_format(path, kind)
+    hint = None
+    if found.recognises is not None:
+        hint = in_words_of_the_caller(f"the file is read as a {found.title}; --as names another format")
     try:
         with extra_needed(f"reading this {found.title}", found.extra, file=path):
             table = found.open(path, options or Options(), select)
+    except InputError as error:
+        error.hint = error.hint or hint
+        raise
     except Exception as error:
-        refused = InputError(f"is no readable {found.title}: {first_line(error)}", file=path)
-        if isinstance(error, InputError):
-            refused = error
-        if refused.hint is None and found.recognises is not None:
-            hint = f"the file is read as a {found.title}; --as names another format"
-            refused.hint = in_words_of_the_caller(hint)
-        raise refused from error
+        text = f"is no readable {found.title}: {first_line(error)}"
+        raise InputError(text, file=path, hint=hint) from error
     if not table.columns:
         raise InputError("holds no samples", file=path)
     if found.recognises is not None:
