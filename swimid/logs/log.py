@@ -173,12 +173,13 @@ class Log:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def line(self, row: int) -> int | None:
+        """Return the line number of a sample in the file; None for Parquet and for a log in memory."""
+        return _line_of(self.path, self.first_line - 1, row) if self.first_line else None
+
     def place(self, row: int) -> dict[str, Any]:
         """Return the line number of a sample, or its row in memory, as an argument of :class:`InputError`."""
-        if self.first_line is None:
-            return {"row": row}
-        # a Parquet file has no lines
-        return {"line": _line_of(self.path, self.first_line - 1, row)} if self.first_line else {}
+        return {"row": row} if self.first_line is None else {"line": self.line(row)}
 
 
 def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
