@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NAMES = {
     # reading of trials, logs, robots and results
     "load": "swimid.api",
-    "load_result": "swimid.results.kinds",
+    "load_result": "swimid.results.result",
     "read_log": "swimid.api",
     "read_robot": "swimid.api",
     "built_in_robots": "swimid.api",

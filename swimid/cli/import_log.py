@@ -8,8 +8,8 @@ from pathlib import Path
 from swimid.cli.options import ImportLogOptions
 from swimid.errors import UsageError
 from swimid.logs import import_log as logs
+from swimid.notices import Progress, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
 from swimid.results import evidence
 from swimid.results.result import Result
 

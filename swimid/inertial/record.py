@@ -20,8 +20,7 @@ from swimid.logs import log, mapping, tracks
 from swimid.logs.kinematics import angles, from_angles, with_angles
 from swimid.logs.log import Log
 from swimid.logs.sampling import usual_step
-from swimid.notices import warn
-from swimid.progress import Progress
+from swimid.notices import Progress, warn
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -23,10 +23,9 @@ from swimid.logs import log, mapping
 from swimid.logs.kinematics import angles
 from swimid.logs.log import Log, LogLike
 from swimid.logs.tracks import Logged
-from swimid.notices import Notice, recorded, warn
+from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks
+from swimid.results import evidence as ev
 from swimid.results.evidence import (
     Check,
     Evidence,
@@ -183,7 +182,7 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
         checks=checks,
         tables=_tables(run),
         figures=_figures(run),
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=_methods(run),
         references=references,
         provenance=provenance,
@@ -374,7 +373,7 @@ def _answer(run: Run) -> str:
 
 def _tables(run: Run) -> list[Table]:
     moved = run.motion
-    rows: list[list[blocks.Cell]] = []
+    rows: list[list[ev.Cell]] = []
     if run.fused is not None:
         offset = run.fused.offset
         rows.append(["clock offset (ms)", 1e3 * offset.value_s, 1e3 * BAND * offset.stderr_s])
@@ -447,7 +446,7 @@ def _panels(
     panels = []
     for k, name in enumerate(names):
         x, y = t[every], values[every, k]
-        traces = [blocks.band(x, y, BAND * sds[every, k], label="estimate", group=0)]
+        traces = [ev.band(x, y, BAND * sds[every, k], label="estimate", group=0)]
         if fixes and run.poses is not None and run.fused is not None:
             seen = slice(None, None, max(len(run.poses.time_s) // N_DRAWN, 1))
             x, y = run.poses.time_s[seen] + run.fused.offset.value_s, run.poses.position[seen, k]

@@ -28,10 +28,10 @@ from swimid.logs.sampling import (
     usual_step,
 )
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
-from swimid.notices import Notice, recorded, warn
+from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
+from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.evidence import POSSIBLE, Check, Evidence, Table, check, judged
 
 Array = NDArray[np.float64]
@@ -379,7 +379,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         checks=checks,
         tables=_tables(found),
         figures=shown,
-        notices=blocks.notices([*notices, *drawn]),
+        notices=ev.notices([*notices, *drawn]),
         methods=METHODS,
         references=[] if found.cleaning is None else REFERENCES,
         provenance=origin,

@@ -37,8 +37,7 @@ from swimid.logs.foreign import (
 )
 from swimid.logs.kinematics import AXES, rearranged
 from swimid.logs.log import TIME, Log, LogLike, cells_to_numbers, longest_run, metadata_of, written_by
-from swimid.notices import warn
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent, warn
 from swimid.results.result import Result
 
 Array = NDArray[np.float64]

@@ -19,7 +19,8 @@ from swimid.logs.options import PlotOptions
 from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import recorded, warn
 from swimid.options import takes
-from swimid.results import blocks, drawing, numbers
+from swimid.results import drawing, numbers
+from swimid.results import evidence as ev
 from swimid.results.evidence import MAX_POINTS, Evidence, Figure, Mark, Panel, Span, Trace, Verdict, thinned
 from swimid.results.result import Result
 
@@ -109,7 +110,7 @@ def plot(
         verdict=Verdict(level="good", text="Drawn as logged, nothing judged."),
         facts={record.name: f"{len(record)} samples" for record in records},
         figures=figures,
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
     )
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
     drawn = Drawn("plot", "", data, evidence=proof, document=records)
@@ -235,7 +236,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
         return None
     title = {"y_m": "Path from above", "z_m": "Path from the side"}[across]
     caption, y_label = "The path, with arrows along the heading.", numbers.column_title(across)
-    return blocks.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
+    return ev.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:

@@ -19,10 +19,9 @@ from swimid.logs import kinematics, log
 from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
 from swimid.logs.tracks import Estimate, Logged
-from swimid.notices import Notice, recorded, warn
+from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, drawing, numbers
+from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.tracking import pose, quality, reader
 from swimid.tracking import setup as setup_format
@@ -197,7 +196,7 @@ def _evaluate(
         tables=[_table(rows, swum.steady)],
         figures=_figures(made, rules, swum),
         images=painter.images(),
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=_methods(rules, made),
         references=REFERENCES,
         provenance=provenance.collect(
@@ -390,14 +389,14 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
 
 def _table(rows: list[Row], steady: bool) -> ev.Table:
     """Return the table of speeds, accelerations and amplitudes with their intervals; angles in degrees."""
-    shown: list[dict[str, blocks.Cell]] = []
+    shown: list[dict[str, ev.Cell]] = []
     for key, name, value, kind in rows:
         if value is not None and not (key == "advance_speed" and steady):
             factor, unit = numbers.in_degrees(kind)
             best, low, high = (factor * one for one in astuple(value))
             words = numbers.unit_text(unit)
             shown.append({"quantity": name, "value": best, "95 % from": low, "to": high, "unit": words})
-    return blocks.table(
+    return ev.table(
         "swimming",
         "Speed and stroke",
         shown,
@@ -436,19 +435,17 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
     (x, y), (raw_x, raw_y) = pose.path.position[:, every], pose.raw[:, every]
 
     def over_time(label: str, traces: Sequence[ev.Trace], marks: Sequence[ev.Mark] = ()) -> ev.Panel:
-        return blocks.panel("time (s)", label, traces, spans=spans, marks=list(marks))
+        return ev.panel("time (s)", label, traces, spans=spans, marks=list(marks))
 
     def measured_and_smoothed(
         label: str, values: Smoothed, row: int, raw: Array, factor: float = 1.0
     ) -> ev.Panel:
         smooth, sd = factor * values.position[row, every], factor * values.position_sd[row, every]
-        marks = blocks.apart(t[every], raw)
+        marks = ev.apart(t[every], raw)
         measured = ev.Trace(
             x=t[every][marks], y=factor * raw[marks], label="measured", style="points", group=0
         )
-        return over_time(
-            label, [measured, blocks.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0)]
-        )
+        return over_time(label, [measured, ev.band(t[every], smooth, 1.96 * sd, label="smoothed", group=0)])
 
     coordinates = [
         measured_and_smoothed(f"x ({unit})", pose.path, 0, raw_x),
@@ -481,14 +478,14 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         seen &= (t <= start) | (t >= end)
     curves = {label: ev.Trace(x=t[every], y=np.where(seen, v, np.nan)[every]) for label, v in speeds.items()}
     return [
-        blocks.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
-        blocks.panels(
+        ev.figure("path", "Path", about, f"x ({unit})", f"{up} ({unit})", path, equal_aspect=True),
+        ev.panels(
             "pose",
             "Pose over time",
             "Measured points, thinned, and the smoothed pose; gaps are shaded.",
             coordinates,
         ),
-        blocks.panels(
+        ev.panels(
             "speed",
             "Speeds",
             "Derivatives of the smoothed pose, without gaps. Mean values are taken between the dashed lines.",
