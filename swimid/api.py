@@ -27,7 +27,7 @@ _NAMES_OF = {
     "swimid.tracking.track_setup": ("track_setup",),
     "swimid.inertial.track_imu": ("track_imu",),
     "swimid.logs.import_log": ("import_log",),
-    "swimid.logs.guess_mapping": ("guess_mapping",),
+    "swimid.logs.mapping": ("guess_mapping",),
     # identification
     "swimid.rig.fit_drag": ("fit_drag",),
     "swimid.propulsion.fit_propulsion": ("fit_propulsion",),
@@ -49,7 +49,7 @@ _NAMES_OF = {
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),
     "swimid.logs.plot": ("plot",),
-    "swimid.logs.logged": ("Logged",),
+    "swimid.logs.tracks": ("Logged",),
     # classes for models and effects of the user, errors and warnings
     "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),
     "swimid.effects.base": ("Effect",),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from swimid.logs import log
-from swimid.logs.logged import Logged
+from swimid.logs.tracks import Logged
 from swimid.results.evidence import (
     Check,
     Evidence,

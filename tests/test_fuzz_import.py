@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from swimid.errors import SwimidError
 from swimid.logs import mapping
 from swimid.logs.foreign import open_table
-from swimid.logs.guess_mapping import guess_mapping
+from swimid.logs.mapping import guess_mapping
 from swimid.notices import SwimidWarning
 from tests.conftest import Ran
 from tests.test_fuzz_readers import _ends_in_order, examples, mutated, rewritten
@@ -28,7 +28,6 @@ KINDS = {
     "mat 7.3": "",
     "parquet": "",
     "mcap": "/pose",
-    "ulog": "",
 }
 
 
@@ -75,7 +74,6 @@ def test_arbitrary_files(ending: str, folder: Path) -> None:
         b"\x89HDF\r\n\x1a\n",
         b"PAR1",
         b"\x89MCAP0\r\n",
-        b"ULog\x01\x12\x35",
         b'{"',
     ]
 

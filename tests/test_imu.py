@@ -17,7 +17,7 @@ from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import Record, find_rests, integrated_attitude, measure_noise, prepare
 from swimid.inertial.smoother import at_reference
 from swimid.inertial.track_imu import compute_by_paper
-from swimid.logs.rotation import angles, from_angles
+from swimid.logs.kinematics import angles, from_angles
 from tests.conftest import Ran
 from tests.generators import imu
 

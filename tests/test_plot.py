@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import log, logged
+from swimid.logs import log, plot
 from tests.conftest import Ran
 from tests.generators.polled_camera import polled
 
@@ -50,7 +50,7 @@ def test_no_colour_stands_for_a_role_in_a_picture(camera: Path, swimid: Run, tmp
 
 
 def test_gaps_are_shaded_and_not_drawn_across(camera: Path) -> None:
-    figure = logged.channels([log.read(camera)])
+    figure = plot.channels([log.read(camera)])
     panel = figure.panels[0]
     assert [span.end - span.start for span in panel.spans] == pytest.approx([2.0], abs=0.1)
     gap = panel.spans[0]
@@ -60,7 +60,7 @@ def test_gaps_are_shaded_and_not_drawn_across(camera: Path) -> None:
 
 def test_arrows_point_along_the_heading(camera: Path) -> None:
     record = log.read(camera)
-    figure = logged.track([record])
+    figure = plot.track([record])
     assert figure is not None
     arrows = next(trace for trace in figure.panels[0].traces if trace.style == "arrows")
     assert arrows.x[0] == record["x_m"][0]
@@ -70,7 +70,7 @@ def test_arrows_point_along_the_heading(camera: Path) -> None:
 
 
 def test_the_stroke_is_marked(camera: Path) -> None:
-    figures = logged.figures_of([log.read(camera)])
+    figures = plot.figures_of([log.read(camera)])
     spectra = next(figure for figure in figures if figure.id.startswith("spectra"))
     marks = spectra.panels[0].marks
     assert marks[0].label == "stroke"
@@ -80,7 +80,7 @@ def test_the_stroke_is_marked(camera: Path) -> None:
 def test_two_sensors_of_one_trial(camera: Path, imu: Path, swimid: Run, tmp_path: Path) -> None:
     ran = swimid("plot", imu, camera, "-o", tmp_path / "both.svg")
     assert ran.status == 0, ran.err
-    figure = logged.channels([log.read(imu), log.read(camera)])
+    figure = plot.channels([log.read(imu), log.read(camera)])
     assert figure.panels[0].y_label == "yaw (rad)"
     assert [trace.label for trace in figure.panels[0].traces] == ["imu.csv", "camera.csv"]
     assert [span.label for span in figure.panels[0].spans] == ["missing in camera.csv"]

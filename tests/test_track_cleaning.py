@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swimid.logs import log, rhythm, tracks
+from swimid.logs import beat, log, tracks
 from swimid.logs.sampling import find_held
 from tests.conftest import Ran
 from tests.generators.polled_camera import Polled, polled
@@ -145,17 +145,17 @@ def test_harmonics_and_surge_at_twice_the_stroke(rng: np.random.Generator) -> No
         "yaw_rad": 0.2 * np.sin(phase) + 0.02 * np.sin(3 * phase) + 0.002 * rng.normal(size=2000),
         "u_m_s": 0.2 + 0.05 * np.cos(2 * phase) + 0.002 * rng.normal(size=2000),
     }
-    found = rhythm.find(time, columns)
+    found = beat.find_stroke(time, columns)
     assert found is not None
     assert abs(found.beat.frequency_hz - 1.5) < 4 * found.beat.stderr_hz + 1e-3
-    alone = rhythm.find(time, {"u_m_s": columns["u_m_s"]})
+    alone = beat.find_stroke(time, {"u_m_s": columns["u_m_s"]})
     assert alone is not None
     assert alone.maybe_double
     assert abs(alone.beat.frequency_hz - 3.0) < 0.01
 
 
 def test_noise_has_no_stroke(rng: np.random.Generator) -> None:
-    assert rhythm.find(np.arange(500) / 30, {"yaw_rad": rng.normal(size=500)}) is None
+    assert beat.find_stroke(np.arange(500) / 30, {"yaw_rad": rng.normal(size=500)}) is None
 
 
 # ---------------------------------------------------------------- written faster than measured

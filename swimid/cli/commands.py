@@ -49,7 +49,7 @@ def import_log(
     if options.guess:
         if options.map_path is not None:
             raise UsageError("--guess drafts a mapping, and takes none")
-        from swimid.logs.guess_mapping import guess_mapping
+        from swimid.logs.mapping import guess_mapping
 
         return guess_mapping(file, select=options.select, output=output)
     if output is None:
@@ -118,7 +118,6 @@ OPTIONAL = {
     "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
     "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
     "mcap": "recordings of ROS 2 (pip install 'swimid[mcap]')",
-    "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
     "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
     "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
     "pymoo": "genetic searches (pip install 'swimid[search]')",

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from swimid.errors import NoTrustworthyResult
 from swimid.inertial import record as recording
 from swimid.inertial.record import BAND, Array, Poses, Record, Source, integral, resampled, turns_of
-from swimid.logs.rotation import angles
+from swimid.logs.kinematics import angles
 
 #: Minimum number of samples for a comparison of two logs.
 MIN_SAMPLES = 16

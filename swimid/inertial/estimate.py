@@ -21,7 +21,7 @@ from swimid.inertial import record as recording
 from swimid.inertial.alignment import Offset
 from swimid.inertial.record import BAND, DEG, Array, Finding, Flags, Poses, Sensor, Setup, resampled
 from swimid.inertial.smoother import Nominal, Observation, Smoothed, State, cross_matrix, jacobian
-from swimid.logs.rotation import angles
+from swimid.logs.kinematics import angles
 from swimid.logs.sampling import white_noise_sd
 
 #: Standard deviation, at the first sample, of the quantities that define the origin: position, m, and yaw,

@@ -19,9 +19,9 @@ from swimid.errors import InputError
 from swimid.inertial import record as recording
 from swimid.inertial.record import CHANNELS, DEG, GRAVITY_M_S2, Array, Finding, Flags, Record, turns_of
 from swimid.logs import sampling
+from swimid.logs.kinematics import rearranged
 from swimid.logs.log import runs
 from swimid.logs.mapping import in_order
-from swimid.logs.rotation import rearranged
 
 #: Test of a fault. It returns the record, repaired if the fault was found, and the fault or None. It raises
 #: an InputError for a fault that cannot be repaired.
@@ -78,7 +78,8 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
     The repaired record is in order of time and has the first sample of each repeated time stamp.
     """
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
-    row, gone = order.reset_row, order.untimed + order.repeated + order.clashing
+    row, late = order.reset_row, order.counts["late"]
+    gone = sum(order.counts.values()) - late
     if row is not None:
         text = f"time goes back at t = {record.time_s[row]:g} s (sample {row + 1}) and counts on from there"
         hint = "was the clock reset or wrapped? cut the log there, one file for each piece"
@@ -87,10 +88,10 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
         text = f"{gone} of {len(record)} samples have no time of their own"
         hint = "the stamps are too coarse: give the time with more decimals, or by 'rate_hz' in a mapping"
         raise InputError(text, file=record.name, column="t_s", hint=hint)
-    if not order.changed:
+    if not order.summary:
         return record, None
-    text = f"{gone} samples without a time of their own left out, {order.late} out of order put in place"
-    return record.take(order.index), Finding("repeated stamps", "handled", text, gone + order.late)
+    text = f"{gone} samples without a time of their own left out, {late} out of order put in place"
+    return record.take(order.index), Finding("repeated stamps", "handled", text, gone + late)
 
 
 def find_samples(

@@ -23,8 +23,8 @@ from swimid.files.provenance import path_of
 from swimid.files.tabular import missing_column
 from swimid.inertial.options import TrackImuOptions
 from swimid.logs import log, mapping, tracks
+from swimid.logs.kinematics import angles, from_angles, with_angles
 from swimid.logs.log import Log, runs
-from swimid.logs.rotation import angles, from_angles, with_angles
 from swimid.logs.sampling import usual_step
 from swimid.notices import Progress, warn
 
@@ -140,7 +140,7 @@ class Poses:
     time_s: Array
     #: Position along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
-    #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.rotation.angles`, shape (m, 3); NaN
+    #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.kinematics.angles`, shape (m, 3); NaN
     #: where not measured. A log has all three, or only yaw, or only pitch, or none, and a row has all of them
     #: or none.
     angles: Array

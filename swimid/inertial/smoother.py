@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from swimid.inertial import record as recording
 from swimid.inertial.record import Array, Noise, Record, Sensor, Setup, integral, resampled
-from swimid.logs.rotation import angles
+from swimid.logs.kinematics import angles
 
 #: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
 PARTS = {

@@ -19,10 +19,10 @@ from swimid.inertial.estimate import GATE, MAX_HELD_OUT, MAX_LASTING, MAX_STRAY,
 from swimid.inertial.options import TrackImuOptions
 from swimid.inertial.record import BAND, DEG, GRAVITY_M_S2, Array, Finding, Record, Setup
 from swimid.inertial.smoother import Motion
-from swimid.logs import beat, log, mapping, rhythm
+from swimid.logs import beat, log, mapping
+from swimid.logs.beat import Rhythm
 from swimid.logs.log import Log, LogLike
-from swimid.logs.logged import Logged
-from swimid.logs.rhythm import Rhythm
+from swimid.logs.tracks import Logged
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
@@ -238,7 +238,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
     stated_hz = record.metadata.get("frequency_hz")
     if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
         stated_hz = None
-    stroke, cutoff = rhythm.find(t, readings), LOWEST_HZ
+    stroke, cutoff = beat.find_stroke(t, readings), LOWEST_HZ
     if stroke is not None:
         cutoff = STROKE_SHARE * stroke.beat.frequency_hz
     run = Run(setup, findings, stroke, stated_hz, cutoff, {}, poses)

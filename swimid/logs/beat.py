@@ -1,16 +1,17 @@
-"""Beat frequency of one channel of a log, with its uncertainty."""
+"""Beat frequency of one channel, stroke of a swimmer from all channels, and course averaged over strokes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swimid.logs.log import FREQUENCY_RTOL
-from swimid.logs.sampling import has_levels
+from swimid.logs.sampling import has_levels, longest_even, quantum
 from swimid.notices import warn
 
 Array = NDArray[np.float64]
@@ -105,7 +106,7 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
 
 
 def stated_against_found(
-    trial: str, stated_hz: float, beat: Beat | None, *, used: Literal["measured", "stated"]
+    trial: str, stated_hz: float, beat: Beat | None, consequence: str
 ) -> dict[str, float | str | None]:
     """Return the stated and the found frequency of a trial, Hz, and warn if they contradict each other.
 
@@ -113,20 +114,16 @@ def stated_against_found(
     ----------
     beat : Beat or None
         Beat of the heading.
-    used : {"measured", "stated"}
-        Which of both frequencies the caller uses; the warning names this choice.
+    consequence : str
+        Clause of the warning that says which of both frequencies the caller uses.
     """
-    if beat is None:
-        return {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
-    against = contradiction(beat, stated_hz)
-    if against is not None:
-        last = {
-            "stated": "correct it if it is wrong: it is used",
-            "measured": "the measured frequency is used",
-        }
-        text = f"the heading {against}, the trials file says {stated_hz:g} Hz; {last[used]}"
-        warn("SWM032", f"{trial}: {text}")
-    return {"stated_hz": stated_hz, "found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
+    found: dict[str, float | str | None] = {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
+    if beat is not None:
+        found |= {"found_hz": beat.frequency_hz, "stderr_hz": beat.stderr_hz}
+        if against := contradiction(beat, stated_hz):
+            text = f"the heading {against}, the trials file says {stated_hz:g} Hz; {consequence}"
+            warn("SWM032", f"{trial}: {text}")
+    return found
 
 
 def find_beat(
@@ -378,23 +375,14 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
 
-#: Maximum number of samples of a dense eigenvalue problem, which takes less time than the import of SciPy's
-#: tridiagonal one (0.2 s).
-MAX_DENSE = 400
-
-
 def _slepian_tapers(count: int) -> Array:
     """Return the tapers most concentrated within :data:`BAND` cycles per record, shape (N_TAPERS, count)."""
-    k = np.arange(count)
-    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
-    beside = k[1:] * (count - k[1:]) / 2
-    if count <= MAX_DENSE:
-        dense = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
-        return np.linalg.eigh(dense)[1][:, -N_TAPERS:].T
     from scipy.linalg import eigh_tridiagonal
 
+    k = np.arange(count)
+    diagonal = ((count - 1) / 2 - k) ** 2 * np.cos(2 * np.pi * BAND / count)
     largest = (count - N_TAPERS, count - 1)
-    return eigh_tridiagonal(diagonal, beside, select="i", select_range=largest)[1].T
+    return eigh_tridiagonal(diagonal, k[1:] * (count - k[1:]) / 2, select="i", select_range=largest)[1].T
 
 
 def _no_line(t: Array, x: Array, frequency: float) -> float:
@@ -502,3 +490,555 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
         return np.concatenate([lombscargle(t, x, part) for part in parts])
     count = 1 << int(np.ceil(np.log2(20 * len(x))))
     return np.interp(grid, np.fft.rfftfreq(count, step), np.abs(np.fft.rfft(x, count)) ** 2)
+
+
+# ---------------------------------------------------------------- stroke from all channels
+
+#: Channels that oscillate once per stroke, because they have opposite signs in the two half strokes.
+SIDEWAYS = re.compile(
+    r"(joint|cmd|fin|tail)\w*(?<!_likelihood)(?<!_area_px)|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|"
+    r"pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
+)
+#: Channels that may oscillate twice per stroke, because both half strokes push.
+PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
+#: Channels of the drive. If one of them is logged, its frequency is taken for the stroke frequency.
+DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
+#: Channels returned by :func:`swing` that may oscillate twice per stroke.
+ALONG = ("surge", "long_axis", "short_axis")
+#: Channels of the motion of the body to the side.
+MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
+#: Channels of each kind of motion. Several channels of one kind of motion count once.
+MOTIONS = tuple(
+    re.compile(part)
+    for part in (
+        DRIVEN.pattern,
+        MOVED.pattern,
+        r"yaw_\w+|wz_rad_s",
+        r"roll_rad|wx_rad_s",
+        r"pitch_\w+|wy_rad_s",
+        rf"{PUSHED.pattern}|surge|\w+_axis",
+    )
+)
+#: Columns that are not searched for a stroke: positions (see :func:`swing`), standard deviations, likelihoods
+#: and states.
+NO_MOTION = re.compile(
+    r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*confidence|.*area_px|interpolated|status|frame"
+)
+#: Maximum ratio of the smaller to the larger of the two counter-rotating components of a path that counts as
+#: a lap. For an ellipse with half axes a and b the ratio is (a - b) / (a + b). Below this maximum the
+#: circular part of the ellipse has more power than the linear part.
+MAX_LAP_RATIO = np.sqrt(2.0) - 1.0
+#: Maximum harmonic order of a lap: a rectangular pool has four corners. Maximum harmonic order of a compass
+#: heading under rotation: the compass deviation has one or two periods per rotation (semicircular and
+#: quadrantal deviation).
+MAX_LAP_HARMONIC, MAX_COMPASS_HARMONIC = 4, 2
+#: Maximum frequency of a stroke, Hz. Faster motion is taken for vibration. Bainbridge (J. Exp. Biol. 35,
+#: 1958) found 25 Hz for dace of 5 cm and 20 Hz for dace of 8 cm.
+MAX_STROKE_HZ = 20.0
+#: Maximum sample rate in the search for a beat, Hz. Channels with a higher rate are averaged over blocks of
+#: samples.
+MAX_RATE_HZ = 60.0
+#: Minimum fraction of a channel's samples in its longest gap-free part, for a search in this part only. With
+#: a smaller fraction all samples are used with their gaps, if there are at most ``MAX_SAMPLES``.
+MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
+
+
+@dataclass(frozen=True)
+class Rhythm:
+    """Stroke of one log.
+
+    Attributes
+    ----------
+    beat : Beat
+        Periodic motion of the channel whose frequency has the smallest standard error.
+    channel : str
+        Name of that channel.
+    channels : dict of str to Beat
+        Strongest beat of each channel that has a beat.
+    maybe_double : bool
+        Whether the stroke is seen only in channels that may oscillate twice per stroke, so that the frequency
+        may be twice that of the stroke.
+    rivals : dict of str to Beat
+        Largest beat of each channel whose frequency is no multiple of the stroke frequency. Such a beat
+        contradicts the stroke.
+    """
+
+    beat: Beat
+    channel: str
+    channels: dict[str, Beat]
+    maybe_double: bool
+    rivals: dict[str, Beat] = field(default_factory=dict)
+
+    @property
+    def doubt(self) -> str:
+        """Reason to doubt this stroke, in words; empty if there is no reason."""
+        said = []
+        if self.rivals:
+            others = " and ".join(f"{n} at {b.frequency_hz:.4g} Hz" for n, b in self.rivals.items())
+            said.append(
+                f"{self.channel} beats at {self.beat.frequency_hz:.4g} Hz, {others}, which is no multiple of "
+                "it: one of them is not the stroke but another vibration or sway"
+            )
+        if self.beat.frequency_hz > MAX_STROKE_HZ:
+            said.append(
+                f"{self.beat.frequency_hz:.4g} Hz is faster than robots and all but very small fish beat"
+            )
+        return "; ".join(said)
+
+
+def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict[str, Array]:
+    """Return the oscillation of a track about its averaged path, in the unit of the track.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        Columns with two of ``x_m``, ``y_m``, ``z_m`` (or the same in ``_px``). A single coordinate is
+        returned as ``surge``.
+    share : float
+        Fraction of the samples over which the path is averaged. By default this is one cycle of the slowest
+        stroke that is searched for.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Components of the oscillation: ``sway`` across the averaged path and ``surge`` along this path. For a
+        body that stays in place, ``long_axis`` and ``short_axis``. Empty without a track.
+    """
+    axes = _coordinates(columns)
+    if not axes:
+        return {}
+    place = np.column_stack(axes)
+    there = np.isfinite(place).all(axis=1)
+    if there.sum() < 16 or not np.ptp(place[there], axis=0).any():
+        return {}
+    if place.shape[1] == 1:
+        return {"surge": place[:, 0]}
+    width = max(int(there.sum() * share) | 1, 5)
+    path, tangent = _averaged_path(place[there], width)
+    about = place[there] - path
+    ways = ("surge", "sway")
+    if np.median(np.linalg.norm(tangent, axis=1)) * width < 2.0 * float(np.sqrt(np.mean(about**2))):
+        ways = ("long_axis", "short_axis")
+        tangent = np.broadcast_to(np.linalg.svd(about, full_matrices=False)[2][0], about.shape)
+    tangent = tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    found = {way: np.full(len(place), np.nan) for way in ways}
+    for way, axis in zip(ways, (tangent, normal), strict=True):
+        found[way][there] = np.sum(about * axis, axis=1)
+    return found
+
+
+def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
+    """Return the values and the slopes per sample of lines fitted to ``width`` samples around each sample.
+
+    Within half a window of the ends the values are those of the first and the last complete window's line.
+    """
+    half = width // 2
+    offsets = np.arange(-half, half + 1)
+    middles = np.column_stack([np.convolve(x, np.full(width, 1 / width), "valid") for x in place.T])
+    slopes = np.column_stack([np.correlate(x, offsets / (offsets @ offsets), "valid") for x in place.T])
+    samples = np.arange(len(place))
+    line = np.clip(samples - half, 0, len(middles) - 1)
+    beyond = samples - half - line
+    return middles[line] + slopes[line] * beyond[:, None], slopes[line]
+
+
+def coordinates(columns: Mapping[str, Array]) -> list[str]:
+    """Return the names of the coordinates of a track: in metres if the log has them, else in pixels."""
+    metres, pixels = ([n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px"))
+    return metres or pixels
+
+
+def _coordinates(columns: Mapping[str, Array]) -> list[Array]:
+    """Return the first two coordinates of a track, or its single coordinate, or an empty list."""
+    return [columns[name] for name in coordinates(columns)[:2]]
+
+
+def find_stroke(
+    time_s: Array,
+    columns: Mapping[str, Array],
+    *,
+    range_hz: tuple[float, float] | None = None,
+    stated_hz: float | None = None,
+) -> Rhythm | None:
+    """Find the stroke in the channels of a log; None if no stroke is found.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    columns : mapping of str to ndarray, each shape (n,)
+        Channels with names of the log format; NaN where missing.
+    range_hz : (float, float), optional
+        Range of the search.
+    stated_hz : float, optional
+        Stated frequency of the drive, Hz. If the search over all frequencies finds nothing, a search near
+        this frequency follows, which needs less evidence.
+
+    Notes
+    -----
+    If the drive is logged, the stroke frequency is the frequency of the drive. Otherwise it is the frequency
+    found in most kinds of motion (heading, sway, ...). A motion at twice the frequency also counts, because
+    surge and drag follow both half strokes. If two frequencies are found in equally many kinds of motion, the
+    one that moves the body to the side is chosen: an oscillating heading moves every point except the pivot,
+    but the vibration of a sensor does not move the body.
+
+    The returned frequency is the estimate from the channel with the smallest standard error. Estimates are
+    not averaged, because the channels are not independent. Beats that contradict the stroke are stored in
+    :attr:`Rhythm.rivals`, unless the frequency equals the stated one.
+    """
+    ranges = [range_hz]
+    if stated_hz is not None and range_hz is None:
+        ranges.append(((1 - FREQUENCY_RTOL) * stated_hz, (1 + FREQUENCY_RTOL) * stated_hz))
+    for within in ranges:
+        seen = _motions(time_s, columns, within)
+        pushed = {n: b for n, b in seen.items() if PUSHED.fullmatch(n) or n in ALONG}
+        beats = {n: b for n, b in seen.items() if SIDEWAYS.fullmatch(n)} or seen
+        if not beats:
+            continue
+        chosen = _chosen(beats, beats | pushed)
+        if not within:
+            slow = find_slowest(time_s, columns)
+            if slow is not None and slow[1].may_cause(chosen.frequency_hz):
+                return None
+        is_stated = (
+            stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
+        )
+        # among the channels that beat with the stroke frequency, take the one with the smallest standard
+        # error
+        at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
+        best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
+        channel = min(best, key=lambda name: best[name].stderr_hz)
+        rivals = {}
+        if not is_stated:
+            rivals = _rivals(chosen, beats | pushed)
+        return Rhythm(
+            best[channel],
+            channel,
+            {name: found[0] for name, found in beats.items()},
+            maybe_double=channel in pushed,
+            rivals=rivals,
+        )
+    return None
+
+
+def _motions(
+    time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
+) -> dict[str, list[Beat]]:
+    """Return the beats found in the channels of a log that may move with the stroke.
+
+    Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
+    """
+    channels = {n: _unwrap(n, v) for n, v in columns.items() if not NO_MOTION.fullmatch(n)}
+    channels |= swing(columns)
+    seen = _beats(time_s, channels, within)
+    swings = [b for n in (*ALONG, "sway") for b in seen.get(n, [])]
+    lap = next((b for b in swings if _is_lap(time_s, columns, b.frequency_hz)), None)
+    if lap is not None:
+        track = swing(columns, 0.25 / lap.cycles)
+        rest = {n: b for n, b in seen.items() if n not in (*ALONG, "sway")}
+        channels = {n: v for n, v in channels.items() if n not in (*ALONG, "sway")} | track
+        seen = _beats(time_s, track, within) | rest
+        seen = {
+            n: [b for b in beats if not 1 <= multiple(b, lap) <= MAX_LAP_HARMONIC]
+            for n, beats in seen.items()
+        }
+    for name in seen:
+        turns = _turns(channels[name]) if name.endswith("_rad") else 0.0
+        if turns >= 1.0:
+            turning = Beat(turns / float(np.ptp(time_s)), 0.0, 0.0, 0.0, turns)
+            resolution = 1.0 / float(np.ptp(time_s))
+            seen[name] = [
+                b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= MAX_COMPASS_HARMONIC
+            ]
+        # a rounding error is at most half of the rounding step, and periodic in a steady motion: a beat that
+        # is not larger cannot be distinguished from it
+        measured = _coordinates(columns)
+        if name in columns:
+            measured = [columns[name]]
+        rounding = sum(map(quantum, measured))
+        seen[name] = [b for b in seen[name] if b.amplitude > rounding / 2 * np.sqrt(2.0 * b.share)]
+    return {name: beats for name, beats in seen.items() if beats}
+
+
+def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
+    """Return whether the path makes one lap per period of a frequency."""
+    axes = _coordinates(columns)
+    if len(axes) < 2:
+        return False
+    there = np.isfinite(axes).all(axis=0)
+    x, y = (_phasors(time_s[there], values[there], frequency_hz) for values in axes)
+    if len(x) != len(y):
+        return False
+    less, more = sorted(float(np.mean(np.abs(x + turn * y) ** 2)) for turn in (1j, -1j))
+    return less < MAX_LAP_RATIO**2 * more
+
+
+def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
+    """Return the complex amplitudes of a frequency in windows; in a short record, a single amplitude."""
+    windows = demodulate(t, x, frequency_hz)
+    if windows is not None:
+        return windows[1]
+    design = np.column_stack((np.vander(t - t.mean(), 3), waves(t, frequency_hz)))
+    weights = np.linalg.lstsq(design, x, rcond=None)[0]
+    return np.array([weights[3] - 1j * weights[4]])
+
+
+def _turns(angle: Array) -> float:
+    """Return the number of full rotations from the first to the last sample of an unwrapped angle."""
+    known = angle[np.isfinite(angle)]
+    return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
+
+
+def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
+    """Return the channel whose strongest oscillation has too few cycles for a frequency, and this beat.
+
+    If the drive is logged, only its channels are searched. Otherwise all channels that oscillate to the side
+    are searched, and the track. If several channels qualify, the one with the highest frequency is returned.
+    """
+    driven = [n for n in columns if DRIVEN.fullmatch(n)]
+    names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
+    signals = {name: _unwrap(name, columns[name]) for name in names}
+    axes = _coordinates(columns)
+    if axes and not driven:
+        place = np.column_stack(axes)
+        there = np.isfinite(place).all(axis=1)
+        if there.sum() > 2:
+            line = np.polynomial.polynomial.polyfit(time_s[there], place[there], 1)
+            about = place - np.polynomial.polynomial.polyval(time_s, line).T
+            axis = np.linalg.svd(about[there], full_matrices=False)[2][0]
+            signals["the track"] = about @ axis
+    found = {name: find_slow_motion(time_s, values) for name, values in signals.items()}
+    slow = {name: motion for name, motion in found.items() if motion is not None}
+    return max(slow.items(), key=lambda item: item[1].frequency_hz, default=None)
+
+
+def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
+    """Return the candidate that is taken for the stroke, by the rules given in :func:`find_stroke`."""
+
+    def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
+        # fraction of each channel's variance that its beats explain, from the amplitudes
+        at_it = {}
+        for name, beats in seen.items():
+            whole = sum(b.amplitude**2 for b in beats) / beats[0].share
+            largest = max((b.amplitude for b in beats if multiple(b, beat) in (1, 2)), default=0.0)
+            at_it[name] = largest**2 / whole
+        names = [name for name, share in at_it.items() if share > 0]
+        motions = sum(any(motion.fullmatch(name) for name in names) for motion in MOTIONS)
+        return (
+            beat.frequency_hz <= MAX_STROKE_HZ,
+            any(DRIVEN.fullmatch(name) for name in names),
+            motions,
+            any(MOVED.fullmatch(name) for name in names),
+            round(sum(at_it.values()), 3),
+            -beat.frequency_hz,
+        )
+
+    return max((beat for beats in candidates.values() for beat in beats), key=worth)
+
+
+def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
+    """Return the largest beat of each channel that contradicts the stroke.
+
+    Multiples of the stroke frequency, and faster beats with little power relative to the stroke, do not
+    count.
+    """
+    found = {}
+    for name, beats in seen.items():
+        stroke = max((b.amplitude for b in beats if multiple(b, chosen)), default=0.0)
+        others = [b for b in beats if not multiple(b, chosen)]
+        ripple, slow = MIN_SHARE * stroke**2, chosen.frequency_hz
+        against = [b for b in others if b.amplitude**2 >= ripple or b.frequency_hz < slow]
+        if against:
+            found[name] = max(against, key=lambda beat: beat.amplitude)
+    return found
+
+
+def add_time_error(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
+    """Return the stroke with a standard error that includes errors of the first and last time stamps."""
+    error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
+    beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
+    return replace(stroke, beat=beat)
+
+
+def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
+    """Return the reason why no stroke is found, and the frequency of a slow motion, Hz, or None."""
+    duration = float(np.ptp(time_s)) if len(time_s) else 0.0
+    slow = find_slowest(time_s, columns)
+    slow_hz, laps, axes = None, [], _coordinates(columns)
+    if slow is not None:
+        slow_hz = slow[1].frequency_hz
+        laps = [slow_hz]
+    elif len(axes) > 1:
+        laps = [beat.frequency_hz for v in axes for beat in find_beats(*_prepared(time_s, v))]
+    for frequency_hz in laps:
+        if _is_lap(time_s, columns, frequency_hz):
+            text = f"the path goes in circles of {1.0 / frequency_hz:.3g} s; nothing else keeps a beat"
+            return text, slow_hz
+    if slow is not None:
+        name, motion = slow
+        text = f"the strongest motion of {name}, at about {motion.frequency_hz:.2g} Hz, has only "
+        cycles = f"{motion.cycles:.1f} cycles in {duration:.3g} s; a stroke needs {MIN_CYCLES:g}"
+        return text + cycles, slow_hz
+    lowest = f"in {duration:.3g} s: from {MIN_CYCLES / max(duration, 1e-300):.3g} Hz on"
+    return f"nothing in it keeps a beat over {MIN_CYCLES:g} cycles or more ({lowest})", None
+
+
+def _beats(
+    time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
+) -> dict[str, list[Beat]]:
+    """Return the beats of each channel that has a beat."""
+    low, high = within or (None, None)
+    found = {}
+    for name, values in columns.items():
+        beats = find_beats(*_prepared(time_s, values), lowest_hz=low, highest_hz=high)
+        if beats:
+            found[name] = beats
+    return found
+
+
+def _unwrap(name: str, values: Array) -> Array:
+    """Return a channel. Angles are unwrapped, so that they have no jumps by full rotations."""
+    if name.endswith("_rad"):
+        known = np.isfinite(values)
+        values = values.copy()
+        values[known] = np.unwrap(values[known])
+    return values
+
+
+def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """Return times and samples of a channel at a rate of at most :data:`MAX_RATE_HZ`.
+
+    The samples are those of the longest part without gaps, at even time steps. If that part is too short, all
+    samples are returned.
+    """
+    time, even = longest_even(time_s, values, MAX_RATE_HZ)
+    there = np.isfinite(values)
+    if (
+        len(time) < MIN_STRETCH_SHARE * there.sum() <= MAX_SAMPLES
+        and np.median(np.diff(time_s[there])) * MAX_RATE_HZ >= 1.0
+    ):
+        time, even = time_s[there], values[there]
+    known = np.isfinite(even)
+    if known.sum() < 16 or np.ptp(even[known]) == 0:
+        return np.empty(0), np.empty(0)
+    return time, even
+
+
+# ---------------------------------------------------------------- course and heading
+
+#: Minimum number of windows in which the course is compared with the heading.
+MIN_COURSE_WINDOWS = 8
+#: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
+#: 1995, JASA 90).
+VERY_STRONG = math.log(150.0)
+#: Maximum drift angle of a hull in its tightest turn, rad (Fossen 2011, *Handbook of Marine Craft
+#: Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle between direction of travel and heading is
+#: taken for an error of the columns.
+LARGEST_SLIP = math.radians(30.0)
+
+
+@dataclass(frozen=True)
+class Course:
+    """Difference between the direction of travel (course) and the heading, over windows of tracks.
+
+    Attributes
+    ----------
+    slip_rad : float
+        Mean of course minus heading, rad, -pi to pi.
+    spread_rad : float
+        Circular standard deviation of course minus heading, rad.
+    mirrored : bool
+        Whether the course follows minus the heading, and not the heading.
+    """
+
+    slip_rad: float
+    spread_rad: float
+    mirrored: bool
+
+
+def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
+    """Compare the direction of travel (course) with the heading, in tracks seen by one camera.
+
+    Parameters
+    ----------
+    tracks : iterable of (t, x, y, heading)
+        Each shape (n,), in s, m, m and rad; NaN where missing.
+    window_s : float
+        Length of a window, s: at least one stroke, so that the oscillation of the body averages out.
+
+    Returns
+    -------
+    Course or None
+        None if fewer than :data:`MIN_COURSE_WINDOWS` windows have more advance than sway.
+    """
+    pairs = [pair for track in tracks for pair in _windows(*track, window_s)]
+    if len(pairs) < MIN_COURSE_WINDOWS:
+        return None
+    course, heading = np.array(pairs).T
+    along, against = np.mean(course * heading.conj()), np.mean(course * heading)
+    spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
+    evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
+    mirrored = bool(evidence > VERY_STRONG and spread > LARGEST_SLIP)
+    return Course(float(np.angle(along)), spread, mirrored)
+
+
+def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
+    """Return whether the course follows the heading only if the headings are interpreted as degrees.
+
+    Tracks that all have the same course do not show this; the result is then False.
+
+    Parameters
+    ----------
+    tracks, window_s
+        The arguments of :func:`compare_course`.
+    """
+    tracks = list(tracks)
+    turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
+    plain, found = compare_course(tracks, window_s), compare_course(turned, window_s)
+    # circular standard deviation of the course itself
+    still = compare_course([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
+    if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
+        return False
+    follows = found.spread_rad < LARGEST_SLIP and abs(found.slip_rad) < LARGEST_SLIP
+    return follows and still.spread_rad > LARGEST_SLIP
+
+
+def _windows(
+    time: Array, x: Array, y: Array, heading: Array, window_s: float
+) -> list[tuple[complex, complex]]:
+    """Return unit vectors of course and mean heading, for each window with more advance than sway."""
+    there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
+    if there.sum() < 3:
+        return []
+    time, path, heading = time[there], (x + 1j * y)[there], heading[there]
+    numbers = (time - time[0]) // window_s
+    pairs = []
+    for window in (numbers == number for number in np.unique(numbers)):
+        t, place, span = time[window], path[window], np.ptp(time[window])
+        if len(t) < 3 or span < 0.5 * window_s:
+            continue
+        slope, level = np.polyfit(t, place, 1)
+        sway = np.sqrt(np.mean(np.abs(place - slope * t - level) ** 2))
+        mean = np.mean(np.exp(1j * heading[window]))
+        if abs(slope) * span > 2.0 * sway and abs(mean) > 0.5:
+            pairs.append((complex(slope / abs(slope)), complex(mean / abs(mean))))
+    return pairs
+
+
+def _likelihood(length: float, count: int) -> float:
+    """Return the maximum log-likelihood of ``count`` angles under a von Mises distribution.
+
+    ``length`` is the mean resultant length of the angles.
+    """
+    from scipy.special import i0e
+
+    length = min(length, 1.0 - 1e-6)
+    # maximum-likelihood estimate of the concentration: Fisher 1993, *Statistical Analysis of Circular Data*,
+    # 4.5.5
+    if length < 0.53:
+        kappa = 2 * length + length**3 + 5 * length**5 / 6
+    elif length < 0.85:
+        kappa = -0.4 + 1.39 * length + 0.43 / (1 - length)
+    else:
+        kappa = 1 / (length**3 - 4 * length**2 + 3 * length)
+    return count * (kappa * length - kappa - math.log(i0e(kappa)))

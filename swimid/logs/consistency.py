@@ -1,4 +1,4 @@
-"""Comparison of columns of one log: rates with poses, and the direction of travel with the heading.
+"""Columns of one log that contradict each other, and channels whose values no working sensor gives.
 
 The y axis of an image points down. If only one of track and heading is converted to a y axis that points up,
 they are mirrored to each other. Each column still looks plausible, but a model fitted to them is wrong.
@@ -7,14 +7,18 @@ they are mirrored to each other. Each column still looks plausible, but a model 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.log import TIME
-from swimid.logs.rotation import AXES
+from swimid.logs.beat import compare_course
+from swimid.logs.foreign import quantity_of
+from swimid.logs.kinematics import AXES
+from swimid.logs.log import TIME, runs
+from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, has_levels, rounding_ratio
 
 Array = NDArray[np.float64]
 #: Minimum ratio of a gain (regression coefficient between two columns) to its standard error. A gain with a
@@ -65,19 +69,17 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     time = columns[TIME]
     found: list[Comparison] = []
     for name, values in columns.items():
-        stem, _, unit = name.rpartition("_")
-        unit = f"{stem.rpartition('_')[2]}_{unit}"
-        stem = name.removesuffix(f"_{unit}")
-        if unit not in ("m_s", "rad_s", "px_s"):
+        hit = re.fullmatch(r"(.+)_(m|rad|px)_s", name)
+        if hit is None or hit[1] in ("u", "v", "w"):
             continue
-        pose = unit.removesuffix("_s")
+        stem, pose = hit.groups()
         of = stem.removesuffix("_rate")
         if len(stem) == 2:
             of = of.removeprefix("v")
         against = f"{of}_{pose}"
         if name == "wz_rad_s" and not {"roll_rad", "pitch_rad", *AXES} & set(columns):
             against = "yaw_rad"
-        if against in columns and stem not in ("u", "v", "w"):
+        if against in columns:
             motion = columns[against]
             if pose == "rad":
                 motion = np.unwrap(motion)
@@ -210,119 +212,83 @@ def _named(gain: float, *, angle: bool) -> str:
     return " and ".join(words)
 
 
-# ---------------------------------------------------------------- course and heading
+# ---------------------------------------------------------------- channels that are no measurement
 
-#: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
-#: 1995, JASA 90).
-VERY_STRONG = math.log(150.0)
-#: Maximum drift angle of a hull in its tightest turn, rad (Fossen 2011, *Handbook of Marine Craft
-#: Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle between direction of travel and heading is
-#: taken for an error of the columns.
-LARGEST_SLIP = math.radians(30.0)
-
-
-@dataclass(frozen=True)
-class Course:
-    """Difference between the direction of travel (course) and the heading, over windows of tracks.
-
-    Attributes
-    ----------
-    slip_rad : float
-        Mean of course minus heading, rad, -pi to pi.
-    spread_rad : float
-        Circular standard deviation of course minus heading, rad.
-    mirrored : bool
-        Whether the course follows minus the heading, and not the heading.
-    """
-
-    slip_rad: float
-    spread_rad: float
-    mirrored: bool
+#: Minimum distance of an outlying value (a code for missing samples, or an error) from all other values,
+#: divided by the range of the other values.
+FAR = 10.0
+#: Minimum number of consecutive samples at the largest or smallest value, and minimum number of such runs, of
+#: a channel that is saturated.
+CUT_SAMPLES, CUT_TIMES = 3, 3
+#: Relative tolerance of the increments of a column that counts the rows.
+COUNT_RTOL = 1e-6
+#: Two names of the yaw rate. Columns with these names may be equal.
+SYNONYMS = {"wz_rad_s", "yaw_rate_rad_s"}
 
 
-def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> Course | None:
-    """Compare the direction of travel (course) with the heading, in tracks seen by one camera.
+def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -> dict[str, str]:
+    """Return the channels whose values no working sensor gives, each with a description of the fault.
+
+    Such a channel is constant, counts the rows, equals another column, is saturated at a value, or holds a
+    value far from all others. Commands, standard deviations, likelihoods and confidences are not checked, nor
+    are channels with fewer than :data:`LONG_ENOUGH` values.
 
     Parameters
     ----------
-    tracks : iterable of (t, x, y, heading)
-        Each shape (n,), in s, m, m and rad; NaN where missing.
-    window_s : float
-        Length of a window, s: at least one stroke, so that the oscillation of the body averages out.
+    columns : mapping of str to ndarray, each shape (n,)
+        Columns of a log, ``t_s`` among them; NaN where missing.
+    scales : mapping of str to float
+        Factor from the values in the file to the values of each column.
 
-    Returns
-    -------
-    Course or None
-        None if fewer than :data:`MIN_WINDOWS` windows have more advance than sway.
+    Examples
+    --------
+    >>> t = np.arange(50) / 10
+    >>> find_unmeasured({"t_s": t, "depth_m": 0 * t + 1.2}, {})
+    {'depth_m': 'holds one value in every sample (1.2)'}
     """
-    pairs = [pair for track in tracks for pair in _windows(*track, window_s)]
-    if len(pairs) < MIN_WINDOWS:
-        return None
-    course, heading = np.array(pairs).T
-    along, against = np.mean(course * heading.conj()), np.mean(course * heading)
-    spread = math.sqrt(-2.0 * math.log(min(max(abs(along), 1e-12), 1.0)))
-    evidence = _likelihood(abs(against), len(pairs)) - _likelihood(abs(along), len(pairs))
-    mirrored = bool(evidence > VERY_STRONG and spread > LARGEST_SLIP)
-    return Course(float(np.angle(along)), spread, mirrored)
-
-
-def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
-    """Return whether the course follows the heading only if the headings are interpreted as degrees.
-
-    Tracks that all have the same course do not show this; the result is then False.
-
-    Parameters
-    ----------
-    tracks, window_s
-        The arguments of :func:`compare_course`.
-    """
-    tracks = list(tracks)
-    turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
-    plain, found = compare_course(tracks, window_s), compare_course(turned, window_s)
-    # circular standard deviation of the course itself
-    still = compare_course([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
-    if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
-        return False
-    follows = found.spread_rad < LARGEST_SLIP and abs(found.slip_rad) < LARGEST_SLIP
-    return follows and still.spread_rad > LARGEST_SLIP
-
-
-def _windows(
-    time: Array, x: Array, y: Array, heading: Array, window_s: float
-) -> list[tuple[complex, complex]]:
-    """Return unit vectors of course and mean heading, for each window with more advance than sway."""
-    there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
-    if there.sum() < 3:
-        return []
-    time, path, heading = time[there], (x + 1j * y)[there], heading[there]
-    numbers = (time - time[0]) // window_s
-    pairs = []
-    for window in (numbers == number for number in np.unique(numbers)):
-        t, place, span = time[window], path[window], np.ptp(time[window])
-        if len(t) < 3 or span < 0.5 * window_s:
+    found: dict[str, str] = {}
+    earlier: dict[str, Array] = {}
+    for name, values in columns.items():
+        known = values[np.isfinite(values)]
+        if len(known) < LONG_ENOUGH or SET.fullmatch(name) or quantity_of(name) is None:
             continue
-        slope, level = np.polyfit(t, place, 1)
-        sway = np.sqrt(np.mean(np.abs(place - slope * t - level) ** 2))
-        mean = np.mean(np.exp(1j * heading[window]))
-        if abs(slope) * span > 2.0 * sway and abs(mean) > 0.5:
-            pairs.append((complex(slope / abs(slope)), complex(mean / abs(mean))))
-    return pairs
+        equal = [other for other, same in earlier.items() if np.array_equal(values, same, equal_nan=True)]
+        copied = [other for other in equal if {name, other} != SYNONYMS]
+        steps = np.diff(known) / scales.get(name, 1.0)
+        if name == TIME:
+            text = ""
+        elif not steps.any():
+            text = f"holds one value in every sample ({known[0]:.6g})"
+        elif copied:
+            text = f"equals {copied[0]} in every sample"
+        elif np.allclose(steps, 1.0, rtol=COUNT_RTOL):
+            text = "counts the rows"
+        else:
+            text = _find_far(known) or _find_cut(known)
+        if text:
+            found[name] = text
+        if "_raw_" not in name:
+            earlier[name] = values
+    return found
 
 
-def _likelihood(length: float, count: int) -> float:
-    """Return the maximum log-likelihood of ``count`` angles under a von Mises distribution.
+def _find_far(known: Array) -> str:
+    """Return words that name an extreme value far from all other values; empty if there is none."""
+    for extreme in (known.min(), known.max()):
+        others = known[known != extreme]
+        away = float(np.min(np.abs(others - extreme)))
+        if away > FAR * np.ptp(others) > 0:
+            count = len(known) - len(others)
+            return f"holds {extreme:.6g} in {count} samples, far from all others: missing samples?"
+    return ""
 
-    ``length`` is the mean resultant length of the angles.
-    """
-    from scipy.special import i0e
 
-    length = min(length, 1.0 - 1e-6)
-    # maximum-likelihood estimate of the concentration: Fisher 1993, *Statistical Analysis of Circular Data*,
-    # 4.5.5
-    if length < 0.53:
-        kappa = 2 * length + length**3 + 5 * length**5 / 6
-    elif length < 0.85:
-        kappa = -0.4 + 1.39 * length + 0.43 / (1 - length)
-    else:
-        kappa = 1 / (length**3 - 4 * length**2 + 3 * length)
-    return count * (kappa * length - kappa - math.log(i0e(kappa)))
+def _find_cut(known: Array) -> str:
+    """Return words that name the value at which a channel is saturated; empty if there is none."""
+    if has_levels(known) or rounding_ratio(known) > NEAR_ROUNDED:
+        return ""
+    for extreme in (known.min(), known.max()):
+        held = np.diff(runs(known == extreme)).ravel()
+        if np.count_nonzero(held >= CUT_SAMPLES) >= CUT_TIMES:
+            return f"is cut off at {extreme:.6g}"
+    return ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,21 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import log, mapping, rhythm, sampling, tracks
-from swimid.logs.beat import contradiction
-from swimid.logs.consistency import Comparison, compare_columns
+from swimid.logs import beat, log, mapping, sampling, tracks
+from swimid.logs.beat import Rhythm, contradiction
+from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike
-from swimid.logs.logged import Logged, figures_of
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
-from swimid.logs.rhythm import Rhythm
-from swimid.logs.sampling import LONG_ENOUGH, SET, find_frozen, find_unmeasured, may_freeze, usual_step
-from swimid.logs.tracks import Cleaning, TrackSpeed
+from swimid.logs.plot import figures_of
+from swimid.logs.sampling import (
+    LONG_ENOUGH,
+    SET,
+    find_frozen,
+    may_freeze,
+    usual_step,
+)
+from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
@@ -103,19 +108,18 @@ def import_log(
         found = examine(read, options)
         settings = options.settings(clean=found.cleaned)
         origin = provenance.collect(inputs, settings=settings)
-        name = f"{found.path.stem}.csv" if output is None else output.name
-        made = Log(Path(name), found.metadata, found.columns, None)
         proof = _evidence(found, origin, notices)
+    name = found.log.path.with_suffix(".csv").name if output is None else output.name
+    made = replace(found.log, path=Path(name))
     return Logged("import", "", _data(found, proof), evidence=proof, document=made).saved(output)
 
 
 # ---------------------------------------------------------------- examination
 
-METRES = ("x_m", "y_m", "z_m")
-PIXELS = ("x_px", "y_px", "z_px")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
-#: Beginnings of the names of pose columns, and of the rates that are computed from a pose.
-_POSE, _POSE_RATES = ("x", "y", "z", "yaw", "pitch", "roll"), ("u", "v", "w", "vx", "vy", "vz")
+#: Columns of ``swimid track`` with a pose before smoothing, and columns of a pose or of its rates of change.
+_RAW = re.compile(r"(x|y|z|yaw|pitch|roll)_raw_(.+)")
+_OF_POSE = re.compile(r"(x|y|z|yaw|pitch|roll)_.+|(u|v|w|vx|vy|vz)_(sd_)?(m|px)_s2?")
 
 
 @dataclass(frozen=True)
@@ -125,9 +129,9 @@ class Examined:
     Attributes
     ----------
     mapped : MappedLog
-        The log. Its columns are changed to those that are written to the log.
-    metadata : dict
-        Metadata as they are written to the log.
+        The log as it was read. Its columns are changed to those that are written.
+    log : Log
+        The log as it is written.
     order : Order
         Rows that were moved or left out.
     cleaning : Cleaning or None
@@ -153,7 +157,7 @@ class Examined:
     """
 
     mapped: MappedLog
-    metadata: dict[str, Any]
+    log: Log
     order: Order
     cleaning: Cleaning | None
     cleaned: bool
@@ -167,39 +171,14 @@ class Examined:
     bursts: bool
 
     @property
-    def path(self) -> Path:
-        """Path of the foreign log."""
-        return self.mapped.path
-
-    @property
-    def columns(self) -> dict[str, Array]:
-        """Columns as they are written to the log."""
-        return self.mapped.columns
-
-    @property
-    def time_s(self) -> Array:
-        """Sample times, s, shape (n,)."""
-        return self.columns[TIME]
-
-    @property
     def unit(self) -> str:
         """Unit of the track: m or px."""
-        return "px" if set(_track(self.columns)) & set(PIXELS) else "m"
-
-    @property
-    def channels(self) -> dict[str, Array]:
-        """Columns of the log except the time."""
-        return {name: values for name, values in self.columns.items() if name != TIME}
+        return "px" if {"x_px", "y_px", "z_px"} & set(beat.coordinates(self.log.columns)) else "m"
 
     @property
     def done(self) -> str:
         """Words for the treatment of repeated samples and jumps of the track."""
         return "left out" if self.cleaned else "kept"
-
-    @property
-    def contradictions(self) -> list[Comparison]:
-        """Comparisons of columns that disagree."""
-        return [one for one in self.comparisons if one.text]
 
 
 def examine(source: MappedLog, options: ImportOptions) -> Examined:
@@ -218,12 +197,12 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     order = _in_order(source)
     for note in source.notes:
         warn("SWM057", f"{name}: {note}")
-    if order.changed:
+    if order.summary:
         _keep(columns, order.index)
         warn("SWM057", f"{name}: rows {order.summary}")
     uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
-    coordinates, known = _track(columns), _measured(columns)
+    coordinates, known = beat.coordinates(columns), _measured(columns)
     cleaned = options.clean
     if cleaned is None:
         cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
@@ -246,12 +225,12 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     stated_hz = metadata.get("frequency_hz")
     if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
         stated_hz = None
-    stroke = rhythm.find(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
+    stroke = beat.find_stroke(times, channels, range_hz=options.stroke_hz, stated_hz=stated_hz)
     unknown, against, periodic_hz, period_s = "", "", None, None
     if stroke is None:
-        unknown, periodic_hz = rhythm.explain_missing(columns[TIME], channels)
+        unknown, periodic_hz = beat.explain_missing(columns[TIME], channels)
     else:
-        stroke = rhythm.add_time_error(stroke, times_sd_s, times)
+        stroke = beat.add_time_error(stroke, times_sd_s, times)
         periodic_hz, period_s = stroke.beat.frequency_hz, 1.0 / stroke.beat.frequency_hz
         against = _against(stroke, stated_hz, name)
     if cleaning is not None:
@@ -265,7 +244,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
             warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
     return Examined(
         source,
-        metadata,
+        Log(source.path, metadata, columns, None),
         order,
         cleaning,
         cleaned,
@@ -301,11 +280,6 @@ def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
         columns[name] = columns[name][rows]
 
 
-def _track(columns: dict[str, Array]) -> list[str]:
-    """Return the names of the track's columns: in metres if the log has them, else in pixels."""
-    return [n for n in METRES if n in columns] or [n for n in PIXELS if n in columns]
-
-
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
     """Return a doubt for each angle that oscillates over more than 180 degrees, which no joint can."""
     if stroke is None:
@@ -333,7 +307,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
     warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
     empty = out.copy()
     for column, values in columns.items():
-        if column in (*METRES, *PIXELS, *ANGLES):
+        if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
             columns[column] = np.where(out, np.nan, values)
         elif column != TIME:
             empty &= np.isnan(values)
@@ -357,26 +331,12 @@ def _measured(columns: dict[str, Array]) -> dict[str, Array]:
     In a log written by ``swimid track`` the measured positions are those before smoothing, with NaN where a
     gap was interpolated.
     """
-    raw = {name: columns[raw] for name in columns if (raw := _raw(name)) in columns}
+    raw = {_RAW.sub(r"\1_\2", name): values for name, values in columns.items() if _RAW.fullmatch(name)}
     bridged = columns.get("interpolated")
     if not raw or bridged is None:
         return columns
-    pose = {name: raw.get(name, values) for name, values in columns.items() if _of_pose(name)}
+    pose = {name: raw.get(name, values) for name, values in columns.items() if _OF_POSE.fullmatch(name)}
     return columns | {name: np.where(bridged == 1, np.nan, values) for name, values in pose.items()}
-
-
-def _raw(name: str) -> str:
-    """Return the name of the raw column (before smoothing) of a pose column; empty for other columns."""
-    stem, _, unit = name.partition("_")
-    return f"{stem}_raw_{unit}" if stem in _POSE else ""
-
-
-def _of_pose(name: str) -> bool:
-    """Return whether a column is part of a pose or a rate of change of the pose."""
-    stem, _, rest = name.partition("_")
-    if stem in _POSE:
-        return bool(rest)
-    return stem in _POSE_RATES and rest.replace("sd_", "") in ("m_s", "px_s", "m_s2", "px_s2")
 
 
 # ---------------------------------------------------------------- evidence
@@ -410,11 +370,11 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
     """Return the evidence of an imported log."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
     with recorded(repeat=True) as drawn:
-        shown = figures_of([Log(found.path, {}, found.columns)], found=found.stroke)
+        shown = figures_of([found.log], found=found.stroke)
     return Evidence(
         command="import",
-        title=f"Log imported from {found.path.name}",
-        verdict=judged(f"{len(found.time_s)} samples in {len(found.columns) - 1} channels.", checks),
+        title=f"Log imported from {found.log.path.name}",
+        verdict=judged(f"{len(found.log.time_s)} samples in {len(found.log.columns) - 1} channels.", checks),
         facts=_facts(found),
         checks=checks,
         tables=_tables(found),
@@ -451,8 +411,8 @@ def _check(
 
 def _amount_checks(found: Examined) -> list[Check]:
     """Return the checks of rows, columns and times: whether they are complete and sufficient."""
-    time, n, rows = found.time_s, len(found.time_s), len(found.mapped)
-    counts = {name: int(np.isfinite(values).sum()) for name, values in found.channels.items()}
+    time, n, rows = found.log.time_s, len(found.log.time_s), len(found.mapped)
+    counts = {name: int(np.isfinite(values).sum()) for name, values in found.log.signals.items()}
     scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES]
     few = f"too few values to judge {', '.join(scarce)}: a channel needs {MIN_SAMPLES}"
     if n < MIN_SAMPLES:
@@ -464,10 +424,10 @@ def _amount_checks(found: Examined) -> list[Check]:
         f"no sample lies between {time[last]:.6g} s and {time[last + 1]:.6g} s, more than half of the log: "
         "do the times count from two origins?"
     )
-    order, notes = found.order, found.mapped.notes
-    odd, dropped = sum(order.counts.values()), order.untimed + order.clashing
+    counted, notes = found.order.counts, found.mapped.notes
+    odd, dropped = sum(counted.values()), counted["untimed"] + counted["clashing"]
     many = dropped > MAX_DROPPED * rows
-    remarks = "; ".join([f"rows {order.summary}"] * order.changed + notes)
+    remarks = "; ".join([f"rows {found.order.summary}"] * (odd > 0) + notes)
     if many:
         remarks = f"{dropped} of {rows} rows have no time of their own: is the time complete?"
     names = ", ".join(found.mapped.unknown)
@@ -482,7 +442,7 @@ def _amount_checks(found: Examined) -> list[Check]:
         _check("Quantity of every column", not names, "known", open_, names, fails=True),
     ]
     # a mapping may say in its metadata that the rate is assumed
-    if found.metadata.get("sample_rate") == "assumed":
+    if found.log.metadata.get("sample_rate") == "assumed":
         why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
         checks.append(_check("Sample rate", False, "stated", why, "assumed", fails=True))
     for name, count in found.mapped.unlikely.items():
@@ -493,19 +453,20 @@ def _amount_checks(found: Examined) -> list[Check]:
 
 def _value_checks(found: Examined) -> list[Check]:
     """Return the checks of the values of the samples."""
-    stuck = find_frozen(found.time_s, _measured(found.columns))
+    stuck = find_frozen(found.log.time_s, _measured(found.log.columns))
     scales = {target: factor for target, (_, factor, _) in found.mapped.sources.items()}
-    disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in found.contradictions)
+    wrong = [one for one in found.comparisons if one.text]
+    disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in wrong)
     holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in stuck.items())
-    faults = "; ".join(f"{name} {text}" for name, text in find_unmeasured(found.columns, scales).items())
+    faults = "; ".join(f"{name} {text}" for name, text in find_unmeasured(found.log.columns, scales).items())
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     frozen, faulty = f"channels hold one value amid their motion: {holds}", f"channels look faulty: {faults}"
     uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
-    enough = len(found.time_s) >= MIN_SAMPLES
-    channels = {name: values for name, values in found.channels.items() if not SET.fullmatch(name)}
+    enough = len(found.log.time_s) >= MIN_SAMPLES
+    channels = {name: values for name, values in found.log.signals.items() if not SET.fullmatch(name)}
     long = any(np.isfinite(values).sum() >= MIN_SAMPLES for values in channels.values())
-    continuous = any(may_freeze(*channel) for channel in found.channels.items())
-    limited = enough and any(map(LIMITED.fullmatch, found.channels))
+    continuous = any(may_freeze(*channel) for channel in found.log.signals.items())
+    limited = enough and any(map(LIMITED.fullmatch, found.log.signals))
     return [
         _check("Columns agree", not disagree, "all", disagree, made=bool(found.comparisons), fails=True),
         _check("Sampling", not found.uneven, "even", uneven, found.uneven, made=enough, fails=found.bursts),
@@ -526,7 +487,8 @@ def _track_checks(found: Examined) -> list[Check]:
     if cleaning.offset_rows:
         jumps += f" and goes on elsewhere {len(cleaning.offset_rows)} times"
     lossy = lost > MAX_JUMPED * seen or not found.cleaned
-    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(cleaning.longest_gap_s, 3, 's')}"
+    longest_s = max((end - start for start, end in cleaning.gaps), default=0.0)
+    gaps = f"{len(cleaning.gaps)}, longest {numbers.number(longest_s, 3, 's')}"
     kept, value = f"the track has gaps ({gaps}), which are kept", f"{repeats} of {seen} {done}"
     return [
         _check("Repeated pictures", found.cleaned or not repeats, "none kept", held, value),
@@ -555,8 +517,8 @@ def _stroke_checks(found: Examined) -> list[Check]:
     value = " against ".join(f"{b.frequency_hz:.4g} Hz" for b in (stroke.beat, *stroke.rivals.values()))
     limit = "no channel beats at another frequency"
     checks.append(_check("One stroke", not stroke.doubt, limit, stroke.doubt, value))
-    if "frequency_hz" in found.metadata:
-        name, stated = "Stroke against the metadata", f"{found.metadata['frequency_hz']} Hz"
+    if "frequency_hz" in found.log.metadata:
+        name, stated = "Stroke against the metadata", f"{found.log.metadata['frequency_hz']} Hz"
         checks.append(_check(name, not found.against, stated, found.against, _frequency(stroke)))
     return checks
 
@@ -590,7 +552,7 @@ def _tables(found: Examined) -> list[Table]:
         caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
-    rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.columns]
+    rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.log.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
@@ -601,20 +563,20 @@ def _frequency(stroke: Rhythm) -> str:
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
     """Return the findings as plain data (numbers, text, lists and dicts)."""
-    time, unit, step = found.time_s, found.unit, usual_step(found.time_s)
+    time, unit, step = found.log.time_s, found.unit, usual_step(found.log.time_s)
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     made: dict[str, Any] = {
-        "file": str(found.path),
+        "file": str(found.log.path),
         "samples": len(time),
         "duration_s": float(time[-1] - time[0]),
         "median_rate_hz": 1 / step,
-        "columns": list(found.columns),
-        "missing": {name: int(np.isnan(values).sum()) for name, values in found.channels.items()},
+        "columns": list(found.log.columns),
+        "missing": {name: int(np.isnan(values).sum()) for name, values in found.log.signals.items()},
         "rows": found.order.counts,
         "notes": found.mapped.notes,
         "profile": found.mapped.profile,
         "unlikely": found.mapped.unlikely,
-        "contradictions": [asdict(one) for one in found.contradictions],
+        "contradictions": [asdict(one) for one in found.comparisons if one.text],
         "stroke": {"unknown": found.unknown},
         **dict.fromkeys(("track", "speed")),
         "verdict": proof.verdict.model_dump(),
@@ -628,14 +590,9 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
             "gaps_s": [list(gap) for gap in cleaning.gaps],
         }
     if speed is not None:
-        made["speed"] = {
-            f"path_{unit}_s": speed.path.value,
-            "path_ci95": [speed.path.low, speed.path.high],
-            f"line_{unit}_s": speed.line.value,
-            "line_ci95": [speed.line.low, speed.line.high],
-            f"noise_{unit}": speed.noise_m,
-            "covered_s": speed.covered_s,
-        }
+        made["speed"] = {f"noise_{unit}": speed.noise_m, "covered_s": speed.covered_s}
+        for name, mean in (("path", speed.path), ("line", speed.line)):
+            made["speed"] |= {f"{name}_{unit}_s": mean.value, f"{name}_ci95": [mean.low, mean.high]}
     if stroke is not None:
         made["stroke"] = {
             "frequency_hz": stroke.beat.frequency_hz,

@@ -147,6 +147,11 @@ class Log:
         """Sample times, s, shape (n,)."""
         return self.columns[TIME]
 
+    @property
+    def signals(self) -> dict[str, NDArray[np.float64]]:
+        """Columns except the time."""
+        return {name: values for name, values in self.columns.items() if name != TIME}
+
     def frame(self) -> pd.DataFrame:
         """Return the columns as a table, one row per sample."""
         import pandas as pd
@@ -327,14 +332,18 @@ def _columns(
     cells: Mapping[str, Any], strict: set[str], place: Callable[[int], dict[str, Any]], path: Path
 ) -> dict[str, Array]:
     """Return the columns of numbers; an error is raised for a column in ``strict`` that holds text."""
-    found = {name: _numbers(values, name in strict, place, path, name) for name, values in cells.items()}
-    return {name: values for name, values in found.items() if values is not None}
+    found = {}
+    for name, values in cells.items():
+        numbers = cells_to_numbers(values, name in strict, place, path, name)
+        if numbers is not None:
+            found[name] = numbers
+    return found
 
 
-def _numbers(
-    cells: Any, strict: bool, place: Callable[[int], dict[str, Any]], path: Path, name: str
+def cells_to_numbers(
+    cells: Any, strict: bool, place: Callable[[int], dict[str, Any]], path: Path, name: str, more: str = ""
 ) -> NDArray[np.float64] | None:
-    """Return a column as numbers; None for a column of text.
+    """Return a column as numbers; None for a column of text. ``more`` is added to the hint of the error.
 
     Raises
     ------
@@ -348,11 +357,11 @@ def _numbers(
     numbers = pd.to_numeric(cells, errors="coerce")
     bad = (numbers.isna() & ~cells.isna()).to_numpy(dtype=bool)
     if bad.any():
-        if not strict and bad.sum() > len(cells) // 2:
+        if not strict and bad.sum() > (~cells.isna()).sum() // 2:
             return None
         row = int(np.argmax(bad))
-        cell = str(cells.iloc[row])
-        text, hint = f"'{cell}' is not a number", number_hint(cell)
+        cell = str(cells.iloc[row]).strip()[:40]
+        text, hint = f"'{cell}' is not a number", f"{number_hint(cell)}{more}"
         raise InputError(text, file=path, column=name, hint=hint, **place(row))
     return numbers.to_numpy(dtype=float, na_value=np.nan)
 

@@ -7,6 +7,7 @@ repeat, go back or be missing.
 
 from __future__ import annotations
 
+import json
 import re
 from collections import abc
 from collections.abc import Sequence, Set
@@ -19,14 +20,25 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError
-from swimid.files import yamlio
+from swimid.files import atomic, yamlio
 from swimid.files.provenance import path_of
-from swimid.files.tabular import number_hint
-from swimid.logs import units
-from swimid.logs.foreign import Options, Table, is_text, open_table
-from swimid.logs.log import TIME, Log, longest_run, metadata_of, written_by
-from swimid.logs.rotation import AXES, rearranged
+from swimid.logs import log
+from swimid.logs.foreign import (
+    KNOWN,
+    UNITS,
+    Options,
+    Table,
+    canonical,
+    is_text,
+    open_table,
+    quantity_of,
+    states_quantity,
+    unit_factor,
+)
+from swimid.logs.kinematics import AXES, rearranged
+from swimid.logs.log import TIME, Log, LogLike, cells_to_numbers, longest_run, metadata_of, written_by
 from swimid.notices import Progress, silent, warn
+from swimid.results.result import Result
 
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
@@ -42,6 +54,8 @@ _INSTANCE = re.compile(
 #: default ``pcutoff`` of DeepLabCut.
 MIN_LIKELIHOOD = 0.6
 _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(ability)?)", re.I)
+#: Hint at the end of a message about a cell that is not a number.
+MISSING_HINT = ", or name what marks it under 'missing:' of the mapping"
 #: Pattern of a coordinate that follows the name of its point.
 _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 #: Unit of a dimensionless quantity in a mapping.
@@ -84,8 +98,8 @@ class Time(Stated):
     frame: ColumnKey | None = None
     #: Unit of the source column, or a list with the unit of each source column.
     unit: str | list[str] = "s"
-    #: Rate of the rows or frames, Hz, or the name of the single number in the file that states this rate.
-    rate_hz: PositiveFloat | str | None = None
+    #: Rate of the rows or frames, Hz.
+    rate_hz: PositiveFloat | None = None
     #: Format of dates for ``datetime.strptime``, if they are not ISO 8601.
     format: str | None = None
     #: Value at which the time counter restarts from 0, in the unit of the source column.
@@ -103,7 +117,7 @@ class Time(Stated):
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
             raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
         for unit in self.units_of_sources or [str(self.unit)]:
-            units.factor(unit, TIME)
+            unit_factor(unit, TIME)
         return self
 
     @property
@@ -153,12 +167,7 @@ class Column(Stated):
         """Factor from the values of the source column to those of the target column."""
         if self.unit in (None, NO_UNIT):
             return self.factor
-        return self.factor * units.factor(str(self.unit), self.target)
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the name of the target states its quantity, or the quantity is declared dimensionless."""
-        return self.unit == NO_UNIT or units.is_known(self.target)
+        return self.factor * unit_factor(str(self.unit), self.target)
 
 
 class Quaternion(Stated):
@@ -365,7 +374,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         metadata,
         notes,
         {column.target: (str(column.source), column.scale, column.offset) for column in columns},
-        [column.target for column in columns if not (known or column.is_known)],
+        [c.target for c in columns if not (known or c.unit == NO_UNIT or states_quantity(c.target))],
         table.profile,
         unlikely,
     )
@@ -373,8 +382,8 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
 
 def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
     """Return a column with the unit that the file states for it, unless the mapping states one."""
-    unit = units.canonical(stated or "")
-    if unit not in units.UNITS.get(units.measured(column.target) or "", {}):
+    unit = canonical(stated or "")
+    if unit not in UNITS.get(quantity_of(column.target) or "", {}):
         return column
     of_file = column.model_copy(update={"unit": unit})
     if column.unit is None:
@@ -399,7 +408,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     kept, out = [], []
     own = written_by(metadata, "swimid")
     for name in table.columns:
-        known = (own or units.is_known(name)) and _NAME.fullmatch(name)
+        known = (own or states_quantity(name)) and _NAME.fullmatch(name)
         if known and _numbers(table, name, [], path) is not None:
             kept.append(Column(source=name, target=name))
         elif name != "frame":
@@ -424,8 +433,6 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
             text = f"states its times in {sources[TIME]}: a sample rate contradicts them"
             raise InputError(text, file=path, hint="leave the rate out")
         return None
-    if time is None and has_frames and "rate_hz" in table.scalars:
-        time = Time(rate_hz="rate_hz")
     if time is None:
         hint = "add --rate-hz with the frames per second of the film, as in --rate-hz 30"
         raise InputError("states neither times nor a frame rate", file=path, hint=hint)
@@ -453,19 +460,10 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
     if values.dtype.kind == "M":
         return None
     if is_text(values):
-        import pandas as pd
-
-        cells = values
-        values = pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce").to_numpy(dtype=float)
-        bad = np.isnan(values) & pd.notna(cells)
-        if bad.any() and bad.sum() >= pd.notna(values).sum():
+        found = cells_to_numbers(values, False, table.place, path, name, MISSING_HINT)
+        if found is None:
             return None
-        if bad.any():
-            row = int(np.argmax(bad))
-            cell = str(cells[row]).strip()[:40]
-            text = f"'{cell}' is not a number"
-            hint = f"{number_hint(cell)}, or name what marks it under 'missing:' of the mapping"
-            raise InputError(text, file=path, column=name, hint=hint, **table.place(row))
+        values = found
     numbers = values.astype(float, copy=False)
     marks = [mark for mark in missing if isinstance(mark, int | float)]
     return np.where(np.isin(numbers, marks), np.nan, numbers) if marks else numbers
@@ -605,10 +603,10 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
     """
     names = [table.column(key, path) for key in time.sources]
     parts = [table.columns[name] for name in names]
-    factors = [units.factor(unit, TIME) for unit in time.units_of_sources]
+    factors = [unit_factor(unit, TIME) for unit in time.units_of_sources]
     if time.rate_hz is not None:
         parts = [_frames(table, name, path) for name in names] or [np.arange(rows, dtype=float)]
-        factors = [1.0 / _rate(time.rate_hz, table, path)]
+        factors = [1.0 / time.rate_hz]
     elif any(is_text(part) for part in parts):
         # text of times of day is already converted to seconds
         parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
@@ -630,17 +628,6 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
     return np.where(known, total, np.nan)
-
-
-def _rate(given: float | str, table: Table, path: Path) -> float:
-    if not isinstance(given, str):
-        return given
-    rate = table.scalars.get(given, np.nan)
-    if not 0 < rate < np.inf:
-        known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
-        hint = f"single numbers in it: {known or 'none'}"
-        raise InputError(f"holds no positive number '{given}' for the rate", file=path, hint=hint)
-    return rate
 
 
 def _frames(table: Table, name: str, path: Path) -> Array:
@@ -703,8 +690,7 @@ def _parsed(
 #: Maximum fraction of samples that arrive late, and maximum number of consecutive late samples. With more
 #: late samples, the clock is taken to have been reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
-#: Words of the summary for each kind of rows out of order, by the attribute of :class:`Order` that counts
-#: these rows.
+#: Words of the summary for each kind of rows out of order.
 ODD_ROWS = {
     "untimed": "without a time left out",
     "repeated": "repeated left out",
@@ -721,34 +707,17 @@ class Order:
     ----------
     index : ndarray of int, shape (m,)
         Numbers of the rows that are kept, sorted by time.
-    untimed : int
-        Number of rows without a time, which are left out.
-    repeated : int
-        Number of rows equal to an earlier row at the same time, which are left out.
-    clashing : int
-        Number of rows with other values at the time of an earlier row, which are left out.
-    late : int
-        Number of rows that follow a row with a later time, and that are moved to the place of their time.
+    counts : dict of str to int
+        Number of rows of each kind in :data:`ODD_ROWS`: rows without a time, rows equal to an earlier row at
+        the same time, rows with other values at the time of an earlier row (all left out), and rows that
+        follow a row with a later time (moved to the place of their time).
     reset_row : int or None
         Row at which the clock was reset, or None. A record with a reset clock cannot be sorted by time.
     """
 
     index: NDArray[np.int64]
-    untimed: int = 0
-    repeated: int = 0
-    clashing: int = 0
-    late: int = 0
+    counts: dict[str, int]
     reset_row: int | None = None
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Number of rows out of order, by kind (key of :data:`ODD_ROWS`)."""
-        return {name: getattr(self, name) for name in ODD_ROWS}
-
-    @property
-    def changed(self) -> bool:
-        """Whether any row is left out or moved."""
-        return any(self.counts.values())
 
     @property
     def summary(self) -> str:
@@ -774,15 +743,256 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     log does not show which times are right.
     """
     index = np.flatnonzero(np.isfinite(time_s))
-    times, untimed = time_s[index], len(time_s) - len(index)
+    times = time_s[index]
+    counts = dict.fromkeys(ODD_ROWS, 0) | {"untimed": len(time_s) - len(index)}
     if np.all(np.diff(times) > 0):
-        return Order(index, untimed)
+        return Order(index, counts)
     behind = times < np.maximum.accumulate(times)
-    late = int(behind.sum())
+    late = counts["late"] = int(behind.sum())
     if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
-        return Order(index, untimed, late=late, reset_row=int(index[np.argmax(behind)]))
+        return Order(index, counts, int(index[np.argmax(behind)]))
     import pandas as pd
 
     rows = pd.DataFrame({**columns, TIME: time_s}).iloc[index].sort_values(TIME, kind="stable")
-    again, repeated = rows.duplicated(TIME), int(rows.duplicated().sum())
-    return Order(rows.index[~again].to_numpy(), untimed, repeated, int(again.sum()) - repeated, late)
+    again, counts["repeated"] = rows.duplicated(TIME), int(rows.duplicated().sum())
+    counts["clashing"] = int(again.sum()) - counts["repeated"]
+    return Order(rows.index[~again].to_numpy(), counts)
+
+
+# ---------------------------------------------------------------- draft of a mapping
+
+_XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
+#: Names that state a quantity but no unit: pattern of the whole name in lower case, and target column.
+_NAMES: list[tuple[str, str]] = [
+    (r"(lin(ear)?[ _.]*)?acc(el(eration|erometer)?)?" + _XYZ, "a{axis}_m_s2"),
+    (r"(gyr(o(scope)?)?|ang(ular)?[ _.]?(vel(ocity)?|rate)|omega)" + _XYZ, "w{axis}_rad_s"),
+    (r"mag(net(ometer|ic)?([ _]field)?)?" + _XYZ, "m{axis}_T"),
+    (r"(quat(ernion)?|q)[ _.\[]*(?P<axis>[wxyz])\]?", "q{axis}"),
+    (r"(pos(ition)?|location)" + _XYZ, "{axis}_m"),
+    (r"(vel(ocity)?|speed)" + _XYZ, "v{axis}_m_s"),
+    (r"surge[ _.]?(vel(ocity)?|speed)", "u_m_s"),
+    (r"sway[ _.]?(vel(ocity)?|speed)", "v_m_s"),
+    (r"heave[ _.]?(vel(ocity)?|speed)", "w_m_s"),
+    (r"(yaw|heading)[ _.]?(rate|vel(ocity)?|speed)", "yaw_rate_rad_s"),
+    (r"heading", "yaw_rad"),
+    (r"(?P<axis>roll|pitch|yaw)", "{axis}_rad"),
+    (r"(net[ _.]?)?force|thrust|load[ _.]?cell", "force_N"),
+    (r"joint[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
+    (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
+]
+_UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<over>[^\d\s]\S*))\s*")
+#: Pattern of a column name that ends in a unit, such as ``heading_deg`` or ``x mm``.
+_ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
+
+
+@dataclass(frozen=True, eq=False)
+class Draft(Result):
+    """Drafted mapping: result of ``guess_mapping``. Its ``document`` is YAML text with comments."""
+
+    @property
+    def mapping(self) -> Mapping:
+        """Mapping, which ``import_log`` and ``track_imu`` accept.
+
+        Raises
+        ------
+        InputError
+            A value is still ``ASK``.
+        """
+        return of(yamlio.parse_scalar(self.document))
+
+    def _write(self, path: Path) -> list[Path]:
+        atomic.write_text(path, self.document)
+        return [path]
+
+
+def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:
+    """Draft the mapping of a foreign log.
+
+    The draft states what follows from a profile, from the name of a column or from a stated unit. All other
+    values are ``ASK``, with the first values of the column in a comment. A mapping with ``ASK`` is refused.
+    Nothing is inferred from the magnitude of the values.
+
+    Parameters
+    ----------
+    source : path, DataFrame or Log
+        Foreign log. A table has shape (n, k), one row per sample.
+    select : str, optional
+        Track, topic, struct or group to read, if the file holds several.
+    output : path, optional
+        Path of the mapping file. Without a path nothing is written.
+
+    Returns
+    -------
+    Draft
+        ``.document`` holds the text of the mapping file, ``.mapping`` the mapping in memory.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> draft = guess_mapping(pd.DataFrame({"Time (ms)": [0, 20, 40], "Yaw [deg]": [1.0, 1.5, 1.2]}))
+    >>> [(c.source, c.target, c.unit) for c in draft.mapping.columns]
+    [('Yaw [deg]', 'yaw_rad', 'deg')]
+    """
+    given = log.unread(source)
+    path = path_of(given)
+    table = open_table(given, select=select, kind="")
+    lines = [
+        f"# Drafted from {path.name} by swimid import --guess. Answer or delete every line with {ASK};",
+        "# an axis may be swapped or flipped (factor: -1), which no name states.",
+        f"format: {FORMAT}",
+    ]
+    if select is not None or "topic" in table.metadata:
+        lines.append(_line("select", select or table.metadata["topic"]))
+    if table.profile not in ("", "swimid"):
+        lines += _of_profile(table)
+    else:
+        lines += _of_names(table)
+    asked = sum(ASK in line.partition("#")[0] for line in lines)
+    text = "".join(re.sub(r"[\r\n]", " ", line) + "\n" for line in lines)
+    data = {"file": str(path), "mapping": text, "open": asked}
+    if output is None:
+        return Draft("import", text.rstrip("\n"), data, document=text)
+    todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
+    told = f"{path.name}: mapping drafted; {todo}, then swimid import {path.name} --map {output} -o run.csv"
+    return Draft("import", told, data, document=text).save(output)
+
+
+def _of_profile(table: Table) -> list[str]:
+    """Return the lines of the draft for a file of a known format."""
+    lines = [f"as: {table.profile}"]
+    if TIME not in table.columns:
+        lines.append(_line("time", {"rate_hz": ASK}, "frames per second of the film"))
+    names = [name for name in table.columns if name not in (TIME, "frame")]
+    return [*lines, f"# columns of the log, which 'columns:' may choose and rename: {', '.join(names)}"]
+
+
+def _of_names(table: Table) -> list[str]:
+    """Return the lines of the draft that follow from column names and stated units."""
+    usual = max((len(v) for v in table.columns.values()), default=0)
+    columns = {key: values for key, values in table.columns.items() if len(values) == usual}
+    time = _guess_time(table, columns)
+    taken: list[str] = []
+    if isinstance(time, dict):
+        taken = np.atleast_1d(time.get("source") or time["frame"]).tolist()
+    forms = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
+    lines = [_line("time", time, forms), "columns:"]
+    for source, values in columns.items():
+        if source in taken:
+            continue
+        target, unit = named(source, table.units.get(source))
+        if is_text(values) or values.dtype.kind == "M" or not np.isfinite(values.astype(float)).any():
+            left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
+            lines.append(f"  # {left_out}")
+            continue
+        entries = {"source": source, "target": target, "unit": unit}
+        lines.append("  " + _line("-", entries, _first(values)))
+    lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
+    return lines
+
+
+def _line(key: str, value: Any, comment: str = "") -> str:
+    """Return a line of YAML, ``key: value   # comment``, or an item of a list if the key is a dash."""
+    text = _written(key, value)
+    if isinstance(value, dict):
+        entries = [f"{name}: {_written(name, v)}" for name, v in value.items() if v is not None]
+        text = f"{{{', '.join(entries)}}}"
+    start = f"{key}:".replace("-:", "-")
+    if comment:
+        text += f"   # {comment}"
+    return f"{start} {text}"
+
+
+def _written(key: str, value: Any) -> str:
+    """Return a value as YAML: names and units of the file in quotes, column numbers and keywords plain."""
+    if value == ASK or key in ("target", "origin") or (key in ("source", "frame") and str(value).isdecimal()):
+        return str(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+def named(source: str, written: str | None = None) -> tuple[str, str | None]:
+    """Return the target and the unit that follow from the name of a column and from the unit stated for it.
+
+    An unknown target or unit is ``ASK``. The unit is None for a column of the log format.
+
+    >>> named("Yaw [deg]"), named("accX"), named("x_m"), named("level (mm)")
+    (('yaw_rad', 'deg'), ('ax_m_s2', 'ASK'), ('x_m', None), ('level_m', 'mm'))
+    """
+    name = source.strip()
+    if re.fullmatch(r"[A-Za-z]\w*", name, re.A) and states_quantity(name) and not written:
+        return name, None
+    bare, unit = _split(name)
+    unit = canonical(written or unit or "")
+    if unit not in KNOWN:
+        unit = None
+    target = _target(bare.strip(" _.").lower(), unit)
+    if target is not None and quantity_of(target) is None:
+        return target, unit
+    return target or ASK, unit or ASK
+
+
+def _split(name: str) -> tuple[str, str | None]:
+    """Return the name of a column without its unit, and the unit; None if the name states no unit."""
+    if hit := _UNIT.fullmatch(name):
+        return hit["bare"], hit["inside"] or hit["over"]
+    if hit := _ENDING.fullmatch(name):
+        unit = canonical(re.sub(r"(?<=.)_(s2?)$", r"/\1", hit["unit"]))
+        if unit in KNOWN:
+            return hit["bare"], unit
+    return name, None
+
+
+def _target(bare: str, unit: str | None) -> str | None:
+    """Return the column of the log format that a name without unit states; None if there is none."""
+    for pattern, target in _NAMES:
+        hit = re.fullmatch(pattern, bare)
+        if hit is not None:
+            wanted = target.format(**hit.groupdict())
+            fitting = UNITS.get(quantity_of(wanted) or "", {})
+            return wanted if unit is None or unit in fitting else None
+    if unit is None or bare == "":
+        return None
+    # the unit determines the quantity if no other quantity has this unit
+    quantities = [quantity for quantity, table in UNITS.items() if unit in table]
+    word = re.sub(r"[^a-z0-9]+", "_", bare).strip("_")
+    if len(quantities) != 1 or not word[:1].isalpha():
+        return None
+    return f"{word}_{next(iter(UNITS[quantities[0]])).replace('/', '_')}"
+
+
+def _guess_time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
+    """Return the value of ``time:``, as far as names and units state it."""
+    stated = {name: _unit_of_time(name, table.units.get(name)) for name in columns}
+    stamps = [n for n in columns if stated[n] != ASK or OF_TIME.fullmatch(_split(n.strip())[0])]
+    # the time stamp of the sensor has precedence over the time stamp of the recorder
+    stamps.sort(key=lambda name: "header" not in name.lower())
+    counts = [name for name in columns if COUNT.fullmatch(name.strip().lower())]
+    if TIME in columns:
+        return {"source": TIME, "unit": "s"}
+    if stamps and is_text(columns[stamps[0]]):
+        texts = [name for name in stamps if is_text(columns[name])]
+        return {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
+    if stamps and columns[stamps[0]].dtype.kind == "M":
+        return {"source": stamps[0], "origin": "first"}
+    if stamps:
+        return {"source": stamps[0], "unit": stated[stamps[0]]}
+    if counts:
+        return {"frame": counts[0], "rate_hz": ASK}
+    return ASK
+
+
+def _unit_of_time(name: str, written: str | None) -> str:
+    """Return the unit of time that a column states, in its name or as its name; ``ASK`` if it states none."""
+    units_stated = (named(name, written)[1], canonical(name))
+    return next((unit for unit in units_stated if unit in UNITS["time"]), ASK)
+
+
+def _first(values: Any) -> str:
+    """Return the first three values of a column as text."""
+    if values.dtype.kind == "f":
+        return ", ".join(f"{value:.6g}" for value in values[:3])
+    return ", ".join(str(value)[:30] for value in values[:3])

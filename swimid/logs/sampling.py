@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.log import TIME, runs
+from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -533,7 +533,7 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     if len(rows) < 4 or not continuous:
         return none
     sizes = _step_sizes(place[rows])
-    expected = min(_rounding_ratio(values) for values in continuous)
+    expected = min(rounding_ratio(values) for values in continuous)
     turning = _turns(place[rows])
     best, chosen = np.log(FALSE_ALARM / len(RATIOS)), None
     for ratio in RATIOS:
@@ -586,7 +586,7 @@ def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[
         first, end = np.append(0, changes + 1), np.append(changes, len(x) - 1)
         length = end - first + 1
         steps = np.abs(np.diff(x)[changes])
-        usual, fine = float(np.median(steps)), _rounding_ratio(x) < NEAR_ROUNDED
+        usual, fine = float(np.median(steps)), rounding_ratio(x) < NEAR_ROUNDED
         for k in np.flatnonzero(length > LONG_HOLD * np.percentile(length, 95)):
             beside = [steps[j] for j in (k - 1, k) if 0 <= j < len(steps)]
             recurs = x[first[k]] == 0.0 or np.count_nonzero(x[first[length > 1]] == x[first[k]]) > 1
@@ -622,7 +622,7 @@ def _turns(place: Array) -> Flags:
     return turning
 
 
-def _rounding_ratio(values: Array) -> float:
+def rounding_ratio(values: Array) -> float:
     """Return the rounding step of a channel divided by its mean change per sample."""
     known = values[np.isfinite(values)]
     if len(known) == 0 or not np.ptp(known) > 0:
@@ -677,90 +677,6 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
     # the time of the last measurement is uniform over the slack; half of the variance belongs to each end
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
-
-
-# ---------------------------------------------------------------- channels that are no measurement
-
-#: Minimum distance of an outlying value (a code for missing samples, or an error) from all other values,
-#: divided by the range of the other values.
-FAR = 10.0
-#: Minimum number of consecutive samples at the largest or smallest value, and minimum number of such runs, of
-#: a channel that is saturated.
-CUT_SAMPLES, CUT_TIMES = 3, 3
-#: Relative tolerance of the increments of a column that counts the rows.
-COUNT_RTOL = 1e-6
-#: Two names of the yaw rate. Columns with these names may be equal.
-SYNONYMS = {"wz_rad_s", "yaw_rate_rad_s"}
-
-
-def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -> dict[str, str]:
-    """Return the channels whose values no working sensor gives, each with a description of the fault.
-
-    Such a channel is constant, counts the rows, equals another column, is saturated at a value, or holds a
-    value far from all others. Commands, standard deviations, likelihoods and confidences are not checked, nor
-    are channels with fewer than :data:`LONG_ENOUGH` values.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, each shape (n,)
-        Columns of a log, ``t_s`` among them; NaN where missing.
-    scales : mapping of str to float
-        Factor from the values in the file to the values of each column.
-
-    Examples
-    --------
-    >>> t = np.arange(50) / 10
-    >>> find_unmeasured({"t_s": t, "depth_m": 0 * t + 1.2}, {})
-    {'depth_m': 'holds one value in every sample (1.2)'}
-    """
-    from swimid.logs.units import measured
-
-    found: dict[str, str] = {}
-    earlier: dict[str, Array] = {}
-    for name, values in columns.items():
-        known = values[np.isfinite(values)]
-        if len(known) < LONG_ENOUGH or SET.fullmatch(name) or measured(name) is None:
-            continue
-        equal = [other for other, same in earlier.items() if np.array_equal(values, same, equal_nan=True)]
-        copied = [other for other in equal if {name, other} != SYNONYMS]
-        steps = np.diff(known) / scales.get(name, 1.0)
-        if name == TIME:
-            text = ""
-        elif not steps.any():
-            text = f"holds one value in every sample ({known[0]:.6g})"
-        elif copied:
-            text = f"equals {copied[0]} in every sample"
-        elif np.allclose(steps, 1.0, rtol=COUNT_RTOL):
-            text = "counts the rows"
-        else:
-            text = _find_far(known) or _find_cut(known)
-        if text:
-            found[name] = text
-        if "_raw_" not in name:
-            earlier[name] = values
-    return found
-
-
-def _find_far(known: Array) -> str:
-    """Return words that name an extreme value far from all other values; empty if there is none."""
-    for extreme in (known.min(), known.max()):
-        others = known[known != extreme]
-        away = float(np.min(np.abs(others - extreme)))
-        if away > FAR * np.ptp(others) > 0:
-            count = len(known) - len(others)
-            return f"holds {extreme:.6g} in {count} samples, far from all others: missing samples?"
-    return ""
-
-
-def _find_cut(known: Array) -> str:
-    """Return words that name the value at which a channel is saturated; empty if there is none."""
-    if has_levels(known) or _rounding_ratio(known) > NEAR_ROUNDED:
-        return ""
-    for extreme in (known.min(), known.max()):
-        held = np.diff(runs(known == extreme)).ravel()
-        if np.count_nonzero(held >= CUT_SAMPLES) >= CUT_TIMES:
-            return f"is cut off at {extreme:.6g}"
-    return ""
 
 
 # ---------------------------------------------------------------- rate of change

@@ -1,17 +1,26 @@
-"""Tracks of a camera: repeated samples, jumps and gaps (which are never filled), and the mean speed."""
+"""Tracks: repeated samples, jumps and gaps (which are never filled), mean speed, and the result of a log."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise, product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.logs import log
 from swimid.logs.beat import waves
-from swimid.logs.log import runs
+from swimid.logs.log import Log, runs
 from swimid.logs.sampling import PAUSE, Held, find_held, pauses, quantum
+from swimid.results import numbers
+from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
+from swimid.results.result import Result
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -67,11 +76,6 @@ class Cleaning:
         """Number of repeated samples, number of jumps, and number of samples flagged as jumped."""
         repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
         return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
-
-    @property
-    def longest_gap_s(self) -> float:
-        """Length of the longest gap, s; 0 without a gap."""
-        return max((end - start for start, end in self.gaps), default=0.0)
 
 
 def clean(time_s: Array, positions: list[Array], others: list[Array] | None = None) -> Cleaning:
@@ -476,3 +480,90 @@ def _strength(t: Array, x: Array) -> Array:
             spline = make_smoothing_spline(unit[~out], x[~out], lam=lam)
             errors[k] += np.sum((spline(unit[out]) - x[out]) ** 2, axis=0)
     return STRENGTHS[np.argmin(errors, axis=0)]
+
+
+# ---------------------------------------------------------------- result of commands that write a log
+
+
+@dataclass(frozen=True, eq=False)
+class Logged(Result):
+    """Result of ``track_video``, ``track_imu`` and ``import_log``: a log and its evidence.
+
+    Attributes
+    ----------
+    table : dict of str to array_like, each shape (n,)
+        Columns as they are written to the file, with text and integers. Empty if the columns of ``log`` are
+        written.
+    log : Log
+        The log, which any function that reads logs accepts.
+    frame : DataFrame
+        Columns of the log, one row per sample, in SI units and radians.
+
+    Examples
+    --------
+    >>> import swimid
+    >>> made = swimid.load_result("sample_logs/rig/w10.csv")
+    >>> isinstance(made, Logged), list(made.frame)
+    (True, ['t_s', 'x_m'])
+    """
+
+    table: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    kind = "Log"
+    ending = ".csv"
+
+    @property
+    def log(self) -> Log:
+        """The log, which any function that reads logs accepts."""
+        assert isinstance(self.document, Log)
+        return self.document
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """Columns of the log, one row per sample, in SI units and radians."""
+        import pandas as pd
+
+        return pd.DataFrame(dict(self.table or self.log.columns))
+
+    def _write(self, path: Path) -> list[Path]:
+        log.write(path, self.table or self.log.columns, self.log.metadata)
+        return [path]
+
+    @classmethod
+    def _read(cls, path: str | Path) -> Log:
+        return log.read(path)
+
+    def _own_facts(self) -> dict[str, str]:
+        span = float(self.log.time_s[-1] - self.log.time_s[0])
+        rate = 1.0 / float(np.median(np.diff(self.log.time_s)))
+        return {
+            "Samples": str(len(self.log)),
+            "Duration": numbers.number(span, unit="s"),
+            "Median rate": numbers.number(rate, unit="Hz"),
+        }
+
+    def _own_tables(self) -> list[Table]:
+        rows: list[list[Any]] = []
+        for name, values in self.log.signals.items():
+            lost = numbers.percent(float(np.isnan(values).mean()))
+            known = values[np.isfinite(values)]
+            ends = [float(end(known)) for end in (np.min, np.max) if len(known)]
+            rows.append([name, *(ends or (None, None)), lost])
+        columns = ["channel", "smallest", "largest", "missing"]
+        folded = self.evidence is not None
+        return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
+
+    def bare(self) -> Evidence:
+        """Return evidence for a log whose evidence file is missing."""
+        from swimid.logs import plot
+
+        verdict = Verdict(level="caution", text="A log without evidence of how it was made.")
+        if self.log.metadata.get("made_by") == "swimid simulate":
+            verdict = Verdict(level="good", text="A simulated run.")
+        return Evidence(
+            command=self.command,
+            title=f"Log {self.path.name}",
+            verdict=verdict,
+            figures=plot.figures_of([self.log]),
+            tables=[leaf_table("metadata", "Metadata of the log", self.log.metadata)],
+        )

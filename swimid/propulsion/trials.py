@@ -176,7 +176,8 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         logs.append(log.source)
         seen = np.isfinite(log["yaw_rad"])
         beat = find_beat(log.time_s[seen], np.unwrap(log["yaw_rad"][seen]))
-        beat_facts[entry.id] = stated_against_found(entry.id, drive.frequency_hz, beat, used="measured")
+        used = "the measured frequency is used"
+        beat_facts[entry.id] = stated_against_found(entry.id, drive.frequency_hz, beat, used)
         if drive.bias_deg != 0:
             turning.append(entry.id)
             continue

@@ -40,7 +40,7 @@ FORMATS = {
     "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
 }
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
-LOG = "swimid.logs.logged:Logged"
+LOG = "swimid.logs.tracks:Logged"
 
 #: Maximum width of a line on a terminal, and minimum width of a column whose texts are shortened, characters.
 WIDTH, MIN_CUT = 100, 16

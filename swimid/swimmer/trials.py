@@ -17,9 +17,14 @@ from swimid.fitting import drives, metrics
 from swimid.fitting.drives import Cycle, SwimInput
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log
 from swimid.fitting.model import Array, Trial
-from swimid.logs import consistency
 from swimid.logs import trials as trials_format
-from swimid.logs.beat import find_beat, stated_against_found
+from swimid.logs.beat import (
+    LARGEST_SLIP,
+    compare_course,
+    find_beat,
+    is_in_degrees,
+    stated_against_found,
+)
 from swimid.logs.log import Log
 from swimid.logs.trials import Drive, FreeSwim, FreeSwimTrial, Multibody, StrokeDrive, TrialSet
 from swimid.notices import warn
@@ -578,7 +583,8 @@ def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | No
             time = log.time_s[known]
             highest = min(8.0 * entry.drive.frequency_hz, 0.45 / float(np.median(np.diff(time))))
             found = find_beat(time, log[name][known], highest_hz=highest)
-            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used="stated")
+            used = "correct it if it is wrong: it is used"
+            return stated_against_found(entry.id, entry.drive.frequency_hz, found, used)
     return None
 
 
@@ -590,12 +596,12 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -
     tracks = [(log.time_s, log["x_m"], log["y_m"], log["yaw_rad"]) for log in logs]
     frequencies = [getattr(r.entry.drive, "frequency_hz", None) or math.inf for r in recordings]
     window_s = max(1.0, 1.0 / min(frequencies, default=math.inf))
-    if consistency.is_in_degrees(tracks, window_s):
+    if is_in_degrees(tracks, window_s):
         warn(
             "SWM034", f"{path.name}, 'yaw_rad': the courses follow it if it is in degrees (a factor of 57.3)"
         )
         return
-    seen = consistency.compare_course(tracks, window_s)
+    seen = compare_course(tracks, window_s)
     if seen is None:
         return
     if seen.mirrored:
@@ -604,7 +610,7 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -
             f"{path.name}: the courses follow the headings mirrored: the y axis or the heading of these "
             "logs has the wrong sign (a picture's y axis points down); turn it with factor: -1 in a mapping",
         )
-    elif abs(seen.slip_rad) > math.pi / 4 and seen.spread_rad < consistency.LARGEST_SLIP:
+    elif abs(seen.slip_rad) > math.pi / 4 and seen.spread_rad < LARGEST_SLIP:
         warn(
             "SWM063",
             f"{path.name}: the courses differ from the headings by {math.degrees(seen.slip_rad):.0f} "

@@ -14,11 +14,10 @@ import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
-from swimid.logs import log, swimming
+from swimid.logs import kinematics, log
+from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
-from swimid.logs.logged import Logged
-from swimid.logs.swimming import Swimming
-from swimid.logs.tracks import Estimate
+from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
@@ -275,7 +274,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     seen, path = pose.times[pose.measured], pose.path
     begin, end = (one if one is not None else seen[k] for one, k in zip(window_s, (0, -1), strict=True))
     inside = int(((seen >= begin) & (seen <= end)).sum())
-    if inside < swimming.MIN_SAMPLES and window_s != (None, None):
+    if inside < kinematics.MIN_WINDOW_SAMPLES and window_s != (None, None):
         raise UsageError(
             f"only {inside} frames with the markers are between {begin:g} and {end:g} s; the track runs from "
             f"{seen[0]:.4g} to {seen[-1]:.4g} s",
@@ -287,7 +286,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
     if pose.angle is not None and pose.separation is not None:
         angle = pose.angle.position[0]
         angle_error = math.sqrt(2) * error / max(float(np.nanmedian(pose.separation)), 1e-12)
-    track = swimming.Track(
+    track = kinematics.Track(
         time_s=pose.times,
         measured=pose.measured,
         raw=pose.raw,
@@ -298,7 +297,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
         error=error,
         angle_error=angle_error,
     )
-    return swimming.measure(track, window_s)
+    return kinematics.measure(track, window_s)
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:

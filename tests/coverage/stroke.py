@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs import rhythm, tracks
+from swimid.logs import beat, tracks
 
 Array = NDArray[np.float64]
 
@@ -47,10 +47,10 @@ def one(seed: int) -> dict[str, float]:
             columns = dict(zip(("x_m", "y_m"), place[good].T, strict=True))
             assert cleaning.held is not None
             times = cleaning.held.measured_s[good]
-            stroke = rhythm.find(times, columns)
-            slow = rhythm.find_slowest(times, columns)
+            stroke = beat.find_stroke(times, columns)
+            slow = beat.find_slowest(times, columns)
             if stroke is not None:
-                stroke = rhythm.add_time_error(stroke, cleaning.held.measured_sd_s, stamps)
+                stroke = beat.add_time_error(stroke, cleaning.held.measured_sd_s, stamps)
                 low, high = stroke.beat.interval_hz
                 hits[f"{length}, {kind}: frequency"] = float(low <= truth["frequency_hz"] <= high)
             elif length == "long":

@@ -4,8 +4,7 @@ All formats in the modules of this package are found automatically. To add a for
 
 A profile is a format that recognises its files by their content. It knows the units, axes and conventions of
 these files, or reads them from the file. It returns a table in SI units whose columns are named as in the log
-format. Times are in the column ``t_s``. A format without times has a column ``frame``, and the frame rate is
-in ``scalars["rate_hz"]`` if the file states it.
+format. Times are in the column ``t_s``. A format without times has a column ``frame``.
 """
 
 from __future__ import annotations
@@ -13,11 +12,12 @@ from __future__ import annotations
 import codecs
 import contextlib
 import importlib
+import math
 import pkgutil
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import chain
@@ -39,9 +39,134 @@ from swimid.errors import (
 from swimid.files import yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
-from swimid.logs.units import UNITS, canonical
 
 Array = NDArray[np.float64]
+
+
+# ---------------------------------------------------------------- units
+
+_G = 9.80665  # standard gravity, ISO 80000-3
+_DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60
+
+#: Factor from each unit to the SI unit, by quantity. The first unit of a quantity is the SI unit.
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
+    "pixels": {"px": 1},
+    "pixel speed": {"px/s": 1},
+    "pixel acceleration": {"px/s2": 1},
+    "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "km": 1e3, "in": 0.0254, "ft": 0.3048},
+    "angle": {"rad": 1, "deg": _DEG, "mrad": 1e-3, "rev": _REV, "cdeg": _DEG / 100, "tick": _REV / 4096},
+    "speed": {"m/s": 1, "mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1 / 3.6, "kn": 1852 / 3600},
+    "acceleration": {"m/s2": 1, "mm/s2": 1e-3, "cm/s2": 1e-2, "g": _G, "mg": 1e-3 * _G},
+    "turn rate": {
+        "rad/s": 1,
+        "deg/s": _DEG,
+        "mrad/s": 1e-3,
+        "deg/h": _DEG / 3600,
+        "rpm": _RPM,
+        "rev/s": _REV,
+    },
+    "angular acceleration": {"rad/s2": 1, "deg/s2": _DEG},
+    "force": {"N": 1, "mN": 1e-3, "kN": 1e3, "gf": 1e-3 * _G, "kgf": _G, "lbf": 4.4482216152605},
+    "torque": {"Nm": 1, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2},
+    "mass": {"kg": 1, "g": 1e-3, "mg": 1e-6},
+    "magnetic flux density": {"T": 1, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "G": 1e-4, "mG": 1e-7},
+    "voltage": {"V": 1, "mV": 1e-3},
+    "current": {"A": 1, "mA": 1e-3},
+    "power": {"W": 1, "mW": 1e-3},
+    "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "mbar": 100, "bar": 1e5},
+    "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
+    "temperature": {"degC": 1},
+}
+#: Quantity for each ending of a column name, such as ``m_s`` for m/s.
+SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
+#: Names of all units of all quantities.
+KNOWN = frozenset(name for table in UNITS.values() for name in table)
+#: Other spellings of each unit.
+_SPELLED = {
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "millis", "milliseconds"),
+    "us": ("micros", "usec"),
+    "ns": ("nsec", "nanoseconds"),
+    "m": ("metre", "metres", "meter", "meters"),
+    "rad": ("radians",),
+    "deg": ("degree", "degrees", "°"),
+    "deg/s": ("dps",),
+    "rev/s": ("rps",),
+    "g": ("gs", "gee"),
+    "G": ("gauss",),
+    "kn": ("knots",),
+    "Nm": ("N m", "N·m", "N*m"),
+    "degC": ("C", "°C", "celsius"),
+    "px": ("pixel", "pixels"),
+    "tick": ("ticks",),
+}
+#: Names of columns of the log format that have no unit.
+_NO_UNIT = re.compile(r"q[wxyz]|m[xyz]|(.+_)?(likelihood|score|confidence)|found|interpolated")
+_SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling in others}
+
+
+def canonical(unit: str) -> str:
+    """Return a unit in the spelling of :data:`UNITS`; an unknown unit is returned unchanged.
+
+    >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
+    ('m/s2', 'deg/s', 'uT', 'm/s')
+    """
+    # NFKC converts "m/s²" to "m/s2", and both characters for micro to the same one
+    text = unicodedata.normalize("NFKC", unit.strip()).replace("μ", "u")
+    text = re.sub(r"\*\*|\^", "", text)
+    text = re.sub(r"[ *]s-2|/s/s", "/s2", re.sub(r"[ *]s-1", "/s", text))
+    top, _, below = text.partition("/")
+    joined = f"{_SPELLINGS.get(top.lower(), top)}/{below.replace('sec', 's')}"
+    spelled = (text, _SPELLINGS.get(text), _SPELLINGS.get(text.lower()), text.lower(), joined)
+    return next((name for name in spelled if name in KNOWN), text)
+
+
+def quantity_of(column: str) -> str | None:
+    """Return the quantity that a column measures, from the ending of its name; None if the name has no unit.
+
+    >>> quantity_of("yaw_rate_rad_s"), quantity_of("x_m"), quantity_of("valve")
+    ('turn rate', 'length', None)
+    """
+    endings = [suffix for suffix in SUFFIXES if column.endswith(f"_{suffix}")]
+    return SUFFIXES.get(max(endings, key=len, default=""))
+
+
+def states_quantity(column: str) -> bool:
+    """Return whether the name of a column states its quantity, by a unit or as a known name without a unit.
+
+    >>> states_quantity("x_m"), states_quantity("nose_likelihood"), states_quantity("column_3")
+    (True, True, False)
+    """
+    return quantity_of(column) is not None or _NO_UNIT.fullmatch(column) is not None
+
+
+def unit_factor(unit: str, column: str) -> float:
+    """Return the factor from ``unit`` to the SI unit in the name of a column.
+
+    Raises
+    ------
+    ValueError
+        The unit is unknown, or is not a unit of the quantity of the column.
+
+    >>> unit_factor("g", "ax_m_s2"), unit_factor("g", "load_kg"), unit_factor("ms", "t_s")
+    (9.80665, 0.001, 0.001)
+    """
+    name, quantity = canonical(unit), quantity_of(column)
+    if quantity is None:
+        raise ValueError(
+            f"'{column}' names no unit to convert '{unit}' to; end it in one (x_m, yaw_rad), or give a factor"
+        )
+    table = UNITS[quantity]
+    others = [known for known, units in UNITS.items() if name in units]
+    if name not in table and others:
+        raise ValueError(f"'{unit}' is a unit of {others[0]}, '{column}' is a {quantity}: {', '.join(table)}")
+    if name not in table:
+        raise ValueError(f"unknown unit '{unit}' of {quantity}; {suggestion(name, list(table))}")
+    return float(table[name])
+
+
+# ---------------------------------------------------------------- tables
 
 #: Maximum length of a list whose elements become columns.
 MAX_ELEMENTS = 100
@@ -79,8 +204,6 @@ class Table:
         Units that the file states, by column.
     metadata : dict
         Metadata of the file: text and single values that describe it.
-    scalars : dict of str to float
-        Single numbers in the file, such as a sampling rate.
     notes : list of str
         Problems found while the file was read, for the user.
     comments : list of str
@@ -94,7 +217,6 @@ class Table:
     columns: dict[str, NDArray[Any]]
     units: dict[str, str] = field(default_factory=dict)
     metadata: dict[str, Any] = field(default_factory=dict)
-    scalars: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     lines: NDArray[np.int64] | None = None
@@ -142,7 +264,8 @@ class Peek:
         InputError
             The file cannot be read.
         """
-        return cls(path, first_bytes(path, 1 << 14))
+        with file_errors(path), path.open("rb") as stream:
+            return cls(path, stream.read(1 << 14))
 
     @cached_property
     def lines(self) -> list[str]:
@@ -184,7 +307,7 @@ class Format:
         Name of the format in messages.
     open : callable
         Function ``open(path, options, select) -> Table``. ``select`` is the track, topic, struct or group to
-        read, or None. :func:`reading` converts the exceptions of a library to an :class:`InputError`.
+        read, or None. :func:`open_table` converts the exceptions of a library to an :class:`InputError`.
     recognises : callable, optional
         Function ``recognises(peek) -> bool``. It returns whether the content of a file is known, so that its
         columns can be named as in the log format. Without this function the format is recognised by the first
@@ -209,30 +332,6 @@ class Format:
 def is_text(values: NDArray[Any]) -> bool:
     """Return whether a column holds text."""
     return values.dtype.kind in "USO"
-
-
-def first_bytes(path: Path, count: int) -> bytes:
-    """Return the beginning of a file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    """
-    with file_errors(path), path.open("rb") as stream:
-        return stream.read(count)
-
-
-@contextmanager
-def reading(path: Path, title: str, extra: str = "") -> Iterator[None]:
-    """Convert each exception of a library to an :class:`InputError`: the file is no readable ``title``."""
-    try:
-        with extra_needed(f"reading this {title}", extra, file=path):
-            yield
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"is no readable {title}: {first_line(error)}", file=path) from error
 
 
 def flat(
@@ -293,7 +392,7 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
 
     The columns of a matrix are named ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix with
     more columns than rows is transposed if its number of columns is the usual length of the arrays. Single
-    numbers become scalars, text becomes metadata. ``parts`` is the argument of :func:`flat`.
+    numbers are left out, text becomes metadata. ``parts`` is the argument of :func:`flat`.
 
     Raises
     ------
@@ -322,8 +421,8 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
         if len(matrix) == 1 or len(matrix) != longest == matrix.shape[1]:
             matrix = matrix.T
         if values.size == 1 and longest > 1:
-            table.scalars[name] = float(values.item())
-        elif matrix.shape[1] == 1:
+            continue
+        if matrix.shape[1] == 1:
             table.columns[name] = matrix[:, 0]
         else:
             table.columns |= {f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}
@@ -465,14 +564,18 @@ def open_table(
         return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
     path = Path(given)
     found = find_format(path, kind)
+    hint = None
+    if found.recognises is not None:
+        hint = in_words_of_the_caller(f"the file is read as a {found.title}; --as names another format")
     try:
-        with reading(path, found.title, found.extra):
+        with extra_needed(f"reading this {found.title}", found.extra, file=path):
             table = found.open(path, options or Options(), select)
     except InputError as error:
-        if error.hint is None and found.recognises is not None:
-            hint = f"the file is read as a {found.title}; --as names another format"
-            error.hint = in_words_of_the_caller(hint)
+        error.hint = error.hint or hint
         raise
+    except Exception as error:
+        text = f"is no readable {found.title}: {first_line(error)}"
+        raise InputError(text, file=path, hint=hint) from error
     if not table.columns:
         raise InputError("holds no samples", file=path)
     if found.recognises is not None:

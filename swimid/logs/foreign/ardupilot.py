@@ -13,8 +13,8 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.logs.foreign import Format, Options, Peek, Table, axes, choose, is_text, open_table, renamed, rows
+from swimid.logs.kinematics import from_frd, with_angles
 from swimid.logs.log import TIME
-from swimid.logs.rotation import from_frd, with_angles
 
 #: Column of the log for each field of a message.
 FIELDS: dict[str, str] = {

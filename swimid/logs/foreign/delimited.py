@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, number, parse
-from swimid.logs import units
-from swimid.logs.foreign import Format, Options, Peek, Table
+from swimid.logs.foreign import KNOWN, Format, Options, Peek, Table, canonical
 from swimid.logs.log import TIME
 
 if TYPE_CHECKING:
@@ -200,7 +199,7 @@ def _first_sample(table: list[list[str]], width: int, decimal: str, options: Opt
 
 def _are_units(cells: list[str]) -> bool:
     texts = [text for text in map(_unit, cells) if text]
-    return sum(units.canonical(text) in units.KNOWN or text in ("-", "1") for text in texts) > len(texts) / 2
+    return sum(canonical(text) in KNOWN or text in ("-", "1") for text in texts) > len(texts) / 2
 
 
 def _unit(cell: str) -> str:

@@ -1,17 +1,14 @@
-"""Recordings with topics: ULog (with pyulog) and PX4, MCAP (with mcap) with ROS 2 or JSON messages.
+"""MCAP recordings (with mcap) of ROS 2 or JSON messages.
 
-The axes of PX4 are forward, right, down and north, east, down. They are converted to y left and z up. ROS 2
-has the units and axes of REP 103: SI units, x forward, y left, z up. Quaternions of ROS 2 are x, y, z, w from
-body to world. Times of ROS 2 are those of the message header, which the driver of the sensor sets, not those
-of the recorder.
+ROS 2 has the units and axes of REP 103: SI units, x forward, y left, z up. Quaternions of ROS 2 are x, y, z,
+w from body to world. Times of ROS 2 are those of the message header, which the driver of the sensor sets,
+not those of the recorder.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,27 +22,20 @@ from swimid.logs.foreign import (
     Table,
     axes,
     choose,
-    first_bytes,
     flat,
     of_records,
     open_table,
-    reading,
     renamed,
     safe,
 )
+from swimid.logs.kinematics import with_angles
 from swimid.logs.log import TIME
-from swimid.logs.rotation import from_frd, with_angles
 
-ULOG_MAGIC, MCAP_MAGIC = b"ULog\x01\x12\x35", b"\x89MCAP0\r\n"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 def topics(path: Path) -> dict[str, str]:
-    """Return the topics of a recording, each with the type of its messages as stated in the file.
-
-    If a topic of a ULog recording has several instances, they are named ``name[0]``, ``name[1]``.
-    """
-    if first_bytes(path, len(ULOG_MAGIC)) == ULOG_MAGIC:
-        return {topic: data.name for topic, data in _load_ulog(path)[1].items()}
+    """Return the topics of a recording, each with the type of its messages as stated in the file."""
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
@@ -58,39 +48,6 @@ def topics(path: Path) -> dict[str, str]:
         else:
             found = {channel.topic: schema for schema, channel, _ in reader.iter_messages()}
     return {topic: getattr(schema, "name", "") for topic, schema in sorted(found.items())}
-
-
-def _load_ulog(path: Path) -> tuple[Any, dict[str, Any]]:
-    """Return the recording and its topics, by name."""
-    with reading(path, "ULog recording", "ulog"), contextlib.redirect_stdout(io.StringIO()):
-        # the library prints warnings about a damaged file, but stdout is reserved for results
-        from pyulog import ULog
-
-        log = ULog(str(path))
-    several = {data.name for data in log.data_list if data.multi_id}
-    found = {}
-    for data in log.data_list:
-        name = data.name
-        if name in several:
-            name += f"[{data.multi_id}]"
-        found[name] = data
-    return log, found
-
-
-def _open_ulog(path: Path, options: Options, select: str | None) -> Table:
-    log, found = _load_ulog(path)
-    topic = choose(select, list(found), "topic", path)
-    # rename q[0] to q[1]: elements are counted from 1 in every format
-    values = {
-        re.sub(r"\[(\d+)\]$", lambda index: f"[{int(index[1]) + 1}]", name): column
-        for name, column in found[topic].data.items()
-    }
-    notes = []
-    if log.dropouts:
-        notes.append(f"{len(log.dropouts)} dropouts while it was recorded")
-    if log.file_corruption:
-        notes.append("the file is damaged; its readable part was read")
-    return Table(values, metadata={"topic": topic}, notes=notes)
 
 
 def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
@@ -125,9 +82,6 @@ def _parts(value: Any) -> Any:
     return value
 
 
-ULOG = Format(
-    "ulog", "ULog recording", _open_ulog, endings=(".ulg", ".ulog"), magic=(ULOG_MAGIC,), extra="ulog"
-)
 MCAP_TITLE = "MCAP file of ROS 2 or JSON messages"
 MCAP = Format("mcap", MCAP_TITLE, _open_mcap, endings=(".mcap",), magic=(MCAP_MAGIC,), extra="mcap")
 
@@ -142,14 +96,6 @@ def _pose(at: str) -> dict[str, str]:
 
 #: Fields of each type of message, with the columns of the log. Types of ROS 2 are written without ``/msg``.
 FIELDS: dict[str, dict[str, str]] = {
-    "vehicle_local_position": axes("{}", "{}_m") | axes("v{}", "v{}_m_s") | {"heading": "yaw_rad"},
-    "vehicle_attitude": axes("q[{}]", "q{}", "1234", "wxyz"),
-    "vehicle_angular_velocity": axes("xyz[{}]", "w{}_rad_s", "123", "xyz"),
-    "vehicle_acceleration": axes("xyz[{}]", "a{}_m_s2", "123", "xyz"),
-    "sensor_combined": axes("gyro_rad[{}]", "w{}_rad_s", "123", "xyz")
-    | axes("accelerometer_m_s2[{}]", "a{}_m_s2", "123", "xyz"),
-    "sensor_gyro": axes("{}", "w{}_rad_s"),
-    "sensor_accel": axes("{}", "a{}_m_s2"),
     "nav_msgs/Odometry": _pose("pose.pose.")
     | axes("twist.twist.linear.{}", "{}_m_s", "xyz", "uvw")
     | axes("twist.twist.angular.{}", "w{}_rad_s"),
@@ -174,28 +120,17 @@ def _recognises(peek: Peek) -> bool:
     return False
 
 
-def _open(path: Path, select: str | None) -> tuple[Table, str]:
-    """Return the samples and the message type of the selected topic, or of the only topic."""
+def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
     topics = _topics(path)
     topic = choose(select, list(topics), "topic", path)
-    return open_table(path, select=topic), topics[topic]
-
-
-def _read_px4(path: Path, options: Options, select: str | None) -> Table:
-    table, kind = _open(path, select)
-    time_s = table.columns[table.column("timestamp", path)].astype(np.int64) * 1e-6
-    return replace(table, columns={TIME: time_s, **with_angles(from_frd(renamed(table, FIELDS[kind])))})
-
-
-def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
-    table, kind = _open(path, select)
+    table = open_table(path, select=topic)
     stamp = table.columns.get("header.stamp")
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
         stamp = table.columns["log_time"]
         table.notes.append("its messages have no stamps; the times are those of the recorder")
     nanoseconds = stamp.astype("datetime64[ns]").astype(np.int64)
     table.metadata["first_stamp_s"] = float(nanoseconds[0]) * 1e-9
-    columns = renamed(table, FIELDS[kind] or _joints(table))
+    columns = renamed(table, FIELDS[topics[topic]] or _joints(table))
     time_s = (nanoseconds - nanoseconds[0]) * 1e-9
     return replace(table, columns={TIME: time_s, **with_angles(columns)})
 
@@ -214,5 +149,4 @@ def _joints(table: Table) -> dict[str, str]:
     return fields
 
 
-PX4 = Format("px4", "ULog recording of PX4", _read_px4, _recognises, magic=(ULOG_MAGIC,), extra="ulog")
 ROS2 = Format("ros2", "MCAP recording of ROS 2", _read_ros2, _recognises, magic=(MCAP_MAGIC,), extra="mcap")

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.fitting.model import Array, Hooks, Trial
-from swimid.logs.rotation import angles, from_angles
+from swimid.logs.kinematics import angles, from_angles
 from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer.model import Swimmer
