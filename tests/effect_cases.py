@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from swimid.effects.base import Affected, Effect
-from swimid.fitting.drives import Beat, RigInput, SwimInput
-from swimid.fitting.model import Model, Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import Model, RigInput, SwimInput, Trial
 from swimid.rig import model as rig
 from swimid.robots import file as robots
 from swimid.robots.file import Robot

@@ -15,8 +15,7 @@ from swimid.blackbox.model import ArxModel
 from swimid.effects import actuation
 from swimid.effects.base import Affected
 from swimid.fitting import drives
-from swimid.fitting.drives import CruiseInput, SurgeInput, SwimInput
-from swimid.fitting.model import Hooks, Stroke, Trial
+from swimid.fitting.model import CruiseInput, Hooks, Stroke, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel

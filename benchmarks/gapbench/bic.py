@@ -19,7 +19,7 @@ from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
-from swimid.fitting import noise as sample_noise
+from swimid.fitting import uncertainty as sample_noise
 
 #: Effects together at most; so many times the noise is read off the residuals before.
 MOST, WEIGHTINGS = 2, 2

@@ -32,8 +32,8 @@ from swimid.blackbox.difference import INTEGRATING, Orders, Pole, Record, best_l
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import Data
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise as rt
-from swimid.fitting.metrics import Score, score
+from swimid.fitting import uncertainty as rt
+from swimid.fitting.fit_common import Score, score
 from swimid.notices import warn
 from swimid.progress import Progress, silent
 

@@ -16,8 +16,8 @@ from swimid.blackbox.model import NAME, PAPER
 from swimid.blackbox.options import RwlsOptions
 from swimid.blackbox.trials import read
 from swimid.files import atomic, provenance
-from swimid.fitting import noise as rt
-from swimid.fitting.metrics import score
+from swimid.fitting import uncertainty as rt
+from swimid.fitting.fit_common import score
 from swimid.notices import recorded, warn
 from swimid.options import takes
 from swimid.progress import Progress, silent

@@ -15,7 +15,7 @@ from swimid.blackbox.model import ArxModel, sine_input
 from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
-from swimid.fitting import noise as rt
+from swimid.fitting import uncertainty as rt
 from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import Trial
 from swimid.logs import sampling

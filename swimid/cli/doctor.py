@@ -37,7 +37,7 @@ KERNELS = (
     "swimid.rig.model",
     "swimid.swimmer.planar.model",
     "swimid.blackbox.recursive",
-    "swimid.fitting.metrics",
+    "swimid.fitting.fit_common",
     "swimid.tracking.detect",
     "swimid.tracking.smooth",
 )

@@ -17,7 +17,7 @@ from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import FEWEST, RandomEffect
 from swimid.effects.base import Effect
-from swimid.fitting import noise as sample_noise
+from swimid.fitting import uncertainty as sample_noise
 from swimid.fitting.model import Array
 
 #: Number of reweighting iterations before any effect is tried.

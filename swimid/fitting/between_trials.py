@@ -19,11 +19,10 @@ import numpy as np
 from scipy import optimize, special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise as noise_model
-from swimid.fitting import output_error
-from swimid.fitting.covariance import orthogonal_part, sandwich
-from swimid.fitting.metrics import FitResult
+from swimid.fitting import output_error, uncertainty
 from swimid.fitting.model import Array
+from swimid.fitting.output_error import FitResult
+from swimid.fitting.uncertainty import orthogonal_part, sandwich
 
 #: Minimum number of trials for an estimate of the standard deviation between trials, and for a search for an
 #: outlier.
@@ -97,7 +96,7 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     # the noise is estimated after the step, because the residuals before the step contain the differences
     # between trials
     left = [r + j @ step for r, j in zip(residuals, rows, strict=True)]
-    found = sandwich(problem, rows, left, noise_model.autoregressions(problem, left))
+    found = sandwich(problem, rows, left, uncertainty.autoregressions(problem, left))
     labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
     others = [i for i in range(len(labels)) if i not in mine]

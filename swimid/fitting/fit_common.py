@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numba
 import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.provenance import Held, Input
-from swimid.fitting import metrics, output_error
-from swimid.fitting.covariance import HETEROGENEITY, combinations, sentences
-from swimid.fitting.metrics import FitResult
+from swimid.fitting import output_error
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
-from swimid.fitting.noise import SIGNIFICANCE, autocorrelation, joined, ljung_box
-from swimid.fitting.output_error import STEP_ERROR
+from swimid.fitting.output_error import STEP_ERROR, FitResult
+from swimid.fitting.uncertainty import (
+    HETEROGENEITY,
+    SIGNIFICANCE,
+    autocorrelation,
+    combinations,
+    joined,
+    ljung_box,
+    sentences,
+)
 from swimid.logs import log as log_format
 from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held
@@ -138,6 +145,317 @@ def warn_mass(name: str, value: float, against: float, file: Path) -> None:
         )
 
 
+# ---------------------------------------------------------------- errors
+
+
+#: Maximum error for a good and for a usable description of a channel, as fractions of its measured range.
+GOOD, USABLE = 0.15, 0.30
+#: Maximum error of the mean speed of trials for a good and a usable model, as fractions of the measured
+#: speed.
+GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of one channel."""
+
+    #: Root-mean-square error, in the unit of the channel.
+    rmse: float
+    #: Root-mean-square error divided by the measured range (maximum minus minimum). For a pose with several
+    #: trials, the range is the root mean square of the ranges of the trials.
+    nrmse: float
+    #: Variance accounted for, ``1 - var(error) / var(measured)``.
+    vaf: float
+    #: Fit in percent, ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
+    fit_percent: float
+    #: Mean error, measured minus simulated, in the unit of the channel.
+    bias: float
+    samples: int
+
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """Return the errors as an entry of the parameter file."""
+        return {**asdict(self), "unit": unit}
+
+
+def score(measured: Array, simulated: Array) -> Score:
+    """Compare two series, shape (n,). Samples missing in either are left out; NaN without samples.
+
+    >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
+    100.0
+    """
+    return score_trials([(measured, simulated)], own_motion=False)
+
+
+def _ratio(value: float, size: float) -> float:
+    """Return a value divided by a size; NaN unless the size is positive."""
+    if size > 0:
+        return value / size
+    return math.nan
+
+
+def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
+    """Compute the errors of one channel over several trials.
+
+    Parameters
+    ----------
+    parts : sequence of (ndarray, ndarray), each shape (n_k,)
+        Measured and simulated values of each trial.
+    own_motion : bool
+        Whether the channel belongs to a pose. Range and variance are then taken about the mean of each trial.
+        Otherwise they are taken over all trials together.
+
+    Examples
+    --------
+    Two trials with different headings have the same motion and the same error:
+
+    >>> wave = np.array([0.0, 1.0, 0.0, -1.0])
+    >>> pair = (wave, 0.5 * wave)
+    >>> turned = (wave + 90.0, 0.5 * wave + 90.0)
+    >>> round(score_trials([pair, turned], own_motion=True).vaf, 3), round(score(*pair).vaf, 3)
+    (0.75, 0.75)
+    """
+    there = [pair for pair in (_both(y, z) for y, z in parts) if len(pair[0])]
+    if not there:
+        return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+    if not own_motion:
+        there = [(np.concatenate([y for y, _ in there]), np.concatenate([z for _, z in there]))]
+    error = np.concatenate([y - z for y, z in there])
+    share = np.array([len(y) for y, _ in there]) / len(error)
+    span = math.sqrt(float(share @ [np.ptp(y) ** 2 for y, _ in there]))
+    variance = float(share @ [np.var(y) for y, _ in there])
+    missed = float(share @ [np.var(y - z) for y, z in there])
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return Score(
+        rmse=rmse,
+        nrmse=_ratio(rmse, span),
+        vaf=1.0 - _ratio(missed, variance),
+        fit_percent=100.0 * (1.0 - _ratio(rmse, math.sqrt(variance))),
+        bias=float(np.mean(error)),
+        samples=len(error),
+    )
+
+
+def pose_channels(model: Model) -> tuple[str, ...]:
+    """Return the pose channels of a robot that moves freely; an empty tuple for any other model."""
+    if model.swimmer is None or not model.swimmer.free_base:
+        return ()
+    return tuple(model.swimmer.pose)
+
+
+def own_axes(
+    measured: Mapping[str, Array], simulated: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Rotate the horizontal positions of one trial into the trial's own axes.
+
+    Parameters
+    ----------
+    measured, simulated : mapping of channel name to ndarray, each shape (n,)
+        Series of the trial. The axes are along and across the mean measured heading. Without a measured
+        heading the first axis points from the first to the last measured position.
+
+    Returns
+    -------
+    measured, simulated : dict of channel name to ndarray
+        Series in which ``x_m`` is the coordinate along, and ``y_m`` the coordinate across the mean heading.
+        If ``x_m`` or ``y_m`` is missing, the series are unchanged.
+
+    Examples
+    --------
+    >>> still = {"x_m": np.zeros(2), "y_m": np.zeros(2)}
+    >>> y, z = own_axes({"x_m": np.zeros(2), "y_m": np.array([0.0, 1.0])}, still)
+    >>> y["x_m"].round(9).tolist(), z["x_m"].tolist()
+    ([0.0, 1.0], [0.0, 0.0])
+    """
+    turned = dict(measured), dict(simulated)
+    if not all(name in side for name in ("x_m", "y_m") for side in turned):
+        return turned
+    heading = measured.get("yaw_rad", np.empty(0))
+    there = np.isfinite(measured["x_m"]) & np.isfinite(measured["y_m"])
+    if np.isfinite(heading).any():
+        angle = float(np.nanmean(heading))
+    elif there.any():
+        x, y = (measured[name][there] for name in ("x_m", "y_m"))
+        angle = math.atan2(y[-1] - y[0], x[-1] - x[0])
+    else:
+        return turned
+    c, s = math.cos(angle), math.sin(angle)
+    for side in turned:
+        x, y = side["x_m"], side["y_m"]
+        side["x_m"], side["y_m"] = c * x + s * y, c * y - s * x
+    return turned
+
+
+def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
+    """Compute the difference between the largest magnitudes of two series, and its ratio to the measured one.
+
+    This is Eq 14 of the T-Fish paper. Samples missing in either series, shape (n,), are left out.
+
+    >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
+    (1.0, 0.25)
+    """
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan, np.nan
+    peak = float(np.max(np.abs(y)))
+    error = abs(peak - float(np.max(np.abs(z))))
+    return error, _ratio(error, peak)
+
+
+def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
+    """Compute the dynamic-time-warping distance, which is the error if time may be stretched.
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,) or (n, d)
+        Two series at the same times with constant steps. The d columns are warped together. Samples missing
+        in either series are left out.
+    band : int
+        Maximum shift between the two series, in samples (Sakoe and Chiba, 1978). With 0 the distance is the
+        root-mean-square error. With a larger shift it is at most the root-mean-square error.
+
+    Returns
+    -------
+    float
+        Square root of the minimum sum of squared differences divided by n, in the unit of the channel.
+
+    >>> late = np.array([0.0, 0.0, 1.0, 0.0])
+    >>> dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=1)
+    0.0
+    >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
+    0.707
+    """
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan
+    cost = warping_cost(y.reshape(len(y), -1), z.reshape(len(z), -1), int(band))
+    return math.sqrt(cost / len(y))
+
+
+def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:
+    """Compute the phase by which the simulation leads the measurement at one frequency.
+
+    Parameters
+    ----------
+    measured, simulated, time_s : ndarray, shape (n,)
+        Series and their times. Samples missing in either series are left out. The time steps may be uneven.
+    frequency_hz : float
+        Frequency of the beat. A sine of this frequency, a constant and a linear trend are fitted to both
+        series.
+
+    Returns
+    -------
+    float
+        Phase in (-pi, pi], rad; positive if the simulation is early. NaN if a series has no component at the
+        frequency, or if fewer than five samples exist.
+
+    >>> t = np.linspace(0.0, 4.0, 200)
+    >>> early = 0.3 * np.sin(2 * np.pi * t + 0.5)
+    >>> round(phase_error(np.sin(2 * np.pi * t) + 0.1 * t, early, t, frequency_hz=1.0), 6)
+    0.5
+    """
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    t = np.asarray(time_s)[there]
+    if len(t) < 5:
+        return np.nan
+    angle = 2 * np.pi * frequency_hz * t
+    design = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(t), t - t.mean()))
+    both = np.column_stack((measured[there], simulated[there]))
+    cosine, sine = np.linalg.lstsq(design, both, rcond=None)[0][:2]
+    # A cos(wt) + B sin(wt) = |A - iB| cos(wt + arg(A - iB))
+    phasor = cosine - 1j * sine
+    if np.any(np.abs(phasor) <= 1e-12 * np.max(np.abs(both), axis=0)):
+        return np.nan
+    return float(np.angle(phasor[1] / phasor[0]))
+
+
+def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
+    """Return two series without the samples that are missing in either of them."""
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    if there.ndim > 1:
+        there = np.asarray(there.all(axis=1))
+    return np.asarray(measured, dtype=float)[there], np.asarray(simulated, dtype=float)[there]
+
+
+@numba.njit(cache=True, nogil=True)
+def warping_cost(a: Array, b: Array, band: int) -> float:
+    """Return the minimum sum of squared distances along a warping path; both series have the shape (n, d).
+
+    The path lies at most ``band`` cells off the diagonal (Sakoe and Chiba, 1978). Only two rows of the cost
+    matrix are stored.
+    """
+    n = len(a)
+    before = np.full(n + 1, np.inf)
+    before[0] = 0.0
+    for i in range(1, n + 1):
+        row = np.full(n + 1, np.inf)
+        for j in range(max(1, i - band), min(n, i + band) + 1):
+            squares = 0.0
+            for k in range(a.shape[1]):
+                squares += (a[i - 1, k] - b[j - 1, k]) ** 2
+            row[j] = squares + min(before[j], row[j - 1], before[j - 1])
+        before = row
+    return float(before[n])
+
+
+def warm_up() -> None:
+    """Compile the numba function of this module before its first use."""
+    warping_cost(np.zeros((2, 1)), np.ones((2, 1)), 1)
+
+
+# ---------------------------------------------------------------- limits
+
+
+def score_checks(
+    scores: Mapping[str, Any], *, fitted: Iterable[str], noise: Iterable[str] = (), held_out: bool = False
+) -> list[ev.Check]:
+    """Check the errors of channels against the limits :data:`GOOD` and :data:`USABLE`.
+
+    Parameters
+    ----------
+    scores : mapping of channel name to Score, or to an object with ``nrmse`` and ``vaf``
+        Errors of each channel over all trials.
+    fitted : iterable of str
+        Channels to which the parameters were fitted. For these channels a negative variance accounted for
+        fails.
+    noise : iterable of str
+        Channels whose residuals are white. Their errors are noise, and are not judged.
+    held_out : bool
+        The trials were held out. The names of the checks then say so.
+    """
+    where = "held-out " if held_out else ""
+    found = []
+    for name, score in scores.items():
+        check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
+        if name in set(noise) and check.verdict != "pass":
+            text = "the residuals are white: noise alone is left"
+            check = ev.check(check.name, check.value, None, text=text)
+        found.append(check)
+    for name in (name for name in fitted if name in scores):
+        vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
+        reason = f"the simulated {name} is farther from the measurement than a constant is"
+        if vaf is not None and vaf < 0.0:
+            value = numbers.percent(vaf)
+            found.append(ev.check(said, value, False, "≥ 0 %", otherwise="fail", reason=reason))
+    return found
+
+
+def share_check(
+    name: str, share: float | None, good: float, usable: float, of: str, text: str = ""
+) -> ev.Check:
+    """Check a fraction against two limits: it passes up to ``good`` and fails above ``usable``."""
+    value = math.inf if share is None or math.isnan(share) else share
+    shown = numbers.percent(share)
+    return ev.check(
+        name,
+        shown,
+        value <= good,
+        f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)",
+        text,
+        otherwise="warn" if value <= usable else "fail",
+        reason=f"the {name} is {shown} of the {of}",
+    )
+
+
 # ---------------------------------------------------------------- document and checks
 
 
@@ -195,20 +513,20 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     return said
 
 
-def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, metrics.Score]:
+def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, Score]:
     """Return the errors of each measured channel over all trials of a role, or over the named trials."""
     ids = [t.id for t in result.trials if t.role == role and (trials is None or t.id in trials)]
-    pose = metrics.pose_channels(result.model)
+    pose = pose_channels(result.model)
     found: dict[str, list[tuple[Array, Array]]] = {}
     for trial in ids:
         series = [s for s in result.series if s.trial == trial]
-        measured, simulated = metrics.own_axes(
+        measured, simulated = own_axes(
             {s.channel: s.measured for s in series}, {s.channel: s.simulated for s in series}
         )
         for s in series:
             found.setdefault(s.channel, []).append((measured[s.channel], simulated[s.channel]))
     return {
-        c.name: metrics.score_trials(found[c.name], own_motion=c.name in pose)
+        c.name: score_trials(found[c.name], own_motion=c.name in pose)
         for c in result.model.channels
         if c.name in found
     }
@@ -453,7 +771,7 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
     for role in roles:
         known = {name: score for name, score in scores(result, role).items() if name in result.noise}
         white = [name for name in known if ljung_box(_weighted(result, name, role)).passed]
-        found += metrics.error_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
+        found += score_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
     return found
 
 

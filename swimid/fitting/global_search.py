@@ -14,8 +14,8 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.output_error import FitResult
 from swimid.fitting.problem import Problem
 from swimid.progress import Progress, show, silent
 

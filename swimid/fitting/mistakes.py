@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import metrics
+from swimid.fitting import fit_common
 from swimid.fitting.drives import Beat, Motion
-from swimid.fitting.metrics import GOOD, USABLE
+from swimid.fitting.fit_common import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.noise import autocorrelation
+from swimid.fitting.uncertainty import autocorrelation
 from swimid.notices import recorded
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -127,7 +127,7 @@ Evaluate = Callable[[Trial], Errors]
 def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     """List the mistakes that can occur in the trials of a model."""
     names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
-    pose = metrics.pose_channels(model)
+    pose = fit_common.pose_channels(model)
     units = {c.name: c.unit for c in model.channels}
     place = [name for name in pose if units[name] == "m"]
     found: list[Mistake] = []
@@ -165,7 +165,7 @@ def _changed(
 ) -> Mistake:
     """Return a mistake whose correction changes channels and start pose to ``factor * value + offset``."""
     offsets = offsets or {}
-    pose = metrics.pose_channels(model)
+    pose = fit_common.pose_channels(model)
     changes = {**dict.fromkeys(offsets, 1.0), **factors}
 
     def undo(trial: Trial) -> Trial | None:
@@ -227,9 +227,9 @@ def _steady(trial: Trial) -> Trial | None:
 
 def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
     """Compute the errors of the measured channels of a trial, with positions in the trial's own axes."""
-    measured, simulated = metrics.own_axes(trial.measured, simulated)
+    measured, simulated = fit_common.own_axes(trial.measured, simulated)
     known = [name for name in measured if name in simulated]
-    scores = {name: metrics.score(measured[name], simulated[name]) for name in known}
+    scores = {name: fit_common.score(measured[name], simulated[name]) for name in known}
     ranges = {
         name: float(np.ptp(y[np.isfinite(y)])) for name in known if np.isfinite(y := measured[name]).any()
     }

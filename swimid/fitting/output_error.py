@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,10 @@ from scipy import special
 from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise as noise_model
-from swimid.fitting.covariance import UNIDENTIFIABLE, Sandwich, sandwich
-from swimid.fitting.metrics import FitResult, Noise, Series
+from swimid.fitting import uncertainty
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem, minimise
+from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import warn
 from swimid.progress import Progress, show, silent
 
@@ -51,6 +50,143 @@ MAX_RESTARTS = 6
 #: standard error). Minimum increase after which a further restart follows if the cost is smooth (a third of a
 #: standard error).
 NEEDED_GAIN, SMALL_GAIN = 1.0, 0.1
+
+
+# ---------------------------------------------------------------- result of a fit
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one channel, as estimated by a fit."""
+
+    #: Standard deviation of the measured values, in the unit of the channel. If it differs between samples,
+    #: the root mean square over the samples.
+    value_sd: float
+    #: Standard deviation of the time stamps, s; 0 if the time stamps are exact.
+    time_sd_s: float
+    #: Coefficients of the autoregression of the weighted residuals, shape (p,). Empty if the residuals are
+    #: white.
+    autoregression: Array
+
+
+@dataclass(frozen=True)
+class Series:
+    """Measured and simulated series of one channel of one trial."""
+
+    trial: str
+    role: str
+    channel: str
+    #: Time and values of the samples, shape (n,) each. ``sd`` is the standard deviation of each sample in the
+    #: noise model.
+    time_s: Array
+    measured: Array
+    simulated: Array
+    sd: Array
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus simulated values, shape (n,); NaN for missing samples."""
+        return self.measured - self.simulated
+
+    @property
+    def weighted(self) -> Array:
+        """Residuals divided by the standard deviations of their samples, shape (n,)."""
+        return self.residual / self.sd
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """Result of a fit: estimates, covariance, and the series and numbers that support them."""
+
+    model: Model
+    #: Parameters of the fit, with the choices of the user.
+    parameters: tuple[Parameter, ...]
+    trials: tuple[Trial, ...]
+    #: One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own
+    #: value.
+    labels: list[str]
+    #: Estimates, shape (p,).
+    estimate: Array
+    #: Covariance of the estimates, shape (p, p). NaN for parameters at a bound, and for parameters that do
+    #: not affect the residuals.
+    covariance: Array
+    #: Status of each label: ``estimated``, ``at-bound`` or ``unidentifiable``.
+    status: dict[str, str]
+    #: Series of the fitted and of the validation trials.
+    series: list[Series]
+    #: Noise of each channel.
+    noise: dict[str, Noise]
+    #: Factor by which trials differ more than their noise explains; 1 if the trials agree. The covariance
+    #: includes it.
+    scatter: float
+    #: p-value of the test that the trials agree.
+    scatter_p: float
+    samples: int
+    converged: bool
+    message: str
+    #: Number of simulations of single trials in all searches and tests of the fit. Simulations for
+    #: derivatives by time (uncertain time stamps) are not counted.
+    evaluations: int
+    #: Largest change of a simulated sample if the integration step is halved, in standard deviations of the
+    #: noise.
+    step_error: float = 0.0
+    #: The user stopped the search. The estimates are then the best ones so far.
+    interrupted: bool = False
+    #: Mean squared residual, as a geometric mean over channels of different units. It is the exponential of
+    #: (twice the negative log-likelihood per sample, minus one). It compares fits of the same samples, even
+    #: if their weights differ.
+    cost: float = math.nan
+    #: Square root of the information matrix, shape (q, p): ``information_root' information_root`` is the
+    #: inverse of the covariance. It is accurate even if the covariance is infinite. Columns of parameters
+    #: held at a bound are NaN.
+    information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
+    #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held.
+    start_states: Mapping[str, float] = field(default_factory=dict)
+    #: Number of restarts near the estimates that led to a better fit; None if no restart was tested.
+    restarts: int | None = None
+    #: The last restart led to no better fit.
+    settled: bool = True
+
+    @property
+    def shared(self) -> list[str]:
+        """Labels of the unknowns that all trials share."""
+        return [label for label in self.labels if "[" not in label]
+
+    def parameter(self, label: str) -> Parameter:
+        """Return the parameter to which the label of an unknown belongs."""
+        return next(p for p in self.parameters if p.name == label.split("[")[0])
+
+    def series_of(self, channel: str, role: str | None = None) -> list[Series]:
+        """Return the series of a channel, by default of all trials; otherwise of the trials of one role."""
+        return [s for s in self.series if s.channel == channel and role in (None, s.role)]
+
+    def at_estimates(self) -> tuple[Parameter, ...]:
+        """Return the parameters with the estimates of shared parameters as start values."""
+        return tuple(replace(p, start=self.value(p.name)) for p in self.parameters)
+
+    def stderr(self, label: str) -> float | None:
+        """Return the standard error of an estimate; None if it has no standard error."""
+        if label not in self.labels:
+            return None
+        index = self.labels.index(label)
+        variance = float(self.covariance[index, index])
+        return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
+
+    def value(self, name: str, trial: str | None = None) -> float:
+        """Return the value of a parameter, estimated or fixed; in one trial for a per-trial parameter."""
+        for label in (f"{name}[{trial}]", name):
+            if label in self.labels:
+                return float(self.estimate[self.labels.index(label)])
+            if label in self.start_states:
+                return self.start_states[label]
+        return next(p.start for p in self.parameters if p.name == name)
+
+    def values(self, trial: str) -> Array:
+        """Return the values of all parameters in one trial, in the order of the model."""
+        return np.array([self.value(p.name, trial) for p in self.parameters])
+
+
+# ---------------------------------------------------------------- fit
 
 
 @dataclass(frozen=True)
@@ -314,7 +450,7 @@ class _Search:
         if self.near is not None and known:
             set_weights(self.problem, self.near)
         else:
-            noise_model.weigh_first(self.problem, self.equal)
+            uncertainty.weigh_first(self.problem, self.equal)
         try:
             with progress("fitting", total=rounds) as step:
                 for k in range(rounds):
@@ -331,7 +467,7 @@ class _Search:
 
     def stay(self) -> None:
         """Use the start as the end point of the search, and iterate the weights at this point."""
-        noise_model.weigh_first(self.problem, self.equal)
+        uncertainty.weigh_first(self.problem, self.equal)
         for _ in range(MAX_NOISE_ITERATIONS):
             if self.equal or self._reweigh() < WEIGHT_RTOL:
                 break
@@ -340,20 +476,20 @@ class _Search:
     def _reweigh(self) -> float:
         """Estimate the noise at the current point, and return the largest relative change of a weight."""
         _insist_unbroken(self.problem, self.theta)
-        before = noise_model.weights(self.problem)
+        before = uncertainty.weights(self.problem)
         self.estimate_noise()
-        return noise_model.largest_change(self.problem, before)
+        return uncertainty.largest_change(self.problem, before)
 
     def estimate_noise(self) -> None:
         """Estimate the noise at the current point, and set the weights that follow from it."""
-        self.noise = noise_model.estimate(self.problem, self.theta, self.noise)
+        self.noise = uncertainty.estimate(self.problem, self.theta, self.noise)
 
     def _noise_limits(self) -> Patience:
         """Return the rule that ends a search if noise is larger than the effect of its steps."""
         problem, theta = self.problem, self.theta
         _insist_unbroken(problem, theta)
         residuals, rows = _linearised(problem, theta)
-        found = sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
+        found = sandwich(problem, rows, residuals, uncertainty.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
         # unknowns of single trials (start states) are no result of the fit and may still change
@@ -431,7 +567,7 @@ def _result(search: _Search, task: _Task) -> FitResult:
     problem, theta = search.problem, search.theta
     samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
     residuals, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
-    autoregressions = noise_model.autoregressions(problem, residuals)
+    autoregressions = uncertainty.autoregressions(problem, residuals)
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0
@@ -465,7 +601,7 @@ def _result(search: _Search, task: _Task) -> FitResult:
         status=status,
         series=[],
         noise={
-            c: Noise(noise_model.value_sd(problem, c, v), t, autoregressions[c])
+            c: Noise(uncertainty.value_sd(problem, c, v), t, autoregressions[c])
             for c, (v, t) in search.noise.items()
         },
         scatter=scatter,

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.model import Array
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import Array, SwimInput
 from swimid.fitting.problem import map_in_threads
 from swimid.logs.trials import StrokeDrive
 from swimid.optimisation.options import GaitOptions

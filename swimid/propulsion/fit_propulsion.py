@@ -13,10 +13,10 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.covariance import UNIDENTIFIABLE
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
+from swimid.fitting.output_error import FitResult
+from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded, warn
 from swimid.options import takes

@@ -31,11 +31,10 @@ from scipy import special
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.covariance import HETEROGENEITY, UNIDENTIFIABLE
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, Trial, chosen
-from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression
+from swimid.fitting.output_error import FitResult
+from swimid.fitting.uncertainty import HETEROGENEITY, SIGNIFICANCE, UNIDENTIFIABLE, fit_autoregression
 from swimid.notices import recorded, warn
 from swimid.results import blocks, numbers
 from swimid.results import evidence as ev

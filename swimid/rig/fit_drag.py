@@ -23,8 +23,8 @@ from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, chosen
+from swimid.fitting.output_error import FitResult
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
 from swimid.options import takes

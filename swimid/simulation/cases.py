@@ -14,8 +14,8 @@ from swimid.blackbox.model import ArxModel
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
-from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SurgeInput, SwimInput
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.drives import Cycle
+from swimid.fitting.model import Array, CruiseInput, Model, RigInput, SurgeInput, SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs import trials as trials_format

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.results import numbers

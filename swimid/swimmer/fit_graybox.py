@@ -14,10 +14,10 @@ import numpy as np
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
-from swimid.fitting import fit_common, metrics, mistakes, output_error
+from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
+from swimid.fitting.output_error import FitResult
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import recorded
@@ -599,7 +599,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
     for s in result.series:
         unit = units[s.channel]
         score = fit_common.scores(result, s.role, [s.trial])[s.channel]
-        warped = metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
+        warped = fit_common.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
         rows.append(
             [
                 s.trial,
@@ -608,7 +608,7 @@ def _error_rows(result: FitResult) -> list[list[str]]:
                 numbers.number(score.rmse, 3, unit),
                 numbers.percent(score.nrmse),
                 numbers.percent(score.vaf, 4),
-                numbers.percent(metrics.peak_error(s.measured, s.simulated)[1]),
+                numbers.percent(fit_common.peak_error(s.measured, s.simulated)[1]),
                 numbers.number(warped, 3, unit),
             ]
         )

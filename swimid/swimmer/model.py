@@ -11,8 +11,17 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
+from swimid.fitting.model import (
+    NONE,
+    Array,
+    Channel,
+    Hooks,
+    Model,
+    Parameter,
+    SwimInput,
+    Trial,
+    unless_broken,
+)
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion

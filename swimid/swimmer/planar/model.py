@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
 from swimid.progress import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer import drive
