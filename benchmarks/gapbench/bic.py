@@ -54,7 +54,7 @@ def rounds(case: Case) -> list[dict[str, float]]:
 def _nominal(bench: FitContext) -> tuple[Fit, NoiseModel]:
     """The model refitted, with the noise that its own residuals show."""
     problem = bench.problem(())
-    sample_noise.weigh_first(problem, False)
+    sample_noise.weigh_first(problem)
     theta = np.clip(problem.start, problem.lower, problem.upper)
     sizes: Mapping[str, tuple[float, float]] = {}
     for _ in range(1 + WEIGHTINGS):

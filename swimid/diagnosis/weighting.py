@@ -34,7 +34,7 @@ SHORT = 20
 def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
     """Refit the model without effects, with weights from its own residuals."""
     problem = context.problem(())
-    sample_noise.weigh_first(problem, False)
+    sample_noise.weigh_first(problem)
     noise_model = NoiseModel([list(sds) for sds in problem.sd])
     start = np.clip(problem.start, problem.lower, problem.upper)
     previous: dict[str, tuple[float, float]] = {}

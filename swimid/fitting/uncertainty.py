@@ -42,23 +42,15 @@ if TYPE_CHECKING:
     from swimid.fitting.output_error import FitResult
 
 
-def weigh_first(problem: Problem, even: bool) -> None:
-    """Set the first weights of a problem.
-
-    A channel has 1 % of its standard deviation as noise, or the known shape of its error. If ``even`` is
-    true, all weights stay equal.
-    """
-    if even:
-        return
+def weigh_first(problem: Problem) -> None:
+    """Set the first weights: 1 % of the standard deviation of a channel, or the known shape of its error."""
     for k, trial in enumerate(problem.trials):
         for i, channel in enumerate(problem.channels[k]):
             values = trial.measured[channel]
-            known = trial.value_sd.get(channel)
-            if known is not None and np.any(np.asarray(known) > 0):
-                problem.sd[k][i] = np.broadcast_to(np.asarray(known, dtype=float), values.shape).copy()
-            else:
-                spread = float(np.nanstd(values)) or 1.0
-                problem.sd[k][i] = np.full(len(values), 0.01 * spread)
+            problem.sd[k][i] = np.full(len(values), 0.01 * (float(np.nanstd(values)) or 1.0))
+            known = np.asarray(trial.value_sd.get(channel, 0.0), dtype=float)
+            if np.any(known > 0):
+                problem.sd[k][i] = np.broadcast_to(known, values.shape).copy()
 
 
 def estimate(
@@ -107,20 +99,6 @@ def estimate(
             largest = np.nanmax(np.abs(problem.trials[k].measured[channel]))
             problem.sd[k][i] = np.maximum(sd, 1e-12 * max(1e-6, largest))
     return found
-
-
-def weights(problem: Problem) -> list[Array]:
-    """Return the weights of the samples of each trial, shape (n_k,) each."""
-    return [problem.sample_weights(k) for k in range(len(problem.trials))]
-
-
-def largest_change(problem: Problem, before: list[Array]) -> float:
-    """Return the largest relative change of a weight since ``before``.
-
-    A factor that is common to all weights does not count as a change.
-    """
-    every = np.concatenate(weights(problem)) / np.concatenate(before)
-    return float(np.max(np.abs(every / np.median(every) - 1.0), initial=0.0))
 
 
 def _components(
