@@ -49,6 +49,8 @@ COVARIANCE = "Standard errors follow from the Jacobian at the optimum and accoun
 #: Maximum residual of a normal sample, in robust standard deviations. A sample with a larger residual is an
 #: outlier.
 OUTLIER = 8.0
+#: Verdicts of a check that does not pass and only warns, and of one that fails.
+VERDICTS: tuple[Literal["warn"], Literal["fail"]] = ("warn", "fail")
 #: Angles that a camera may measure in addition to a position.
 ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
@@ -120,18 +122,14 @@ def _measured_anew(log: Log) -> Log:
     at = np.flatnonzero(repeats)
     if not len(at):
         return log
-
-    def repeated(values: Array) -> bool:
-        return bool((values[at] == values[at - 1]).all())
-
-    # an angle is repeated if all its values at the repeated positions equal the value before
-    shown = [*places, *(n for n in ANGLES if n in log and repeated(log[n]))]
     warn(
         "SWM058",
         f"{log.path.name}: {len(at)} of {len(log)} samples repeat the position before and are left out: the "
         "log is written faster than it is measured",
     )
-    masked = {n: np.where(repeats, np.nan, log[n]) for n in shown}
+    # an angle is repeated if all its values at the repeated positions equal the value before
+    angles = [n for n in ANGLES if n in log and (log[n][at] == log[n][at - 1]).all()]
+    masked = {n: np.where(repeats, np.nan, log[n]) for n in (*places, *angles)}
     return replace(log, columns={**log.columns, **masked})
 
 
@@ -188,9 +186,7 @@ def score(measured: Array, simulated: Array) -> Score:
 
 def _ratio(value: float, size: float) -> float:
     """Return a value divided by a size; NaN unless the size is positive."""
-    if size > 0:
-        return value / size
-    return math.nan
+    return value / size if size > 0 else math.nan
 
 
 def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
@@ -270,14 +266,12 @@ def own_axes(
     if not all(name in side for name in ("x_m", "y_m") for side in turned):
         return turned
     heading = measured.get("yaw_rad", np.empty(0))
-    there = np.isfinite(measured["x_m"]) & np.isfinite(measured["y_m"])
+    x, y = _both(measured["x_m"], measured["y_m"])
+    angle = 0.0
     if np.isfinite(heading).any():
         angle = float(np.nanmean(heading))
-    elif there.any():
-        x, y = (measured[name][there] for name in ("x_m", "y_m"))
+    elif len(x):
         angle = math.atan2(y[-1] - y[0], x[-1] - x[0])
-    else:
-        return turned
     c, s = math.cos(angle), math.sin(angle)
     for side in turned:
         x, y = side["x_m"], side["y_m"]
@@ -422,7 +416,7 @@ def score_checks(
     held_out : bool
         The trials were held out. The names of the checks then say so.
     """
-    where = "held-out " if held_out else ""
+    where = held_out * "held-out "
     found = []
     for name, score in scores.items():
         check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
@@ -434,8 +428,8 @@ def score_checks(
         vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
         reason = f"the simulated {name} is farther from the measurement than a constant is"
         if vaf is not None and vaf < 0.0:
-            value = numbers.percent(vaf)
-            found.append(ev.check(said, value, False, "≥ 0 %", otherwise="fail", reason=reason))
+            shown = numbers.percent(vaf)
+            found.append(ev.check(said, shown, False, "≥ 0 %", otherwise="fail", reason=reason))
     return found
 
 
@@ -443,17 +437,14 @@ def share_check(
     name: str, share: float | None, good: float, usable: float, of: str, text: str = ""
 ) -> ev.Check:
     """Check a fraction against two limits: it passes up to ``good`` and fails above ``usable``."""
-    value = math.inf if share is None or math.isnan(share) else share
-    shown = numbers.percent(share)
-    return ev.check(
-        name,
-        shown,
-        value <= good,
-        f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)",
-        text,
-        otherwise="warn" if value <= usable else "fail",
-        reason=f"the {name} is {shown} of the {of}",
-    )
+    shown, otherwise = numbers.percent(share), "fail"
+    # comparisons with NaN are false
+    value = math.nan if share is None else share
+    if value <= usable:
+        otherwise = "warn"
+    limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
+    reason = f"the {name} is {shown} of the {of}"
+    return ev.check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
 
 
 # ---------------------------------------------------------------- document and checks
@@ -469,16 +460,14 @@ def estimates(result: FitResult) -> dict[str, Estimate]:
     for p in result.parameters:
         labels = [label for label in result.labels if label.split("[")[0] == p.name]
         if not labels and not p.per_trial:
-            found[p.name] = Estimate(
-                value=p.start, unit=p.unit, bounds=p.bounds, status="fixed", meaning=p.meaning
-            )
+            labels = [p.name]
         for label in labels:
             found[label] = Estimate(
-                value=float(result.estimate[result.labels.index(label)]),
+                value=result.value(label),
                 stderr=result.stderr(label),
                 unit=p.unit,
                 bounds=p.bounds,
-                status=result.status[label],  # type: ignore[arg-type]
+                status=result.status.get(label, "fixed"),  # type: ignore[arg-type]
                 meaning=p.meaning,
             )
     return found
@@ -532,12 +521,6 @@ def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) ->
     }
 
 
-def _listed(result: FitResult, role: str) -> dict[str, dict[str, Any]]:
-    """Return the errors of each measured channel as entries of the parameter file."""
-    units = {c.name: c.unit for c in result.model.channels}
-    return {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
-
-
 def refuse_interrupted(result: FitResult) -> None:
     """Raise :class:`Interrupted` if the user stopped the search of a fit."""
     if result.interrupted:
@@ -568,8 +551,15 @@ def parameter_file(
         channel: {**asdict(n), "autoregression": [float(a) for a in n.autoregression]}
         for channel, n in result.noise.items()
     }
-    trials = {role: [t.id for t in result.trials if t.role == role] for role in ("fit", "validate")}
-    validation = _listed(result, "validate")
+    units = {c.name: c.unit for c in result.model.channels}
+    listed = {
+        role: {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
+        for role in ("fit", "validate")
+    }
+    trials = {role: [t.id for t in result.trials if t.role == role] for role in listed}
+    validation: dict[str, Any] = {}
+    if listed["validate"]:
+        validation = {"trials": trials["validate"], "channels": listed["validate"]}
     known_sums = {
         c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
         for c in combinations(result)
@@ -584,8 +574,8 @@ def parameter_file(
         settings=settings or {},
         fit=Fit(
             trials=trials["fit"],
-            channels=_listed(result, "fit"),
-            validation={"trials": trials["validate"], "channels": validation} if validation else {},
+            channels=listed["fit"],
+            validation=validation,
             converged=result.converged,
             message=result.message,  # type: ignore[call-arg]
             noise=noise,
@@ -641,22 +631,22 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         name, text = "starts near the answer lead back to it", "points and short searches around it"
         reason = "starts near the answer still lead to better ones"
         found.append(ev.check(name, value, result.settled, "yes", text, reason=reason))
-    status = {label: result.status[label] for label in result.shared}
     names = {p.name: spoken(p.name, p.meaning) for p in result.parameters}
-    unknown = [names[label] for label, s in status.items() if s == "unidentifiable"]
-    at_bound = [names[label] for label, s in status.items() if s == "at-bound"]
-    mostly = list(status.values()).count("estimated") >= len(unknown)
-    listed = ", ".join(unknown)
+    unknown, at_bound, known = (
+        [names[label] for label in result.shared if result.status[label] == status]
+        for status in ("unidentifiable", "at-bound", "estimated")
+    )
+    value, otherwise, reason = "all", "warn", f"not identifiable: {', '.join(unknown)}"
+    if unknown:
+        value = f"not: {', '.join(unknown)}"
+    if len(known) < len(unknown):
+        otherwise = "fail"
+    limit, text = (
+        "every estimated parameter",
+        "standard errors are below half of the sizes of identifiable parameters",
+    )
     found.append(
-        ev.check(
-            "identifiable",
-            f"not: {listed}" if unknown else "all",
-            not unknown,
-            "every estimated parameter",
-            "standard errors are below half of the sizes of identifiable parameters",
-            otherwise="warn" if mostly else "fail",
-            reason=f"not identifiable: {listed}",
-        )
+        ev.check("identifiable", value, not unknown, limit, text, otherwise=otherwise, reason=reason)
     )
     if at_bound:
         listed = ", ".join(at_bound)
@@ -681,22 +671,18 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 
 
-def warned_check(
-    code: str,
-    name: str,
-    value: str,
-    passed: bool,
-    limit: str,
-    text: str,
-    reason: str,
-    *,
-    failed: bool = False,
-) -> ev.Check:
-    """Return a check; warn with the given reason if the check does not pass."""
+def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
+    """Return a check that warns, or fails, with a reason; if it does not pass, also warn of it.
+
+    Parameters
+    ----------
+    *shown
+        Name, value, whether the check passes, limit, text and reason (:func:`swimid.results.evidence.check`).
+    """
+    *_, passed, _, text, reason = shown
     if not passed:
-        warn(code, f"{reason}; {text}" if text else reason)
-    otherwise: Literal["warn", "fail"] = "fail" if failed else "warn"
-    return ev.check(name, value, passed, limit, text, otherwise=otherwise, reason=reason)
+        warn(code, f"{reason}; {text}".removesuffix("; "))
+    return ev.check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:
@@ -757,7 +743,7 @@ def _rms(parts: Sequence[Array]) -> float:
     """Return the root mean square of all finite samples of several series; 0 without samples."""
     values = np.concatenate(parts)
     values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+    return float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1))
 
 
 def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:

@@ -226,7 +226,7 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
     place = [name for name in ("x_m", "y_m") if name in ranges]
     found = {}
     for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
-        group = place
+        group: Sequence[str] = place
         if name not in place:
             group = [name]
         error = math.hypot(*(scores[n].rmse for n in group)) / math.hypot(*(ranges[n] for n in group))
@@ -315,7 +315,8 @@ def explained(
     falls = {}
     for name in (n for n in after[trials[0]] if n in before[trials[0]]):
         squares = [[m[k][name].nrmse ** 2 for k in trials if name in m[k]] for m in (before, after)]
-        falls[name] = [math.sqrt(np.mean(of_trials)) for of_trials in squares]
+        first, last = (math.sqrt(np.mean(of_trials)) for of_trials in squares)
+        falls[name] = first, last
     channel = max(falls, key=lambda name: falls[name][0] - falls[name][1])
     everywhere = len(trials) == count and count > 1
     return Explanation(says, tuple(trials), everywhere, channel, *falls[channel], total)

@@ -73,73 +73,66 @@ def estimate(
     """
     found: dict[str, tuple[float, float]] = {}
     simulations = problem.simulations(theta)
-    for channel in sorted({c for channels in problem.channels for c in channels}):
-        owners = [k for k, channels in enumerate(problem.channels) if channel in channels]
+    for channel, owners in _owners(problem).items():
         errors, rates, shapes = [], [], []
         for k in owners:
             trial, simulated = problem.trials[k], simulations[k][channel]
             rate = np.zeros_like(simulated)
             if trial.stamps_uncertain or np.any(trial.time_sd_s):
-                rate = problem.model.sensitivity_to_time(problem.vector(theta, k), trial)[channel]
+                rate = np.abs(problem.model.sensitivity_to_time(problem.vector(theta, k), trial)[channel])
             errors.append(trial.measured[channel] - simulated)
-            rates.append(np.abs(rate))
-            known = np.broadcast_to(
-                np.asarray(trial.value_sd.get(channel, 0.0), dtype=float), simulated.shape
-            )
-            shapes.append(np.sqrt(known**2 + (trial.time_sd_s * rate) ** 2))
-        uncertain = [problem.trials[k].stamps_uncertain for k in owners]
-        constant, stamp = _components(errors, rates, shapes, uncertain, previous.get(channel))
+            rates.append(rate)
+            shapes.append(np.hypot(trial.value_sd.get(channel, 0.0), trial.time_sd_s * rate))
+        uncertain = [float(problem.trials[k].stamps_uncertain) for k in owners]
+        stamped = [free * rate for free, rate in zip(uncertain, rates, strict=True)]
+        constant, stamp = _components(errors, stamped, shapes, any(uncertain), previous.get(channel))
         found[channel] = (constant, stamp)
-        for k, shape, rate, free in zip(owners, shapes, rates, uncertain, strict=True):
-            i = problem.channels[k].index(channel)
+        for k, shape, rate in zip(owners, shapes, stamped, strict=True):
+            sd = np.hypot(constant, stamp * rate)
             if np.any(shape > 0):
                 sd = np.maximum(shape, 0.05 * np.median(shape)) * (constant or 1e-15)
-            else:
-                sd = np.sqrt(constant**2 + (free * stamp * rate) ** 2)
             largest = np.nanmax(np.abs(problem.trials[k].measured[channel]))
-            problem.sd[k][i] = np.maximum(sd, 1e-12 * max(1e-6, largest))
+            problem.sd[k][problem.channels[k].index(channel)] = np.maximum(sd, 1e-12 * max(1e-6, largest))
     return found
 
 
+def _owners(problem: Problem) -> dict[str, list[int]]:
+    """Return the indices of the trials that have samples of each channel, by channel."""
+    names = sorted({c for channels in problem.channels for c in channels})
+    return {c: [k for k, channels in enumerate(problem.channels) if c in channels] for c in names}
+
+
 def _components(
-    residuals: list[Array],
+    errors: list[Array],
     rates: list[Array],
     shapes: list[Array],
-    uncertain: list[bool],
+    uncertain: bool,
     previous: tuple[float, float] | None,
 ) -> tuple[float, float]:
     """Return the standard deviations of the errors of values and of time stamps in one channel.
 
-    If the shape of the error is known, the first result is the factor on this shape.
+    If the shape of the error is known, the first result is the factor on this shape. The ``rates`` are zero
+    in trials with exact time stamps.
     """
-    r = np.concatenate(residuals)
+    r, rate, shape = (np.concatenate(parts) for parts in (errors, rates, shapes))
     there = np.isfinite(r)
-    shape = np.concatenate(shapes)
     if np.any(shape > 0):
         floor = np.where(shape > 0, np.maximum(shape, 0.05 * np.median(shape[shape > 0])), 1.0)
-        return _size(r[there] / floor[there]), 0.0
-    if not any(uncertain):
-        return _size(r[there]), 0.0
-    square = r[there] ** 2
-    rate2 = np.concatenate([q**2 if u else np.zeros_like(q) for q, u in zip(rates, uncertain, strict=True)])[
-        there
-    ]
-    variance = np.full(len(square), max(float(np.mean(square)), 1e-300))
+        return float(np.sqrt(np.mean((r / floor)[there] ** 2))), 0.0
+    square, rate2 = r[there] ** 2, rate[there] ** 2
+    mean = float(np.mean(square))
+    if not uncertain:
+        return math.sqrt(mean), 0.0
+    variance = np.full(len(square), max(mean, 1e-300))
     if previous is not None:
         variance = np.maximum(previous[0] ** 2 + previous[1] ** 2 * rate2, 1e-3 * variance)
     design = np.column_stack((np.ones_like(rate2), rate2)) / variance[:, None]
     norm = np.linalg.norm(design, axis=0)
     norm[norm == 0] = 1.0
-    parts = optimize.nnls(design / norm, square / variance)[0] / norm
+    value, stamp = optimize.nnls(design / norm, square / variance)[0] / norm
     # the variance of the values must stay above zero, because a sample without error would outweigh all
     # others
-    least = 1e-4 * float(np.mean(square))
-    return math.sqrt(max(float(parts[0]), least)), math.sqrt(max(float(parts[1]), 0.0))
-
-
-def _size(errors: Array) -> float:
-    """Return the root mean square of errors."""
-    return float(np.sqrt(np.mean(errors**2)))
+    return math.sqrt(max(float(value), 1e-4 * mean)), math.sqrt(max(float(stamp), 0.0))
 
 
 def value_sd(problem: Problem, channel: str, constant: float) -> float:
@@ -148,7 +141,7 @@ def value_sd(problem: Problem, channel: str, constant: float) -> float:
     With uncertain time stamps, return ``constant``, the standard deviation of the values without the time
     stamps.
     """
-    owners = [k for k, names in enumerate(problem.channels) if channel in names]
+    owners = _owners(problem)[channel]
     if any(problem.trials[k].stamps_uncertain for k in owners):
         return constant
     squares = []
@@ -162,12 +155,10 @@ def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array
     """Fit an autoregression to the weighted residuals of each channel over all trials; empty if white."""
     found = {}
     for channel, series in problem.series(residuals).items():
-        x = joined(series, gap=30)
-        if np.isfinite(x).sum() < 12 or np.nanstd(x) == 0:
-            found[channel] = np.empty(0)
-            continue
-        longest = max(len(s) for s in series)
-        found[channel] = fit_autoregression(x, max_order=max(1, min(25, longest // 5))).coefficients
+        x, found[channel] = joined(series, gap=30), np.empty(0)
+        if np.isfinite(x).sum() >= 12 and np.nanstd(x) > 0:
+            longest = max(len(s) for s in series)
+            found[channel] = fit_autoregression(x, max_order=default_lags(longest)).coefficients
     return found
 
 
@@ -246,9 +237,7 @@ def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return x without its mean and with zeros for NaN, and a mask of its finite samples."""
     x = np.asarray(x, dtype=float)
     there = np.isfinite(x)
-    if not np.any(there):
-        return np.zeros_like(x), there
-    return np.where(there, x - np.mean(x[there]), 0.0), there
+    return np.where(there, x - np.sum(x[there]) / max(np.count_nonzero(there), 1), 0.0), there
 
 
 def _lagged_means(
@@ -259,13 +248,10 @@ def _lagged_means(
     means = np.full(len(lags), np.nan)
     pairs = np.zeros(len(lags), dtype=int)
     for i, lag in enumerate(lags):
-        if abs(lag) >= n:
-            continue
-        now = slice(max(lag, 0), n + min(lag, 0))
-        then = slice(max(-lag, 0), n - max(lag, 0))
-        pairs[i] = np.count_nonzero(x_there[now] & y_there[then])
-        if pairs[i]:
-            means[i] = np.dot(x[now], y[then]) / pairs[i]
+        if lag < n:
+            now, then = slice(lag, n), slice(0, n - lag)
+            pairs[i] = np.count_nonzero(x_there[now] & y_there[then])
+            means[i] = np.dot(x[now], y[then]) / (pairs[i] or np.nan)
     return means, pairs
 
 
@@ -287,10 +273,12 @@ def autocorrelation(x: np.ndarray, *, max_lag: int | None = None) -> Correlation
     """
     values, there = _centred(x)
     count = int(np.count_nonzero(there))
-    lags = np.arange((default_lags(count) if max_lag is None else max_lag) + 1)
+    if max_lag is None:
+        max_lag = default_lags(count)
+    lags = np.arange(max_lag + 1)
     means, pairs = _lagged_means(values, there, values, there, lags)
-    correlations = means / means[0] if means[0] > 0 else np.full(len(lags), np.nan)
-    return Correlation(lags, correlations, 1.96 / np.sqrt(np.maximum(pairs, 1)), pairs)
+    variance = means[0] if means[0] > 0 else np.nan
+    return Correlation(lags, means / variance, 1.96 / np.sqrt(np.maximum(pairs, 1)), pairs)
 
 
 def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> TestResult:
@@ -327,11 +315,6 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
     return TestResult(statistic, degrees, float(special.chdtrc(degrees, statistic)))
 
 
-def _deviation(values: np.ndarray, there: np.ndarray) -> float:
-    """Return the standard deviation of the existing samples of a series with zero mean."""
-    return float(np.sqrt(np.mean(values[there] ** 2))) if np.any(there) else 0.0
-
-
 def independence(
     residuals: np.ndarray, source: np.ndarray, *, lags: int | None = None, first: int = 0
 ) -> TestResult:
@@ -362,11 +345,11 @@ def independence(
     top = default_lags(int(np.count_nonzero(e_there)))
     number = lags or top
     means, pairs = _lagged_means(e, e_there, u, u_there, np.arange(first, first + number))
-    if not np.all(pairs) or _deviation(e, e_there) == 0 or _deviation(u, u_there) == 0:
+    if not np.all(pairs) or not e.any() or not u.any():
         return TestResult(0.0, number, 1.0)
     re = autocorrelation(residuals, max_lag=top)
     covariances = np.nan_to_num(_lagged_means(u, u_there, u, u_there, np.arange(number + top))[0])
-    power = _deviation(e, e_there) ** 2
+    power = float(np.mean(e[e_there] ** 2))
     matrix = np.zeros((number, number))
     for j in range(-top, top + 1):
         r = re.values[abs(j)]
@@ -411,27 +394,22 @@ def fit_autoregression(
         raise ValueError(f"an autoregression needs at least three samples, here are {n}")
     top = min(order if order is not None else (max_order or default_lags(n)), n - 2)
     stretches = np.ma.clump_unmasked(np.ma.masked_array(values, ~there))
-    forward = [values[part].copy() for part in stretches]
-    backward = [part.copy() for part in forward]
-    variance = float(np.mean(values[there] ** 2))
-    a = np.empty(0)
-    fits = [(a, variance)]
-    criteria = [n * np.log(max(variance, np.finfo(float).tiny))]
-    for p in range(1, top + 1):
-        over = under = 0.0
-        for f, b in zip(forward, backward, strict=True):
-            over += float(np.dot(f[1:], b[:-1]))
-            under += float(np.dot(f[1:], f[1:]) + np.dot(b[:-1], b[:-1]))
+    pairs = [(values[part], values[part]) for part in stretches]
+    fits = [AutoregressiveFit(np.empty(0), float(np.mean(values[there] ** 2)))]
+    for _ in range(top):
+        pairs = [(f[1:], b[:-1]) for f, b in pairs]
+        under = sum(float(np.dot(f, f) + np.dot(b, b)) for f, b in pairs)
         if under <= 0:
             break
-        reflection = -2.0 * over / under
+        reflection = -2.0 * sum(float(np.dot(f, b)) for f, b in pairs) / under
+        a = fits[-1].coefficients
         a = np.concatenate((a + reflection * a[::-1], [reflection]))
-        for i, (f, b) in enumerate(zip(forward, backward, strict=True)):
-            forward[i], backward[i] = f[1:] + reflection * b[:-1], b[:-1] + reflection * f[1:]
-        variance *= max(1.0 - reflection**2, 0.0)
-        fits.append((a, variance))
-        criteria.append(n * np.log(max(variance, np.finfo(float).tiny)) + np.log(n) * p)
-    return AutoregressiveFit(*fits[-1 if order is not None else int(np.argmin(criteria))])
+        pairs = [(f + reflection * b, b + reflection * f) for f, b in pairs]
+        fits.append(AutoregressiveFit(a, fits[-1].variance * max(1.0 - reflection**2, 0.0)))
+    if order is not None:
+        return fits[-1]
+    tiny = np.finfo(float).tiny
+    return min(fits, key=lambda f: n * np.log(max(f.variance, tiny)) + np.log(n) * len(f.coefficients))
 
 
 def long_run_covariance(scores: np.ndarray) -> np.ndarray:
@@ -476,8 +454,6 @@ HETEROGENEITY = 1e-3
 
 def _autocorrelation(coefficients: Array, lags: int) -> Array:
     """Return the autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
-    if len(coefficients) == 0:
-        return np.eye(1, lags + 1)[0]
     from scipy.signal import lfilter
 
     # autocorrelation of the impulse response of 1 / A, which is computed until it has decayed
@@ -495,17 +471,17 @@ def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, 
     to random effects. They are uncorrelated, and stay unchanged.
     """
     longest = max(len(t.time_s) for t in problem.trials)
-    rho = {c: _autocorrelation(a, longest - 1) for c, a in autoregressions.items()}
+    rho = {c: _autocorrelation(a, longest - 1) for c, a in autoregressions.items() if len(a)}
     products = []
     for k, whole in enumerate(rows):
-        parts = []
+        product, end = whole.copy(), 0
         for channel, mask, part in problem.by_channel(k, whole):
-            even = np.zeros((len(mask), whole.shape[1]))
-            even[mask] = part
-            if len(autoregressions[channel]):
-                even = matmul_toeplitz(rho[channel][: len(mask)], even)
-            parts.append(even[mask])
-        products.append(np.concatenate([*parts, whole[sum(map(len, parts)) :]]))
+            begin, end = end, end + len(part)
+            if channel in rho:
+                even = np.zeros((len(mask), whole.shape[1]))
+                even[mask] = part
+                product[begin:end] = matmul_toeplitz(rho[channel][: len(mask)], even)[mask]
+        products.append(product)
     return products
 
 
@@ -618,12 +594,12 @@ def _scatter(
         part = vectors[:, keep].T @ (score / scale)
         statistic += float(np.sum(part**2 / values[keep]))
         degrees += int(keep.sum())
-    if degrees < 1:
-        return 1.0, 1.0
-    p_value = float(special.chdtrc(degrees, statistic))
-    if p_value >= HETEROGENEITY:
-        return 1.0, p_value
-    return max(math.sqrt(statistic / degrees), 1.0), p_value
+    p_value, scatter = 1.0, 1.0
+    if degrees >= 1:
+        p_value = float(special.chdtrc(degrees, statistic))
+    if p_value < HETEROGENEITY:
+        scatter = max(math.sqrt(statistic / degrees), 1.0)
+    return scatter, p_value
 
 
 # ---------------------------------------------------------------- identifiability
@@ -716,13 +692,12 @@ def combinations(result: FitResult) -> list[Combination]:
         if _sd(kept, singular, vt) * singular[0] <= 1.1:
             direction = kept
         units = [result.parameter(g).unit for g in group]
-        alike = len(set(units)) == 1
-        counted, divisors = np.ones(len(group)), {}
-        if not alike:
+        unit, counted, divisors = units[0], np.ones(len(group)), {}
+        if len(set(units)) > 1:
             # each parameter is divided by its rounded magnitude, so that a reader can compute the sum from
             # the text
-            short = [f"{s:.2g}" for s in size]
-            words = [f"{t} {unit}".removesuffix(" 1") for t, unit in zip(short, units, strict=True)]
+            unit, short = "1", [f"{s:.2g}" for s in size]
+            words = [f"{t} {u}".removesuffix(" 1") for t, u in zip(short, units, strict=True)]
             counted, divisors = np.array([float(t) for t in short]), dict(zip(group, words, strict=True))
         weights = direction * counted / size
         one = float(weights[np.argmax(np.abs(weights))])
@@ -733,7 +708,7 @@ def combinations(result: FitResult) -> list[Combination]:
                 members=group,
                 value=float(weights @ (result.estimate[index] / counted)),
                 stderr=_sd(direction, singular, vt) / abs(one),
-                unit=units[0] if alike else "1",
+                unit=unit,
                 divisors=divisors,
             )
         )
@@ -742,15 +717,12 @@ def combinations(result: FitResult) -> list[Combination]:
 
 def sentences(result: FitResult) -> list[str]:
     """Return sentences for the report on parameters that are not identifiable and on their known sums."""
-    known = {c.members: c for c in combinations(result)}
+    known = {c.members: f"; known is {c.text}" for c in combinations(result)}
     said, grouped = [], set()
     for group in confounded(result):
         grouped |= set(group)
-        names = f"{', '.join(group[:-1])} and {group[-1]}"
-        if group in known:
-            said.append(f"{names} cannot be separated by these trials; known is {known[group].text}")
-        else:
-            said.append(f"{names} cannot be separated by these trials, and no sum of them is known")
+        names, rest = f"{', '.join(group[:-1])} and {group[-1]}", ", and no sum of them is known"
+        said.append(f"{names} cannot be separated by these trials{known.get(group, rest)}")
     alone = [label for label in unidentifiable(result) if label not in grouped]
     own = [label.partition("[") for label in alone if "[" in label]
     for name in dict.fromkeys(name for name, _, _ in own):
