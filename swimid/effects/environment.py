@@ -4,29 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 from numba import cfunc
 from scipy.constants import g
 from scipy.interpolate import CubicSpline
 
-from swimid.effects import common
-from swimid.effects.base import (
-    SIZES,
-    Array,
-    Effect,
-    Effects,
-    Hooks,
-    Inside,
-    Model,
-    Parameter,
-    Parameters,
-    Trial,
-    Trials,
-)
-from swimid.effects.common import parameter
-from swimid.fitting.model import FORCE_SIGNATURE, Force, traceable, typical
+from swimid.effects import base
+from swimid.effects.base import SIZES, Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
+from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Parameter, traceable, typical
 
 
 @traceable(on="hull", constants=2)
@@ -53,7 +39,7 @@ class Buoyancy(Effect):
         """
         if model.rig is not None:
             return model.axes == ("z",) and not model.estimates("rest_position")
-        body = common.free_body(model)
+        body = base.free_body(model)
         return body is not None and body.vertical
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -70,8 +56,8 @@ class Buoyancy(Effect):
         """Return hooks that add the constant force and the moment."""
         body = model.body
         if body is not None:
-            return Hooks(force=(common.force_at_hull(body, rise, np.array(values, dtype=float)),))
-        return common.add_to_coefficient("force", values[0])
+            return Hooks(force=(base.force_at_hull(body, rise, np.array(values, dtype=float)),))
+        return base.add_to_coefficient("force", values[0])
 
 
 #: Maximum speed of the current, divided by the typical speed of the robot.
@@ -154,7 +140,7 @@ class SurfaceBreach(Effect):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for free swimmers in the vertical plane with a measured height."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
-        body = common.free_body(model)
+        body = base.free_body(model)
         if body is None or not body.vertical or not heights:
             return []
         values = np.concatenate(heights)
@@ -178,7 +164,7 @@ class SurfaceBreach(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the force and its moment to the heaviest link."""
-        body = common.require_links(model)
+        body = base.require_links(model)
         hull = body.hull
         x, y = body.centre(hull)
         a, b = x, y
@@ -186,7 +172,7 @@ class SurfaceBreach(Effect):
             a, b = body.reference_m
         quarter = 0.25 * body.lengths_m[hull]
         constants = np.array([*values, x - a, y - b, quarter])
-        return Hooks(force=(common.force_at_hull(body, sink, constants),))
+        return Hooks(force=(base.force_at_hull(body, sink, constants),))
 
 
 def _heights(trial: Trial) -> Trial:
@@ -233,7 +219,7 @@ class Tether(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a pulled body, a cruise or a free swimmer."""
-        return common.is_pulled(model) or model.timed_runs or common.free_body(model) is not None
+        return base.is_pulled(model) or model.timed_runs or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the stiffness, N/m, the slack, m, and further parameters that the motion can show.
@@ -274,7 +260,7 @@ class Tether(Effect):
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
-            return common.add_to_coefficient("dry", mean)
+            return base.add_to_coefficient("dry", mean)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()
@@ -345,9 +331,9 @@ class Wall(Effect):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return one form per side for free swimmers, and the form for the far end for pulled bodies."""
-        free = common.free_body(model) is not None
+        free = base.free_body(model) is not None
         walls: list[Effect] = []
-        for axis in model.axes if free or common.is_pulled(model) else ():
+        for axis in model.axes if free or base.is_pulled(model) else ():
             series = [t.measured[f"{axis}_m"] for t in trials if f"{axis}_m" in t.measured]
             values = np.concatenate([np.zeros(0), *series])
             values = values[np.isfinite(values)]
@@ -392,8 +378,8 @@ class Wall(Effect):
             axis, end = self.side.split("_")
             side = {"max": 1.0, "min": -1.0}[end]
             place = [side * (axis == "x"), side * (axis != "x"), side * self.extreme_m]
-            return Hooks(force=(common.force_at_hull(body, push_off, np.array([*values, *place])),))
-        return common.force_on_rig(blockage, [0.0, *values, self.extreme_m], quadratic=0)
+            return Hooks(force=(base.force_at_hull(body, push_off, np.array([*values, *place])),))
+        return base.force_on_rig(blockage, [0.0, *values, self.extreme_m], quadratic=0)
 
 
 class _Push(Wall):
@@ -401,7 +387,7 @@ class _Push(Wall):
     force.
     """
 
-    inside: ClassVar[Inside] = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}
+    inside = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}
 
 
 #: Lowest and highest tried frequency of waves, Hz.
@@ -441,7 +427,7 @@ class Waves(Effect):
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
     needs = frozenset({"flow"})
-    inside: ClassVar[Inside] = {"frequency_hz": "lower"}
+    inside = {"frequency_hz": "lower"}
 
     def __init__(self, axis: str = "x", frequency_hz: float = 1.0) -> None:
         self.axis = axis
@@ -628,8 +614,8 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         width = 1.0 / max(float(time[-1]), 1e-9)
         beat = trial.swim.beat
         simulated = _simulated(model, trial, name)[there]
-        base = oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
-        harmonics = [k * base for k in (1, 2, 3) if base > 0.0]
+        beating = oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
+        harmonics = [k * beating for k in (1, 2, 3) if beating > 0.0]
         slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
         waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
         known = np.linalg.qr(np.column_stack([slow, *waves]))[0]

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects import common
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.fitting.model import traceable
+from swimid.effects import base
+from swimid.effects.base import Effect, Effects, Parameters, Trials, parameter
+from swimid.fitting.model import Array, Hooks, Model, Trial, traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
 #: Minimum inertia that may remain, as a fraction of the rigid body's inertia.
@@ -32,7 +31,7 @@ class AddedMass(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a rig or a free swimmer."""
-        return model.rig is not None or common.free_body(model) is not None
+        return model.rig is not None or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the added mass along and across all links, kg, or the added mass of a rig (added inertia
@@ -49,7 +48,7 @@ class AddedMass(Effect):
                 parameter("tail_kg", "kg", size, tail, lower=-0.5 * LEAST * masses[-1]),
             )
         linear, angular = ("added_kg", "kg", "added mass"), ("added_kg_m2", "kg m^2", "added inertia")
-        name, unit, words = common.pick_by_motion(model, linear, angular)
+        name, unit, words = base.pick_by_motion(model, linear, angular)
         size = model.scales(trials).inertia
         own = size - model.start("added_mass", "added_inertia")
         return (parameter(name, unit, 0.05 * size, words, lower=-LEAST * own),)
@@ -68,7 +67,7 @@ class AddedMass(Effect):
                 body.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
 
             return Hooks(tables=(carry,))
-        return common.add_to_coefficient("inertia", values[0])
+        return base.add_to_coefficient("inertia", values[0])
 
 
 #: Speed, m/s or rad/s, below which the drag is zero. It avoids a division by zero.
@@ -130,7 +129,7 @@ class DragReynolds(Effect):
         """Return hooks that change the model's quadratic drag, or its drag coefficients."""
         body = model.body
         if self.whole:
-            whole = common.require_links(model)
+            whole = base.require_links(model)
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
             return Hooks(tables=(lambda tables: whole.drag_times(tables, factor),))
         constants = np.array([0.0, values[0], self.reference_m_s])
@@ -139,9 +138,9 @@ class DragReynolds(Effect):
             def read(tables: dict[str, Any]) -> None:
                 constants[0] = body.axial_drag(tables)
 
-            return Hooks(tables=(read,), force=(common.force_at_hull(body, changed_drag, constants),))
+            return Hooks(tables=(read,), force=(base.force_at_hull(body, changed_drag, constants),))
 
-        return common.force_on_rig(changed_drag, constants, quadratic=0)
+        return base.force_on_rig(changed_drag, constants, quadratic=0)
 
 
 class LiftDamping(Effect):
@@ -164,7 +163,7 @@ class LiftDamping(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a free swimmer with drag across a link."""
-        body = common.free_body(model)
+        body = base.free_body(model)
         return body is not None and len(body.normal_drag(body.tables())[0]) > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -174,14 +173,14 @@ class LiftDamping(Effect):
         ratio is about 1 per rad, as large as a drag coefficient across the body. A tenth of this lift is
         visible.
         """
-        body = common.require_links(model)
+        body = base.require_links(model)
         size = 0.1 * float(body.normal_drag(body.tables())[1][:, 2].sum())
         words = "force across the links per speed and speed across"
         return (parameter("lift_N_s2_m2", "N s^2/m^2", size, words, 0.0, 100.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add lift at the points of the model's drag across the links."""
-        body = common.require_links(model)
+        body = base.require_links(model)
         links, points = body.normal_drag(body.tables())
         points[:, 2] *= float(values[0]) / points[:, 2].sum()
         return Hooks(tables=(lambda tables: body.lift(tables, links, points),))
@@ -228,10 +227,10 @@ class LinearDrag(Effect):
         if body is not None:
             at = body.centre(body.hull)
             return Hooks(tables=(lambda tables: body.drag_more(tables, body.hull, at, values[0]),))
-        return common.add_to_coefficient("linear", values[0])
+        return base.add_to_coefficient("linear", values[0])
 
 
-class QuadraticDrag(common.RigCoefficient):
+class QuadraticDrag(base.RigCoefficient):
     """Drag ``-c v |v|`` of separated flow: form drag of a towed body, or vortex damping of a body that
     swings.
     """
@@ -248,7 +247,7 @@ class QuadraticDrag(common.RigCoefficient):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the drag per squared speed, N s2/m2, or N m s2/rad2 for an angle."""
         linear, angular = ("quadratic_N_s2_m2", "N s^2/m^2"), ("quadratic_N_m_s2_rad2", "N m s^2/rad^2")
-        name, unit = common.pick_by_motion(model, linear, angular)
+        name, unit = base.pick_by_motion(model, linear, angular)
         scales = model.scales(trials)
         size = scales.brake / scales.speed**2
         return (parameter(name, unit, size, "drag per squared speed", lower=-scales.quadratic),)
@@ -280,7 +279,7 @@ class WakeLift(Effect):
         """Return the added mass per length at the trailing edge, kg/m. The scale comes from a square plate
         of the link's length.
         """
-        body = common.require_links(model)
+        body = base.require_links(model)
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         words = "added mass per length at the trailing edge"
         most = MOST * plate
@@ -288,5 +287,5 @@ class WakeLift(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add a trailing edge."""
-        body = common.require_links(model)
+        body = base.require_links(model)
         return Hooks(tables=(lambda tables: body.shed(tables, float(values[0])),))

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects import common
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.fitting.model import MEAN_SPEED, NONE
+from swimid.effects import base
+from swimid.effects.base import Effect, Effects, Parameters, Trials, parameter
+from swimid.fitting.model import MEAN_SPEED, NONE, Array, Hooks, Model, Trial
 
 
 class CameraRotation(Effect):
@@ -38,7 +37,7 @@ class CameraRotation(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that rotate the positions."""
         angle = float(values[0])
-        first, second, _ = common.require_links(model).pose
+        first, second, _ = base.require_links(model).pose
         origin = model.origin(trial)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
@@ -56,14 +55,14 @@ class CameraRotation(Effect):
 
 def _both_measured(model: Model, trials: Trials) -> bool:
     """Return whether both coordinates of the position of a planar robot are measured."""
-    return len(common.select_measured(common.require_links(model).pose[:2], trials)) == 2
+    return len(base.select_measured(base.require_links(model).pose[:2], trials)) == 2
 
 
 #: Number of Newton steps in the computation of a position from its image.
 ITERATIONS = 8
 
 
-class CameraScale(common.Sensing):
+class CameraScale(base.Sensing):
     """Measured displacements from the start of the trial, and speeds, that are multiplied by ``1 +
     scale_error``.
 
@@ -78,7 +77,7 @@ class CameraScale(common.Sensing):
         "tendon fish, section V (global camera)",
         "robotic dolphin, section 4 (global camera)",
     )
-    channels = common.LENGTHS
+    channels = base.LENGTHS
     smooth = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
@@ -86,7 +85,7 @@ class CameraScale(common.Sensing):
         distortion.
         """
         found = super().variants(model, trials)
-        if found and common.free_body(model) and _both_measured(model, trials):
+        if found and base.free_body(model) and _both_measured(model, trials):
             return [*found, _Lens()]
         return found
 
@@ -123,7 +122,7 @@ class _Lens(CameraScale):
         middle = complex(np.mean(places)) if len(places) else 0j
         reach = max(float(np.max(np.abs(places - middle), initial=0.0)), 1e-3)
         (scale,) = super().parameters(model, trials)
-        first, second = common.require_links(model).pose[:2]
+        first, second = base.require_links(model).pose[:2]
         return (
             scale,
             parameter(
@@ -150,7 +149,7 @@ class _Lens(CameraScale):
         the image.
         """
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = common.require_links(model).pose[:2]
+        first, second = base.require_links(model).pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
@@ -172,7 +171,7 @@ class _Lens(CameraScale):
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             place = channels[first] + 1j * channels[second] + away
             change = moved(place) + away
-            speeds = {n: error * v for n, v in channels.items() if n in common.SPEEDS}
+            speeds = {n: error * v for n, v in channels.items() if n in base.SPEEDS}
             shown = {first: channels[first] + change.real, second: channels[second] + change.imag}
             return {**channels, **speeds, **shown}
 
@@ -181,7 +180,7 @@ class _Lens(CameraScale):
 
 def _places(model: Model, trial: Trial) -> Array:
     """Return the measured positions of the body as complex numbers (two axes); empty if they are unknown."""
-    first, second = (trial.measured.get(name) for name in common.require_links(model).pose[:2])
+    first, second = (trial.measured.get(name) for name in base.require_links(model).pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
@@ -191,7 +190,7 @@ def _places(model: Model, trial: Trial) -> Array:
 LARGEST = 0.1
 
 
-class ClockRate(common.Clock):
+class ClockRate(base.Clock):
     """A clock that runs fast: the time stamp ``t`` belongs to the event at ``t_0 + (t - t_0) / (1 + rate)``.
 
     The clocks of log and drive agree at ``t_0``, where the drive or the run begins (the first sample of a
@@ -227,16 +226,16 @@ class ClockRate(common.Clock):
             return Hooks(clock_s=-drift * begin, clock_drift=drift)
         if rate == 0.0:
             return Hooks()
-        return common.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
+        return base.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
 
 
-class ImuBias(common.Sensing):
+class ImuBias(base.Sensing):
     """A constant that is added to the measured turn rate."""
 
     name = "imu-bias"
     meaning = "The gyroscope shows a constant turn rate at rest."
     sources = ("long-fin vehicle, section 5.2 (drift and calibration errors; the mean is filtered out)",)
-    channels = common.TURN_RATES
+    channels = base.TURN_RATES
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -248,13 +247,13 @@ class ImuBias(common.Sensing):
         return self.show(lambda name, rate: rate + float(values[0]))
 
 
-class ImuTilt(common.Sensing):
+class ImuTilt(base.Sensing):
     """A tilted gyroscope: the turn rate in the plane of motion is multiplied by the cosine of the tilt."""
 
     name = "imu-tilt"
     meaning = "The inertial sensor is tilted: its axis sees only part of the turn rate."
     sources = ("long-fin vehicle, section 5 (inertial unit fixed in the hull)",)
-    channels = common.TURN_RATES
+    channels = base.TURN_RATES
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the tilt, rad."""
@@ -309,10 +308,10 @@ class MarkerOffset(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether a pose or a velocity of the body is measured."""
-        body = common.free_body(model)
+        body = base.free_body(model)
         if body is None or not super().applies(model, trials):
             return False
-        return bool(common.select_measured((*body.pose, *body.velocity[:2]), trials))
+        return bool(base.select_measured((*body.pose, *body.velocity[:2]), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the position of the tracked point ahead of and beside the reference point, m, and its
@@ -327,7 +326,7 @@ class MarkerOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that show pose and velocity of the tracked point."""
-        body = common.require_links(model)
+        body = base.require_links(model)
         along, across, turn = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
 
@@ -354,7 +353,7 @@ class MarkerOffset(Effect):
 LARGEST_S = 2.0
 
 
-class TimeOffset(common.Clock):
+class TimeOffset(base.Clock):
     """A clock with a constant offset, so that the log shows events earlier and a timed run takes longer.
 
     If a log contains turn rates in addition to poses, the clock of the camera alone may be late relative to
@@ -390,7 +389,7 @@ class TimeOffset(common.Clock):
         """Return hooks that delay the clock, or lengthen the durations of cruising runs."""
         offset = float(values[0])
         if self.camera and offset != 0.0:
-            return common.shift_poses(trial, lambda time_s: time_s - offset)
+            return base.shift_poses(trial, lambda time_s: time_s - offset)
         if self.camera:
             return Hooks()
         if not model.timed_runs:

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numba import cfunc
 
-from swimid.effects import common
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.fitting.model import FORCE_SIGNATURE, Force, Stroke, traceable, typical
+from swimid.effects import base
+from swimid.effects.base import Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
+from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Stroke, traceable, typical
 
 
 class ComOffset(Effect):
@@ -31,13 +30,13 @@ class ComOffset(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a free swimmer."""
-        return common.free_body(model) is not None
+        return base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the offsets of the centre of mass, m: forwards, and to port (upwards in the vertical
         plane).
         """
-        body = common.require_links(model)
+        body = base.require_links(model)
         length = body.lengths_m[body.hull]
         size, most = 0.01 * length, 0.2 * length
         return tuple(
@@ -47,7 +46,7 @@ class ComOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that move the mass and its weight."""
-        body = common.require_links(model)
+        body = base.require_links(model)
         by = float(values[0]), float(values[1])
         return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))
 
@@ -203,8 +202,8 @@ class Hardening(Effect):
         """Return hooks that add a cubic term to the springs."""
         body = model.body
         if body is not None:
-            return common.change_springs(body, lambda own: {"cubic": max(own, 0.0) * values[0]})
-        return common.force_on_rig(cubic, [values[0], 0.0, 0.0], stiffness=1, rest=2)
+            return base.change_springs(body, lambda own: {"cubic": max(own, 0.0) * values[0]})
+        return base.force_on_rig(cubic, [values[0], 0.0, 0.0], stiffness=1, rest=2)
 
 
 def _deflection(model: Model, trials: Trials) -> float:
@@ -213,7 +212,7 @@ def _deflection(model: Model, trials: Trials) -> float:
         return 0.5 * model.scales(trials).span
     columns = [axis.column for axis in model.body.passive]
     seen = [np.abs(t.measured[c]) for t in trials for c in columns if c in t.measured]
-    return typical([float(np.nanmax(s)) for s in seen if np.isfinite(s).any()], common.USUAL_ANGLE)
+    return typical([float(np.nanmax(s)) for s in seen if np.isfinite(s).any()], base.USUAL_ANGLE)
 
 
 def _has_spring(model: Model) -> bool:
@@ -240,7 +239,7 @@ class JointDamping(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the torque per rate, N m s/rad. The scale corresponds to a damping ratio of 0.05."""
-        body = common.require_links(model)
+        body = base.require_links(model)
         tables, joints = body.tables(), range(len(body.passive))
         sizes = [
             math.sqrt(max(body.stiffness(tables, k), 1e-6) * body.joint_inertia(tables, k)) for k in joints
@@ -251,7 +250,7 @@ class JointDamping(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add to the damping."""
-        return common.change_springs(common.require_links(model), lambda _: {"damping": values[0]})
+        return base.change_springs(base.require_links(model), lambda _: {"damping": values[0]})
 
 
 #: Maximum locked fraction of a joint. The second value is the stiffness that a locked fraction of one half
@@ -306,7 +305,7 @@ class JointLocked(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that hold the joint."""
-        body = common.require_links(model)
+        body = base.require_links(model)
         lock = float(values[0])
         driven = [axis.column for axis in body.driven]
         if self.column in driven:
@@ -366,9 +365,7 @@ class JointStiffness(Effect):
         body = model.body
         if body is not None:
             stiffer, harder = values
-            return common.change_springs(
-                body, lambda own: {"stiffness": own * stiffer, "cubic": own * harder}
-            )
+            return base.change_springs(body, lambda own: {"stiffness": own * stiffer, "cubic": own * harder})
 
         def restoring(c: dict[str, float]) -> None:
             c["stiffness"] *= 1.0 + values[0]
@@ -419,7 +416,7 @@ class Friction(Effect, ABC):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for rigs, or the form for models that a command drives in some trial."""
         if model.rig is not None:
-            return [type(self)(everywhere=not common.has_pulley(trials))]
+            return [type(self)(everywhere=not base.has_pulley(trials))]
         return super().variants(model, trials)
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -480,26 +477,26 @@ class LoadFriction(Friction):
 
             def command(time_s: Array, angle: Array, joint: int) -> Array:
                 def stuck(time: Array, told: Array) -> Array:
-                    return np.asarray(common.hold_back(told, share * _torque(loads[joint], time, told)))
+                    return np.asarray(base.hold_back(told, share * _torque(loads[joint], time, told)))
 
-                return common.bridge_missing(stuck, time_s, angle)
+                return base.bridge_missing(stuck, time_s, angle)
 
-            return common.on_command(model, trial, command)
+            return base.on_command(model, trial, command)
         if not (trial.rig.pulley or self.everywhere):
             return Hooks()
         measured = trial.inputs.get("force_N")
         if measured is None and not model.rig.swings:
-            return common.add_to_coefficient("dry", share * abs(trial.rig.pull))
+            return base.add_to_coefficient("dry", share * abs(trial.rig.pull))
         slow = ROUND * model.scales([trial]).speed
         constants = np.array([share, slow, 0.0, 0.0])
         if measured is not None:
             constants = np.concatenate([constants, trial.time_s, measured])
-        return common.force_on_rig(loaded, constants, stiffness=2, rest=3)
+        return base.force_on_rig(loaded, constants, stiffness=2, rest=3)
 
 
 def _loads(model: Model) -> list[tuple[float, float]]:
     """Return inertia and quadratic drag of the links that each driven joint moves."""
-    body = common.require_links(model)
+    body = base.require_links(model)
     tables = body.tables()
     return [body.carried(tables, k) for k in range(len(body.driven))]
 
@@ -549,15 +546,15 @@ class Stribeck(Friction):
         """
         if model.rig is not None:
             scales = model.scales(trials)
-            rise, unit = common.pick_by_motion(model, ("rise_N", "N"), ("rise_N_m", "N m"))
+            rise, unit = base.pick_by_motion(model, ("rise_N", "N"), ("rise_N_m", "N m"))
             size, most, top = scales.brake, math.inf, scales.speed
             word = f"stribeck_{model.rig.speed.unit.replace('/', '_')}"
             rates, moving = model.rig.speed.unit, "speed"
             what = "friction at rest beyond that in motion"
         else:
-            largest = common.typical_amplitude(model, trials)
+            largest = base.typical_amplitude(model, trials)
             rise, unit, size, most = "stick_rad", "rad", 0.05 * largest, 0.9 * largest
-            word, rates, top = "stribeck_rad_s", "rad/s", common.largest_rate(model, trials)
+            word, rates, top = "stribeck_rad_s", "rad/s", base.largest_rate(model, trials)
             what, moving = "angle by which a joint at rest is held back", "rate"
         over, least = f"{moving} over which it falls", 0.01 * top
         return (
@@ -581,18 +578,18 @@ class Stribeck(Friction):
             if not (trial.rig.pulley or self.everywhere):
                 return Hooks()
             spared = Force(relieved, np.array([rise, slow]))
-            return Hooks(coefficients=common.add_to_coefficient("dry", rise).coefficients, force=(spared,))
+            return Hooks(coefficients=base.add_to_coefficient("dry", rise).coefficients, force=(spared,))
 
         def stuck(time_s: Array, angle: Array) -> Array:
             if len(time_s) < 2:
                 return angle
             rate = np.gradient(angle, time_s)
-            return np.asarray(common.hold_back(angle, rise * np.exp(-np.square(rate / slow))))
+            return np.asarray(base.hold_back(angle, rise * np.exp(-np.square(rate / slow))))
 
         def command(time_s: Array, angle: Array) -> Array:
-            return common.bridge_missing(stuck, time_s, angle)
+            return base.bridge_missing(stuck, time_s, angle)
 
-        return common.on_command(model, trial, common.for_every_joint(command))
+        return base.on_command(model, trial, base.for_every_joint(command))
 
 
 #: Unit of force in a model without an inertia of its own (force per mass).
@@ -624,7 +621,7 @@ class WaterIngress(Effect):
         of mass).
         """
         linear, angular = ("mass_kg", "kg", "mass"), ("inertia_kg_m2", "kg m^2", "inertia")
-        name, unit, what = common.pick_by_motion(model, linear, angular)
+        name, unit, what = base.pick_by_motion(model, linear, angular)
         size = 0.05 * model.scales(trials).inertia
         much = parameter(name, unit, size, f"{what} of the water inside", lower=0.0)
         body = model.body

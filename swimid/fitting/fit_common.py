@@ -437,11 +437,10 @@ def share_check(
     name: str, share: float | None, good: float, usable: float, of: str, text: str = ""
 ) -> ev.Check:
     """Check a fraction against two limits: it passes up to ``good`` and fails above ``usable``."""
-    shown, otherwise = numbers.percent(share), "fail"
+    shown = numbers.percent(share)
     # comparisons with NaN are false
     value = math.nan if share is None else share
-    if value <= usable:
-        otherwise = "warn"
+    otherwise = VERDICTS[not value <= usable]
     limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
     reason = f"the {name} is {shown} of the {of}"
     return ev.check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
@@ -636,11 +635,10 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         [names[label] for label in result.shared if result.status[label] == status]
         for status in ("unidentifiable", "at-bound", "estimated")
     )
-    value, otherwise, reason = "all", "warn", f"not identifiable: {', '.join(unknown)}"
+    value, reason = "all", f"not identifiable: {', '.join(unknown)}"
     if unknown:
         value = f"not: {', '.join(unknown)}"
-    if len(known) < len(unknown):
-        otherwise = "fail"
+    otherwise = VERDICTS[len(known) < len(unknown)]
     limit, text = (
         "every estimated parameter",
         "standard errors are below half of the sizes of identifiable parameters",

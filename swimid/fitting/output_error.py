@@ -676,10 +676,9 @@ N_PAIRS, PAIR_DISTANCE = 3, 2.0
 #: Minimum deviation of the mean cost of a pair from its quadratic prediction, as a fraction of the
 #: prediction, that shows a non-smooth cost.
 KINK_SHARE = 0.5
-#: Distances from the estimates at which short searches start, in standard errors under white noise. The first
-#: tuple is for a smooth cost, the second for a non-smooth cost.
-SMOOTH_DISTANCES = (10.0,)
-KINK_DISTANCES = (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
+#: Distances from the estimates at which short searches start, in standard errors under white noise. The key
+#: is whether the cost is non-smooth.
+DISTANCES = {False: (10.0,), True: (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)}
 #: Number of iterations of a short search. If the cost is non-smooth, a second search starts from the two best
 #: end points with the second number.
 SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
@@ -735,13 +734,10 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
         ends += list(zip(costs, pair, strict=True))
         if not rough and np.allclose(pair, (theta + step, theta - step)):
             rough = not _smooth(problem, theta, rows, step, KINK_SHARE * variance)
-    distances = SMOOTH_DISTANCES
-    if rough:
-        distances = KINK_DISTANCES
-    starts = [
-        np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
-        for far in distances
-    ]
+        starts = [
+            np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
+            for far in DISTANCES[rough]
+        ]
     starts += _inside(problem, result, theta, rough)
     tolerance = 0.1 * material / max(here, 1e-300)
     if rough:
