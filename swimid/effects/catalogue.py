@@ -118,11 +118,7 @@ def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     faults = (
         (lacking, f"lacks {', '.join(lacking)}", None),
         (not name or {type(name), type(meaning)} != {str}, "needs a name and a meaning in words", None),
-        (
-            stage not in STAGES,
-            f"is at the stage '{stage}', which there is not",
-            suggestion(f"{stage}", STAGES),
-        ),
+        (stage not in STAGES, f"is at the stage '{stage}', which there is not", stages),
         (isinstance(needs, str) or not set(needs) <= PLACES, f"needs {needs!r}, which are no hooks", hooks),
         (name in taken, f"has a name that is used already: '{name}'", None),
     )
