@@ -660,10 +660,8 @@ class Model(ABC):
         def simulated(values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
             return self.simulate(values, trial) if hooks is NONE else self.hooked(values, trial, hooks)
 
-        return [
-            self.broken_down(trial) if one is None else one
-            for one, (_, trial, _) in zip(unless_broken(simulated, runs), runs, strict=True)
-        ]
+        found = unless_broken(simulated, runs)
+        return [one or self.broken_down(trial) for one, (_, trial, _) in zip(found, runs, strict=True)]
 
     def broken_down(self, trial: Trial) -> dict[str, Array]:
         """Return the channels of a simulation that diverged: NaN at every sample."""
@@ -757,9 +755,7 @@ def chosen(
     UsageError
         For an unknown name, bounds in the wrong order, or a fixed value outside the bounds.
     """
-    fixed = dict(fixed or {})
-    bounds = dict(bounds or {})
-    names = [p.name for p in parameters]
+    fixed, bounds, names = dict(fixed or {}), dict(bounds or {}), [p.name for p in parameters]
     for name in (*fixed, *freed, *bounds):
         if name not in names:
             raise UsageError(f"there is no parameter '{name}'", hint=suggestion(name, names))
@@ -772,12 +768,11 @@ def chosen(
             start = min(max(parameter.start, lower), upper)
             parameter = replace(parameter, lower=lower, upper=upper, start=start)
         if parameter.name in fixed:
-            if not parameter.lower <= fixed[parameter.name] <= parameter.upper:
-                raise UsageError(
-                    f"{parameter.name} cannot be {fixed[parameter.name]:g}: "
-                    f"it lies between {parameter.lower:g} and {parameter.upper:g}"
-                )
-            parameter = replace(parameter, start=float(fixed[parameter.name]), free=False)
+            value = float(fixed[parameter.name])
+            if not parameter.lower <= value <= parameter.upper:
+                limits = f"it lies between {parameter.lower:g} and {parameter.upper:g}"
+                raise UsageError(f"{parameter.name} cannot be {value:g}: {limits}")
+            parameter = replace(parameter, start=value, free=False)
         elif parameter.name in freed:
             parameter = replace(parameter, free=True)
         result.append(parameter)
@@ -898,17 +893,18 @@ class Tied(Model):
                 if member in owner:
                     raise UsageError(f"{member} is shared twice: as {owner[member]} and as {name}")
                 owner[member] = name
-        parameters: list[Parameter] = []
-        places: dict[str, int] = {}
+        parameters: dict[str, Parameter] = {}
         for parameter in model.parameters:
             name = owner.get(parameter.name, parameter.name)
             if parameter.name not in owner and name in self.groups:
                 raise UsageError(f"the name {name} is taken by a parameter that does not share it")
-            if name not in places:
-                places[name] = len(parameters)
-                parameters.append(self._shared(name) if name in self.groups else parameter)
-        self.parameters = tuple(parameters)
-        self._places = np.array([places[owner.get(p.name, p.name)] for p in model.parameters], dtype=int)
+            if name not in self.groups:
+                parameters[name] = parameter
+            elif name not in parameters:
+                parameters[name] = self._shared(name)
+        self.parameters, places = tuple(parameters.values()), list(parameters)
+        owners = [owner.get(p.name, p.name) for p in model.parameters]
+        self._places = np.array([places.index(name) for name in owners], dtype=int)
 
     @property
     def body(self) -> Any:
@@ -956,9 +952,8 @@ class Tied(Model):
         first = members[0]
         for other in members[1:]:
             if (other.unit, other.per_trial) != (first.unit, first.per_trial):
-                raise UsageError(
-                    f"{first.name} ({first.unit}) and {other.name} ({other.unit}) cannot share a value"
-                )
+                both = f"{first.name} ({first.unit}) and {other.name} ({other.unit})"
+                raise UsageError(f"{both} cannot share a value")
         lower, upper = max(m.lower for m in members), min(m.upper for m in members)
         if lower > upper:
             raise UsageError(f"no value lies within the bounds of all of {', '.join(self.groups[name])}")

@@ -325,10 +325,10 @@ def _friction_check(plain: FitResult) -> list[ev.Check]:
     if p_value >= HETEROGENEITY:
         return []
     pulls = {t.id: t.rig.pull for t in plain.trials}
-    trend = between_trials.estimate_trend(own, np.array([pulls[name] for name in own.trials]))
-    follows = trend.p_value < TREND_P
+    trend_p = between_trials.compute_trend_p(own, np.array([pulls[name] for name in own.trials]))
+    follows = trend_p < TREND_P
     if follows:
-        code, how, p_value = "SWM070", "follows the pulling mass", trend.p_value
+        code, how, p_value = "SWM070", "follows the pulling mass", trend_p
     value, limit = f"{how} ({blocks.p_text(p_value)})", f"p ≥ {HETEROGENEITY:g}; for a trend p ≥ {TREND_P:g}"
     reason = f"the pulley friction {value}"
     text = "standard errors do not allow for it: find the cause with swimid diagnose TRIALS --params FILE"
