@@ -67,7 +67,8 @@ class Effect(ABC):
     sources : tuple of str
         Papers and sections that describe the effect.
     needs : frozenset of str
-        Hooks that the effect uses. The effect applies to models that offer at least one of them.
+        Hooks of which a model must offer at least one, unless the effect has its own :meth:`applies` or
+        :meth:`variants`.
     scatters : bool
         Whether the effect may differ at random between trials (a trim, a clock). It is then a random effect
         as well.
@@ -86,7 +87,7 @@ class Effect(ABC):
     stage: ClassVar[Stage]
     meaning: ClassVar[str]
     sources: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[frozenset[str]]
+    needs: ClassVar[frozenset[str]] = frozenset()
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
     inside: ClassVar[Inside] = {}
@@ -401,7 +402,6 @@ class RigCoefficient(Effect, ABC):
         Whether the effect acts only in trials with a pulley.
     """
 
-    needs = frozenset({"coefficients"})
     smooth = True
     coefficient: ClassVar[str]
     own: ClassVar[tuple[str, ...]] = ()

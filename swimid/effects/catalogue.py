@@ -111,7 +111,9 @@ def _raised(error: Exception, path: Path) -> int | None:
 
 def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     """Raise an error if a user's effect lacks an attribute or has an invalid one."""
-    lacking = [name for name in ("name", "stage", "meaning", "needs") if not hasattr(kind, name)]
+    lacking = [name for name in ("name", "stage", "meaning") if not hasattr(kind, name)]
+    if not kind.needs and (kind.applies, kind.variants) == (Effect.applies, Effect.variants):
+        lacking.append("needs")
     lacking += [f"{name}()" for name in sorted(kind.__abstractmethods__)]
     name, stage, meaning, needs = (getattr(kind, n, "") for n in ("name", "stage", "meaning", "needs"))
     hooks, stages = f"a set of: {', '.join(sorted(PLACES))}", suggestion(f"{stage}", STAGES)

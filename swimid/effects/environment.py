@@ -30,7 +30,6 @@ class Buoyancy(Effect):
     name = "buoyancy"
     meaning = "buoyancy beyond weight, and its righting moment"
     sources = ("dolphin paper, section 4.1", "sea lion paper, discussion")
-    needs = frozenset({"force", "coefficients"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -131,7 +130,6 @@ class SurfaceBreach(Effect):
     name = "surface-breach"
     meaning = "buoyancy lost above the surface"
     sources = ("dolphin paper, section 4.1",)
-    needs = frozenset({"force"})
 
     def __init__(self, levels_m: tuple[float, ...] = (0.0,)) -> None:
         """Set the levels at which the effect is tried."""
@@ -215,7 +213,6 @@ class Tether(Effect):
     name = "tether"
     meaning = "cable that pulls the robot back the more the farther it is"
     sources = ("dolphin paper, section 1",)
-    needs = frozenset({"force", "coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a pulled body, a cruise or a free swimmer."""
@@ -323,7 +320,6 @@ class Wall(Effect):
     name = "wall"
     meaning = "wall near the tracks"
     sources = ("tendon fish paper, section V", "dolphin paper, section 4.2.1")
-    needs = frozenset({"force"})
 
     def __init__(self, side: str = "x_max", extreme_m: float = 0.0) -> None:
         self.side = side
@@ -426,7 +422,6 @@ class Waves(Effect):
     name = "waves"
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
-    needs = frozenset({"flow"})
     inside = {"frequency_hz": "lower"}
 
     def __init__(self, axis: str = "x", frequency_hz: float = 1.0) -> None:

@@ -26,7 +26,6 @@ class AddedMass(Effect):
     name = "added-mass"
     meaning = "added mass beyond the model's"
     sources = ("boxfish paper, Eq 8", "tendon fish paper, Eq 6", "dolphin paper, Eq 7")
-    needs = frozenset({"coefficients", "tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -100,7 +99,6 @@ class DragReynolds(Effect):
     name = "drag-reynolds"
     meaning = "drag coefficient that falls with speed"
     sources = ("Schlichting and Gersten 2017, Boundary-Layer Theory, chapters 6 and 18",)
-    needs = frozenset({"force"})
     smooth = True
 
     def __init__(self, reference_m_s: float = 0.3, *, whole: bool = False) -> None:
@@ -158,7 +156,6 @@ class LiftDamping(Effect):
         "Hoerner and Borst 1985, Fluid-Dynamic Lift (streamline bodies)",
         "Prestero 2001, MIT (simulation of the REMUS vehicle: body lift)",
     )
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -268,7 +265,6 @@ class WakeLift(Effect):
     name = "wake-lift"
     meaning = "reactive force of the fin: momentum shed into the wake"
     sources = ("Lighthill 1971, Proc. R. Soc. Lond. B 179:125",)
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:

@@ -164,7 +164,6 @@ class StringStretch(Effect):
     name = "string-stretch"
     meaning = "stretch of the string between the body and the counted pulley"
     sources = ("boxfish paper, section 3.3",)
-    needs = frozenset({"coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether a weight pulls over a pulley."""

@@ -277,7 +277,6 @@ class MarkerDropout(Effect):
         "tendon fish, section V.A (failed detection of the colour labels at 4 s)",
         "sea lion, section II (two markers tracked)",
     )
-    needs = frozenset()
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return no parameters, because the effect is not simulated."""

@@ -25,7 +25,6 @@ class ComOffset(Effect):
     name = "com-offset"
     meaning = "centre of mass of the hull off the model's"
     sources = ("sea lion paper, section on identification", "tendon fish paper, Table II")
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -88,7 +87,6 @@ class FinFlexibility(Effect):
     name = "fin-flexibility"
     meaning = "caudal fin that bends under its load"
     sources = ("dolphin paper, section 1", "Katz and Weihs 1978, J. Fluid Mech. 88:485")
-    needs = frozenset({"force", "stroke"})
 
     def __init__(self, load: float = 1.0, inertia_kg_m2: float = 1.0) -> None:
         self.load, self.inertia_kg_m2 = load, inertia_kg_m2
@@ -178,7 +176,6 @@ class Hardening(Effect):
         "tendon fish paper, Eqs 3 and 4",
         "Kovacic and Brennan 2011, The Duffing Equation, chapter 2",
     )
-    needs = frozenset({"tables", "force"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a swimmer with a spring in a joint, or a free decay."""
@@ -230,7 +227,6 @@ class JointDamping(Effect):
     name = "joint-damping"
     meaning = "viscous friction of the passive joints beyond the model's"
     sources = ("tendon fish paper, Eq 5", "dolphin paper, Eq 5")
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -277,7 +273,6 @@ class JointLocked(Effect):
     name = "joint-locked"
     meaning = "a joint that is held fast, wholly or in part"
     sources = ("dolphin paper, section 4.2.1",)
-    needs = frozenset({"command", "tables"})
 
     def __init__(self, column: str = "joint1_rad") -> None:
         self.column = column
@@ -338,7 +333,6 @@ class JointStiffness(Effect):
     name = "joint-stiffness"
     meaning = "stiffness of the passive joints against the model's"
     sources = ("tendon fish paper, Eqs 3 and 4", "dolphin paper, Eq 5 and section 4.2.1")
-    needs = frozenset({"tables", "coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a swimmer with a spring, or a free decay whose stiffness is not
@@ -442,7 +436,6 @@ class LoadFriction(Friction):
         "Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30:1083",
         "Reid 1956, J. R. Aeronaut. Soc. 60:283",
     )
-    needs = frozenset({"command", "coefficients", "force"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -534,7 +527,6 @@ class Stribeck(Friction):
         "Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30:1083",
         "boxfish paper, Eq 7 (a friction that does not depend on speed)",
     )
-    needs = frozenset({"command", "force"})
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the difference ``F_s - F_c``, N or N m, and the Stribeck speed.
