@@ -33,7 +33,7 @@ def _inside(ran: Ran, names: tuple[str, ...], sigmas: float = 3.0) -> None:
 class TestRandomEffect:
     @pytest.mark.parametrize("seed", range(4))
     def test_spread_of_known_scatter(self, seed: int) -> None:
-        """40 values with a spread of 2 and errors of 1: the estimate is within 0.85, three standard errors."""
+        """40 values with a spread of 2 and errors of 1: the estimate is within three errors, 0.85."""
         rng = np.random.default_rng(seed)
         own = OwnValues(tuple(map(str, range(40))), rng.normal(5, 2, 40) + rng.normal(0, 1, 40), np.eye(40))
         found = estimate_spread(own)

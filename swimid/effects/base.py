@@ -341,11 +341,14 @@ def require_links(model: Model) -> Body:
 # ---------------------------------------------------------------- hooks
 
 
-def add_to_coefficient(coefficient: str, value: float) -> Hooks:
-    """Return hooks that add a value to a coefficient of a model's equation of motion."""
+def add_to_coefficient(value: float, *names: str) -> Hooks:
+    """Return hooks that add a value to a coefficient of a model's equation of motion.
+
+    The coefficient is the first of the names that the equation has.
+    """
 
     def change(coefficients: dict[str, float]) -> None:
-        coefficients[coefficient] += value
+        coefficients[next(name for name in names if name in coefficients)] += value
 
     return Hooks(coefficients=(change,))
 
@@ -418,7 +421,7 @@ class RigCoefficient(Effect, ABC):
         """Return hooks that add the value to the coefficient."""
         if self.pulley and not trial.rig.pulley:
             return Hooks()
-        return add_to_coefficient(self.coefficient, values[0])
+        return add_to_coefficient(values[0], self.coefficient)
 
 
 # ---------------------------------------------------------------- commands
@@ -456,7 +459,7 @@ class Actuation(Effect, ABC):
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
         hooks = on_command(model, trial, for_every_joint(command))
-        return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
+        return replace(hooks, stroke=(beaten,) * ("stroke" in self.needs))
 
 
 def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
@@ -564,13 +567,6 @@ def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
 
-def has_camera_clock(model: Model, trials: Trials) -> bool:
-    """Return whether the logs contain camera poses and turn rates of the robot, each with its own clock."""
-    measured = {c for t in trials for c in t.measured}
-    rates = any(c.endswith("_rate_rad_s") for c in measured)
-    return "output" in model.offers and rates and bool(measured & set(POSES))
-
-
 class Clock(Effect, ABC):
     """An error of the clock of a log, or of the clock of the camera alone.
 
@@ -589,7 +585,11 @@ class Clock(Effect, ABC):
     def variants(self, model: Model, trials: Trials) -> Sequence[Effect]:
         """Return the form for the clock of the log, and that for the camera if it has its own clock."""
         forms = [*super().variants(model, trials)]
-        return [*forms, type(self)(camera=True)] if has_camera_clock(model, trials) else forms
+        measured = {c for t in trials for c in t.measured}
+        rates = any(c.endswith("_rate_rad_s") for c in measured)
+        if "output" in model.offers and rates and measured & set(POSES):
+            forms.append(type(self)(camera=True))
+        return forms
 
 
 def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
@@ -607,7 +607,7 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
         shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
         return {**channels, **dict(zip(poses, shifted.T, strict=True))}
 
-    return Hooks(output=(seen,)) if len(trial.time_s) > 3 else Hooks()
+    return Hooks(output=(seen,) * (len(trial.time_s) > 3))
 
 
 class Sensing(Effect, ABC):

@@ -56,7 +56,7 @@ class Buoyancy(Effect):
         body = model.body
         if body is not None:
             return Hooks(force=(base.force_at_hull(body, rise, np.array(values, dtype=float)),))
-        return base.add_to_coefficient("force", values[0])
+        return base.add_to_coefficient(values[0], "force")
 
 
 #: Maximum speed of the current, divided by the typical speed of the robot.
@@ -89,8 +89,7 @@ class Current(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that move the water."""
-        velocity = np.zeros(2)
-        velocity[: len(values)] = values
+        velocity = np.pad(values, (0, 2 - len(values)))
 
         def flow(time_s: Array) -> tuple[Array, Array]:
             return np.outer(time_s, velocity), np.tile(velocity, (len(time_s), 1))
@@ -257,7 +256,7 @@ class Tether(Effect):
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
-            return base.add_to_coefficient("dry", mean)
+            return base.add_to_coefficient(mean, "dry")
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()
@@ -327,18 +326,17 @@ class Wall(Effect):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return one form per side for free swimmers, and the form for the far end for pulled bodies."""
-        free = base.free_body(model) is not None
         walls: list[Effect] = []
-        for axis in model.axes if free or base.is_pulled(model) else ():
+        for axis in model.axes:
             series = [t.measured[f"{axis}_m"] for t in trials if f"{axis}_m" in t.measured]
             values = np.concatenate([np.zeros(0), *series])
             values = values[np.isfinite(values)]
-            if len(values) and free:
-                walls += [
-                    _Push(f"{axis}_max", float(values.max())),
-                    _Push(f"{axis}_min", float(values.min())),
-                ]
-            elif len(values):
+            if not len(values):
+                continue
+            if base.free_body(model) is not None:
+                walls.append(_Push(f"{axis}_max", float(values.max())))
+                walls.append(_Push(f"{axis}_min", float(values.min())))
+            elif base.is_pulled(model):
                 walls.append(Wall(f"{axis}_max", float(values.max())))
         return walls
 
@@ -629,9 +627,7 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     for k in np.argsort(-score):
         if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in strongest):
             strongest.append(float(grid[k]))
-        if len(strongest) == LINES:
-            break
-    return tuple(strongest)
+    return tuple(strongest[:LINES])
 
 
 def oscillation(time_s: Array, series: Array) -> float:

@@ -66,7 +66,7 @@ class AddedMass(Effect):
                 body.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
 
             return Hooks(tables=(carry,))
-        return base.add_to_coefficient("inertia", values[0])
+        return base.add_to_coefficient(values[0], "inertia")
 
 
 #: Speed, m/s or rad/s, below which the drag is zero. It avoids a division by zero.
@@ -108,20 +108,29 @@ class DragReynolds(Effect):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the forms for rigs and for free swimmers with quadratic drag."""
         body, typical = model.body, model.scales(trials).speed
+        forms = [DragReynolds(typical)]
         if body is None:
-            return [DragReynolds(typical)] if "force" in model.offers else []
+            return forms * ("force" in model.offers)
         if not body.free or body.axial_drag(body.tables()) <= 0:
             return []
         speeds = [model.scales([trial]).speed for trial in trials]
         # Trials of a single speed do not show how the drag changes with speed.
-        if not speeds or max(speeds) <= (1.0 + FREQUENCY_RTOL) * min(speeds):
-            return [DragReynolds(typical)]
-        return [DragReynolds(typical), DragReynolds(typical, whole=True)]
+        if speeds and max(speeds) > (1.0 + FREQUENCY_RTOL) * min(speeds):
+            forms.append(DragReynolds(typical, whole=True))
+        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the exponent n."""
-        name = "trial_exponent" if self.whole else "exponent"
-        return (parameter(name, "1", 0.2, "the drag coefficient falls as speed^-n", -1.5, 1.5),)
+        return (
+            parameter(
+                f"{self.whole * 'trial_'}exponent",
+                "1",
+                0.2,
+                "the drag coefficient falls as speed^-n",
+                -1.5,
+                1.5,
+            ),
+        )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that change the model's quadratic drag, or its drag coefficients."""
@@ -224,7 +233,7 @@ class LinearDrag(Effect):
         if body is not None:
             at = body.centre(body.hull)
             return Hooks(tables=(lambda tables: body.drag_more(tables, body.hull, at, values[0]),))
-        return base.add_to_coefficient("linear", values[0])
+        return base.add_to_coefficient(values[0], "linear")
 
 
 class QuadraticDrag(base.RigCoefficient):

@@ -166,7 +166,7 @@ class _Lens(CameraScale):
         for _ in range(ITERATIONS):
             slope = 1.0 + 3.0 * bent * distance**2
             distance -= (distance * (1.0 + bent * distance**2) - shown) / slope
-        away = off * (distance / abs(off) - 1.0) if off else 0j
+        away = off * (distance / (abs(off) or 1.0) - 1.0)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             place = channels[first] + 1j * channels[second] + away
@@ -211,22 +211,18 @@ class ClockRate(base.Clock):
 
         The scale of 0.2 % is 20 ms after 10 s, which is a visible offset.
         """
-        name = "camera_rate" if self.camera else "rate"
-        words = "share by which the clock of the log is fast"
+        name, words = f"{self.camera * 'camera_'}rate", "share by which the clock of the log is fast"
         return (parameter(name, "1", 0.002, words, -LARGEST, LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that let the clock drift from the beginning of the run."""
-        rate = float(values[0])
         begin = model.onset(trial)
         if not math.isfinite(begin):
             begin = float(trial.time_s[0])
-        drift = rate / (1.0 + rate)
-        if not self.camera:
-            return Hooks(clock_s=-drift * begin, clock_drift=drift)
-        if rate == 0.0:
-            return Hooks()
-        return base.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
+        drift = float(values[0]) / (1.0 + float(values[0]))
+        if self.camera and drift:
+            return base.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
+        return Hooks(clock_s=-drift * begin, clock_drift=drift)
 
 
 class ImuBias(base.Sensing):
@@ -380,17 +376,14 @@ class TimeOffset(base.Clock):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the time by which the log is late, s."""
-        name = "camera_offset_s" if self.camera else "offset_s"
-        typical = 0.1 if model.timed_runs else 0.03
-        return (parameter(name, "s", typical, "time by which the log is late", -LARGEST_S, LARGEST_S),)
+        name, size = f"{self.camera * 'camera_'}offset_s", max(0.03, 0.1 * model.timed_runs)
+        return (parameter(name, "s", size, "time by which the log is late", -LARGEST_S, LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that delay the clock, or lengthen the durations of cruising runs."""
         offset = float(values[0])
-        if self.camera and offset != 0.0:
+        if self.camera and offset:
             return base.shift_poses(trial, lambda time_s: time_s - offset)
-        if self.camera:
-            return Hooks()
         if not model.timed_runs:
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]

@@ -145,14 +145,12 @@ def _stroke_speed(model: Model, length: float, trials: Trials) -> float:
 
 def _typical(trials: Trials) -> tuple[float, float]:
     """Return the median load and the median inertia of the fins; 1 if unknown."""
-    middle = typical([t.cruise.inertia_kg_m2 for t in trials if t.cruise.inertia_kg_m2 is not None], 1.0)
+    known = [t.cruise.inertia_kg_m2 for t in trials]
+    middle = typical([own for own in known if own is not None], 1.0)
     loads: list[float] = []
-    for trial in trials:
-        own = trial.cruise.inertia_kg_m2
-        if own is None:
-            own = middle
+    for trial, own in zip(trials, known, strict=True):
         frequency, amplitude = (np.where(np.isnan(v), 1.0, v) for v in trial.steady)
-        loads += list(np.square(frequency) * np.abs(amplitude) * own)
+        loads += list(np.square(frequency) * np.abs(amplitude) * (middle if own is None else own))
     return typical(loads, 1.0), middle
 
 
@@ -283,14 +281,11 @@ class JointLocked(Effect):
         """
         if model.body is None:
             return []
-        columns = [axis.column for axis in model.body.passive]
         given = any(t.swim.commanded for t in trials)
         beaten = any(t.swim.joints is None for t in trials)
-        for axis in model.body.driven:
-            law = axis.driven
-            assert law is not None
-            if given or (beaten and (law.gain != 0.0 or law.bias_gain)):
-                columns.append(axis.column)
+        laws = [(axis.column, axis.driven) for axis in model.body.driven]
+        columns = [name for name, law in laws if given or (beaten and (law.gain or law.bias_gain))]
+        columns += [axis.column for axis in model.body.passive]
         return [JointLocked(column) for column in sorted(columns)]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -479,7 +474,7 @@ class LoadFriction(Friction):
             return Hooks()
         measured = trial.inputs.get("force_N")
         if measured is None and not model.rig.swings:
-            return base.add_to_coefficient("dry", share * abs(trial.rig.pull))
+            return base.add_to_coefficient(share * abs(trial.rig.pull), "dry")
         slow = ROUND * model.scales([trial]).speed
         constants = np.array([share, slow, 0.0, 0.0])
         if measured is not None:
@@ -570,7 +565,7 @@ class Stribeck(Friction):
             if not (trial.rig.pulley or self.everywhere):
                 return Hooks()
             spared = Force(relieved, np.array([rise, slow]))
-            return Hooks(coefficients=base.add_to_coefficient("dry", rise).coefficients, force=(spared,))
+            return Hooks(coefficients=base.add_to_coefficient(rise, "dry").coefficients, force=(spared,))
 
         def stuck(time_s: Array, angle: Array) -> Array:
             if len(time_s) < 2:
@@ -639,8 +634,4 @@ class WaterIngress(Effect):
             at = x + float(values[1]), y
             return Hooks(tables=(lambda tables: body.weigh(tables, body.hull, at, mass, mass),))
 
-        def change(c: dict[str, float]) -> None:
-            name = next(name for name in ("mass", "inertia") if name in c)
-            c[name] += values[0]
-
-        return Hooks(coefficients=(change,))
+        return base.add_to_coefficient(values[0], "mass", "inertia")
