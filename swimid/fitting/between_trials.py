@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import optimize, special
@@ -65,7 +66,10 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     name, common : str
         Per-trial parameter, and the shared parameter from which it deviates.
     """
-    changes = {name: {"free": True}, common: {"free": False, "start": result.value(common)}}
+    changes: dict[str, dict[str, Any]] = {
+        name: {"free": True},
+        common: {"free": False, "start": result.value(common)},
+    }
     parameters = [replace(p, **changes.get(p.name, {})) for p in result.parameters]
     problem = output_error.weighted(result, tuple(parameters))
     parted = [label.partition("[") for label in problem.labels]

@@ -107,11 +107,10 @@ class Beat:
         return _ramped(self, time_s, (a * value + b, a * rate, a * bend))
 
     def _wave(self, time_s: Array, phase_rad: float) -> Motion:
+        if self.waveform != "sine":
+            asymmetry = self.asymmetry * (self.waveform == "a-cpg")
+            return hopf(time_s, self.frequency_hz, asymmetry, phase_rad)
         omega = 2.0 * math.pi * self.frequency_hz
-        if self.waveform == "a-cpg":
-            return hopf(time_s, self.frequency_hz, self.asymmetry, phase_rad)
-        if self.waveform == "hopf":
-            return hopf(time_s, self.frequency_hz, 0.0, phase_rad)
         angle = omega * time_s + phase_rad
         return np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle)
 
@@ -157,11 +156,8 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
     # elapsed fraction of the period since the last minimum; the drive starts in the middle of the rise
     share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
     up = share < rising
-    psi = np.where(
-        up,
-        -0.5 * math.pi + math.pi * share / rising,
-        0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising),
-    )
+    falls = 0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising)
+    psi = np.where(up, -0.5 * math.pi + math.pi * share / rising, falls)
     speed = np.where(up, omega / (1.0 - asymmetry), omega / (1.0 + asymmetry))
     return np.sin(psi), speed * np.cos(psi), -(speed**2) * np.sin(psi)
 

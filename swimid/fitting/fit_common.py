@@ -814,10 +814,9 @@ def answer(file: ParameterFile) -> str:
         for name, e in file.parameters.items()
         if e.status == "estimated" and "[" not in name
     ]
-    if not parts:
-        return "Nothing was estimated."
-    more = f"; and {len(parts) - 3} more" if len(parts) > 3 else ""
-    return f"{'; '.join(parts[:3])}{more}."
+    if len(parts) > 3:
+        parts[3:] = [f"and {len(parts) - 3} more"]
+    return f"{'; '.join(parts) or 'Nothing was estimated'}."
 
 
 # ---------------------------------------------------------------- a model of one's own

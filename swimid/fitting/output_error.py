@@ -378,13 +378,9 @@ def at(
 
 def _step_error(result: FitResult, finer: Model) -> float:
     """Return the largest change of a simulated sample if the step is halved, in noise deviations."""
-    worst = 0.0
-    for trial in result.trials:
-        fine = finer.simulate(result.values(trial.id), trial)
-        for s in (s for s in result.series if s.trial == trial.id):
-            change = np.abs(fine[s.channel] - s.simulated) / s.sd
-            worst = max(worst, float(np.max(change[np.isfinite(change)], initial=0.0)))
-    return worst
+    fine = {t.id: finer.simulate(result.values(t.id), t) for t in result.trials}
+    changes = [np.abs(fine[s.trial][s.channel] - s.simulated) / s.sd for s in result.series]
+    return max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in changes), default=0.0)
 
 
 # the matrices are small, so that threads of BLAS would only slow down the simulations
@@ -566,9 +562,8 @@ def _result(search: _Search) -> FitResult:
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0
     free, found = _free_in_noise(problem, rows, residuals, autoregressions, outward)
-    covariance = np.full((len(theta), len(theta)), np.nan)
+    covariance, null = np.full((len(theta), len(theta)), np.nan), np.zeros(len(theta), dtype=bool)
     root = np.full((int(free.sum()), len(theta)), np.nan)
-    null = np.zeros(len(theta), dtype=bool)
     scatter, scatter_p = 1.0, 1.0
     if found is not None:
         scale = problem.scale[free]
@@ -899,15 +894,13 @@ def estimate_start(
 def with_held_out(result: FitResult) -> FitResult:
     """Return the result with each validation trial simulated from its own estimated start state."""
     waiting = [t for t in result.trials if t.role == "validate"]
-    if not any(p.free and p.per_trial for p in result.parameters):
-        return result
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
     found: dict[str, float] = {}
     for trial in waiting:
-        found.update(estimate_start(result.model, result.at_estimates(), trial, sd))
+        found |= estimate_start(result.model, result.at_estimates(), trial, sd)
+    if not found:
+        return result
     result = replace(result, start_states=found)
-    simulated = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
-    series = [
-        replace(s, simulated=simulated.get(s.trial, {}).get(s.channel, s.simulated)) for s in result.series
-    ]
+    shown = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
+    series = [replace(s, simulated=shown.get(s.trial, {}).get(s.channel, s.simulated)) for s in result.series]
     return replace(result, series=series)

@@ -95,20 +95,21 @@ class Problem:
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
         ]
-        self.slots: list[tuple[int, int | None]] = []
-        self.labels: list[str] = []
-        for index, parameter in enumerate(self.parameters):
-            owners: list[int | None] = [None]
-            if parameter.per_trial:
-                owners = [k for k, t in enumerate(self.trials) if parameter.name not in t.held]
-            for k in owners if parameter.free else ():
-                self.slots.append((index, k))
-                self.labels.append(parameter.name + ("" if k is None else f"[{self.trials[k].id}]"))
+        unknowns: list[tuple[int, int | None, str, float]] = []
+        for index, p in enumerate(self.parameters):
+            if p.free and not p.per_trial:
+                unknowns.append((index, None, p.name, p.start))
+            for k, t in enumerate(self.trials):
+                if p.free and p.per_trial and p.name not in t.held:
+                    # the log of a trial may suggest a better start value than that of the parameter
+                    unknowns.append((index, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)))
+        self.slots = [(index, k) for index, k, _, _ in unknowns]
+        self.labels = [label for _, _, label, _ in unknowns]
+        indices = np.array([index for index, _ in self.slots], dtype=int)
         self.taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
         for k in range(len(self.trials)):
-            numbers = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
-            taken = [self.slots[j][0] for j in numbers]
-            self.taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
+            owned = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
+            self.taken.append((indices[owned], np.array(owned, dtype=int)))
         self.masks, self.sd, self._kept = [], [], []
         for t, names in zip(self.trials, self.channels, strict=True):
             masks = [np.isfinite(t.measured[c]) for c in names]
@@ -122,11 +123,7 @@ class Problem:
         )
         self.prior = mean, np.zeros((0, len(own)))
         self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
-        starts = mean.copy()
-        for j, (p, (_, k)) in enumerate(zip(own, self.slots, strict=True)):
-            if k is not None:
-                # the log of a trial may suggest a better start value than that of the parameter
-                starts[j] = self.trials[k].starts.get(p.name, p.start)
+        starts = np.array([start for _, _, _, start in unknowns], dtype=float)
         self.start = np.clip(starts, self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         ends = np.cumsum([len(values) for values in self._measured])
@@ -279,13 +276,12 @@ class Problem:
 
     def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
         """Join one series for each channel of a trial, without missing samples, shape (n_k,)."""
-        return np.concatenate(parts)[self._kept[k]] if parts else np.empty(0)
+        return np.concatenate([np.empty(0), *parts])[self._kept[k]]
 
     def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:
         """Split rows of a trial by channel, and return name, mask of samples and rows of each channel."""
         ends = np.cumsum([int(mask.sum()) for mask in self.masks[k]])
-        parts = np.split(rows[: ends[-1]], ends[:-1]) if len(ends) else []
-        return list(zip(self.channels[k], self.masks[k], parts, strict=True))
+        return list(zip(self.channels[k], self.masks[k], np.split(rows, ends)[:-1], strict=True))
 
     def series(self, residuals: Sequence[Array]) -> dict[str, list[Array]]:
         """Return the residuals by channel, one series for each trial that has it; NaN for missing samples."""
@@ -305,7 +301,7 @@ class Problem:
                 return known
         size = np.maximum(np.abs(theta), self.scale)
         here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
-        steps = (1e-5 if central else 1e-6) * size
+        steps = (1e-6, 1e-5)[central] * size
         # use a backward difference if a forward step would exceed the upper bound
         steps = np.where(theta + steps > self.upper, -steps, steps)
         both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
