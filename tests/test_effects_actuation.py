@@ -109,7 +109,7 @@ class TestOperators:
         """The joint rests while the servo crosses the play, then follows half of it behind."""
         width, size = 0.08, 0.3
         signal = size * np.sin(OMEGA * TIME)
-        found = actuation.apply_play(signal, width)
+        found = actuation.ServoBacklash().follow(width, signal, signal)
         assert found[0] == 0
         assert np.all(np.abs(found - signal) <= 0.5 * width + 1e-15)
         steady = TIME > 1 / 1.5

@@ -70,10 +70,8 @@ class AmplitudeOffset(base.Actuation):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the trim to the command, and reduce the amplitude of a steady beat."""
         offset = float(values[0])
-        still: list[int] = []
-        if model.body is not None:
-            laws = [axis.driven for axis in model.body.driven]
-            still = [k for k, law in enumerate(laws) if law is None or law.gain == 0]
+        laws = [] if model.body is None else [axis.driven for axis in model.body.driven]
+        still = [k for k, law in enumerate(laws) if law is None or law.gain == 0]
         begin = model.onset(trial)
         trimmed = base.for_every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
 
@@ -211,27 +209,11 @@ class ServoBacklash(base.Actuation):
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the motion of the joint behind the play."""
-        return apply_play(angle, value)
+        return np.asarray(base.hold_back(angle, np.full(len(angle), 0.5 * value)))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Return the amplitude minus half the play."""
         return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
-
-
-def apply_play(signal: Array, width: float) -> Array:
-    """Return the output of a play that starts in the middle of the play.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (n,)
-    width : float
-        Whole width of the play.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    return np.asarray(base.hold_back(signal, np.full(len(signal), 0.5 * width)))
 
 
 class ServoDelay(base.Actuation):

@@ -162,13 +162,11 @@ class SurfaceBreach(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the force and its moment to the heaviest link."""
         body = base.require_links(model)
-        hull = body.hull
-        x, y = body.centre(hull)
+        x, y = body.centre(body.hull)
         a, b = x, y
-        if hull == 0:
+        if body.hull == 0:
             a, b = body.reference_m
-        quarter = 0.25 * body.lengths_m[hull]
-        constants = np.array([*values, x - a, y - b, quarter])
+        constants = np.array([*values, x - a, y - b, 0.25 * body.lengths_m[body.hull]])
         return Hooks(force=(base.force_at_hull(body, sink, constants),))
 
 
@@ -229,14 +227,12 @@ class Tether(Effect):
             parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
             parameter("slack_m", "m", 0.2 * size, "length before it pulls", 0.0, size),
         )
+        drag, words = 0.3 * scales.force / (size * scales.speed**2), "distance of the anchor behind the start"
+        line = parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, "drag of the line per length", lower=0.0)
         if model.timed_runs:
             return pull
-        drag = 0.3 * scales.force / (size * scales.speed**2)
-        words = "drag of the line per length"
-        line = parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, words, lower=0.0)
         if model.body is None:
             return (*pull, line)
-        words = "distance of the anchor behind the start"
         return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
     def tries(self, parameters: Parameters) -> list[Array]:
@@ -257,14 +253,13 @@ class Tether(Effect):
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
             return base.add_to_coefficient(mean, "dry")
+        line, anchor, (x, y) = values, (trial.rig.x0, 0.0), (0.0, 0.0)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
             x, y = model.body.reference_m
-            return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
-        origin = trial.rig.x0
-        return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
+        return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
 
 
 def _reach(model: Model, trials: Trials) -> float:

@@ -25,9 +25,8 @@ class CameraRotation(Effect):
         """Return whether both positions are measured and the model does not estimate the rotation of the
         camera.
         """
-        if model.body is None or model.estimates("camera_rotation"):
-            return False
-        return super().applies(model, trials) and _both_measured(model, trials)
+        known = model.body is None or model.estimates("camera_rotation")
+        return not known and super().applies(model, trials) and _both_measured(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the rotation angle, rad."""
@@ -36,19 +35,14 @@ class CameraRotation(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that rotate the positions."""
-        angle = float(values[0])
         first, second, _ = base.require_links(model).pose
         origin = model.origin(trial)
+        # Add the difference to the unrotated position, so that a zero angle changes nothing.
+        turn = np.exp(1j * values[0]) - 1.0
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-            a, b = channels[first] - origin[first], channels[second] - origin[second]
-            # Add the difference to the unrotated position, so that a zero angle changes nothing.
-            c, s = math.cos(angle) - 1.0, math.sin(angle)
-            return {
-                **channels,
-                first: channels[first] + c * a - s * b,
-                second: channels[second] + s * a + c * b,
-            }
+            change = turn * (channels[first] - origin[first] + 1j * (channels[second] - origin[second]))
+            return {**channels, first: channels[first] + change.real, second: channels[second] + change.imag}
 
         return Hooks(output=(seen,))
 
@@ -322,23 +316,22 @@ class MarkerOffset(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that show pose and velocity of the tracked point."""
         body = base.require_links(model)
-        along, across, turn = (float(v) for v in values)
+        along, across, angle = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
+        # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
+        offset, turn = complex(along, across), np.exp(-1j * angle) - 1.0
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-            yaw, r = channels[heading], channels[rate]
-            c, s = np.cos(yaw), np.sin(yaw)
-            a, b = along * c - across * s, along * s + across * c
-            u, v = channels[ahead] - across * r, channels[beside] + along * r
-            # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
-            cosine, sine = math.cos(turn) - 1.0, math.sin(turn)
+            place = offset * np.exp(1j * channels[heading])
+            velocity = channels[ahead] + 1j * channels[beside] + 1j * offset * channels[rate]
+            velocity = velocity + turn * velocity
             return {
                 **channels,
-                first: channels[first] + a - a[0],
-                second: channels[second] + b - b[0],
-                heading: yaw + turn,
-                ahead: u + cosine * u + sine * v,
-                beside: v + cosine * v - sine * u,
+                first: channels[first] + (place - place[0]).real,
+                second: channels[second] + (place - place[0]).imag,
+                heading: channels[heading] + angle,
+                ahead: velocity.real,
+                beside: velocity.imag,
             }
 
         return Hooks(output=(seen,))

@@ -592,12 +592,10 @@ def prepare(
     output: Path | None,
     *,
     parameters: Sequence[Parameter] | None = None,
-    fixed: Mapping[str, float] | None = None,
-    freed: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
     also: Sequence[Path] = (),
+    **choices: Any,
 ) -> tuple[Parameter, ...]:
-    """Return the parameters to fit, with the fixed, free and bounded ones that the user selects.
+    """Return the parameters to fit, with the choices of the user (:func:`swimid.fitting.model.chosen`).
 
     Parameters
     ----------
@@ -611,9 +609,7 @@ def prepare(
     """
     if output is not None:
         atomic.check_writable(output, inputs=(*experiment.inputs, *also))
-    return chosen(
-        tuple(parameters or experiment.model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds
-    )
+    return chosen(parameters or experiment.model.parameters, **choices)
 
 
 def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
@@ -908,7 +904,7 @@ def fit_model(
         raise UsageError("there is no trial to fit")
     target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
     with recorded(repeat=True) as notices:
-        parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
+        parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)
         result = output_error.with_held_out(result)
         settings = {

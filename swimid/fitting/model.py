@@ -742,10 +742,10 @@ def unless_broken(compute: Callable[..., Outcome], runs: Iterable[tuple[Any, ...
 
 
 def chosen(
-    parameters: tuple[Parameter, ...],
+    parameters: Sequence[Parameter],
     *,
     fixed: Mapping[str, float] | None = None,
-    freed: tuple[str, ...] = (),
+    freed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[Parameter, ...]:
     """Return the parameters with the choices of the user: fixed values, freed parameters, and bounds.
