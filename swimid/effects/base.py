@@ -13,6 +13,7 @@ import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import numba
@@ -452,13 +453,10 @@ class Actuation(Effect, ABC):
         """Return hooks that change the commands, and the amplitude of a steady beat."""
         value = float(values[0])
 
-        def command(time_s: Array, angle: Array) -> Array:
-            return bridge_missing(lambda time, whole: self.follow(value, time, whole), time_s, angle)
-
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
-        hooks = on_command(model, trial, for_every_joint(command))
+        hooks = follow_commands(model, trial, partial(self.follow, value))
         return replace(hooks, stroke=(beaten,) * ("stroke" in self.needs))
 
 
@@ -475,13 +473,17 @@ def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
 
     def command(time_s: Array, angle: Array, joint: int) -> Array:
         nonlocal last
-        known = last
-        if known is None or known[0] is not time_s or known[1] is not angle:
-            known = last = time_s, angle, change(time_s, angle)
-            known[2].flags.writeable = False
-        return known[2]
+        if last is None or last[0] is not time_s or last[1] is not angle:
+            last = time_s, angle, change(time_s, angle)
+            last[2].flags.writeable = False
+        return last[2]
 
     return command
+
+
+def follow_commands(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
+    """Return hooks that change each command in the same way, bridging missing samples."""
+    return on_command(model, trial, for_every_joint(partial(bridge_missing, change)))
 
 
 @numba.njit(cache=True, nogil=True)

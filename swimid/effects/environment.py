@@ -253,7 +253,7 @@ class Tether(Effect):
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
             return base.add_to_coefficient(mean, "dry")
-        line, anchor, (x, y) = values, (trial.rig.x0, 0.0), (0.0, 0.0)
+        line, anchor, (x, y) = list(values), (trial.rig.x0, 0.0), (0.0, 0.0)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()

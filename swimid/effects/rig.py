@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numba
@@ -186,11 +187,8 @@ class StringStretch(Effect):
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return sizes of the compliance, for a string that is slack and for one that is taut at release."""
         compliance, _, damping = parameters
-        return [
-            np.array([size * compliance.scale, unloaded, damping.start])
-            for unloaded in (1.0, 0.0)
-            for size in SIZES
-        ]
+        sizes = itertools.product((1.0, 0.0), SIZES)
+        return [np.array([size * compliance.scale, unloaded, damping.start]) for unloaded, size in sizes]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the stretch to the displacement that the pulley measures."""

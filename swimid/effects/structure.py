@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC
 from dataclasses import replace
@@ -552,11 +553,8 @@ class Stribeck(Friction):
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return points with a small and a large difference, each at a low and at a high Stribeck speed."""
         rise, speed = parameters
-        return [
-            np.array([min(size * rise.scale, rise.upper), share * speed.start])
-            for size in (1.0, 3.0)
-            for share in (0.4, 1.5)
-        ]
+        sizes = itertools.product((rise.scale, min(3.0 * rise.scale, rise.upper)), (0.4, 1.5))
+        return [np.array([size, share * speed.start]) for size, share in sizes]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add friction at rest and reduce it in motion, or let joints stick."""
@@ -573,10 +571,7 @@ class Stribeck(Friction):
             rate = np.gradient(angle, time_s)
             return np.asarray(base.hold_back(angle, rise * np.exp(-np.square(rate / slow))))
 
-        def command(time_s: Array, angle: Array) -> Array:
-            return base.bridge_missing(stuck, time_s, angle)
-
-        return base.on_command(model, trial, base.for_every_joint(command))
+        return base.follow_commands(model, trial, stuck)
 
 
 #: Unit of force in a model without an inertia of its own (force per mass).

@@ -66,8 +66,8 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     name, common : str
         Per-trial parameter, and the shared parameter from which it deviates.
     """
-    held = {"free": False, "start": result.value(common)}
-    changes: dict[str, dict[str, Any]] = {name: {"free": True}, common: held}
+    fixed = {"free": False, "start": result.value(common)}
+    changes: dict[str, dict[str, Any]] = {name: {"free": True}, common: fixed}
     parameters = [replace(p, **changes.get(p.name, {})) for p in result.parameters]
     problem = output_error.weighted(result, tuple(parameters))
     parted = [label.partition("[") for label in problem.labels]

@@ -758,14 +758,14 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
     """Check that the beat frequency found in each log is the stated one (:mod:`swimid.logs.beat`)."""
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
-    wrong = [
-        name
-        for name, b in known.items()
-        if abs(b["found_hz"] - b["stated_hz"]) > max(FREQUENCY_RTOL * b["stated_hz"], 3 * b["stderr_hz"])
-    ]
+    wrong, shown = [], "yes"
+    for name, b in known.items():
+        if abs(b["found_hz"] - b["stated_hz"]) > max(FREQUENCY_RTOL * b["stated_hz"], 3 * b["stderr_hz"]):
+            wrong.append(name)
+            shown = f"not in {len(wrong)} of {len(known)} trials"
     return ev.check(
         "beat frequency as stated",
-        f"not in {len(wrong)} of {len(known)} trials" if wrong else "yes",
+        shown,
         not wrong,
         f"within {100 * FREQUENCY_RTOL:g} %",
         "found in the heading of each log",
@@ -775,7 +775,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
 
 def figures(result: FitResult) -> list[ev.Figure]:
     """Return the figures of each channel: measured and simulated series, and residuals."""
-    found = []
+    found, abscissa = [], result.model.abscissa
     for channel in (c for c in result.model.channels if c.name in result.noise):
         series = result.series_of(channel.name)
         name = channel.meaning or channel.name
@@ -786,7 +786,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 f"{name[:1].upper()}{name[1:]}, measured and simulated",
                 "Points are measured, and thinned; lines are simulated with the estimated parameters. Trials "
                 "are ranked by their root-mean-square residual over the noise.",
-                result.model.abscissa,
+                abscissa,
                 f"{name} ({numbers.unit_text(unit) or '1'})",
                 series,
                 factor,
@@ -795,7 +795,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 f"residuals-{channel.name}",
                 f"Residuals of {name}",
                 "Measured minus simulated over the standard deviation of the noise.",
-                result.model.abscissa,
+                abscissa,
                 series,
                 autocorrelation(_weighted(result, channel.name)),
             ),
