@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -433,8 +434,7 @@ class Waves(Effect):
         for axis in model.axes:
             strongest = lines(model, trials, axis)
             found += [Waves(axis, line) for line in strongest]
-            if tracked:
-                found += [_Travelling(axis, line) for line in strongest[:TRAVELLED]]
+            found += [_Travelling(axis, line) for line in strongest[: TRAVELLED * tracked]]
         return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -447,10 +447,8 @@ class Waves(Effect):
         band = least, max(2.0 * HIGHEST, 2.0 * least)
         return (
             Parameter("frequency_hz", "Hz", *band, self.frequency_hz, near, meaning=words),
-            *(
-                parameter(f"{part}_{self.axis}_m_s", "m/s", size, f"{part} {along}", per_trial=True)
-                for part in ("cos", "sin")
-            ),
+            parameter(f"cos_{self.axis}_m_s", "m/s", size, f"cos {along}", per_trial=True),
+            parameter(f"sin_{self.axis}_m_s", "m/s", size, f"sin {along}", per_trial=True),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
@@ -504,21 +502,17 @@ class _Travelling(Waves):
         if model.axes[1] == "y":
             toward = 0.5 * math.pi * (self.axis != "x")
             shared.append(parameter("direction_rad", "rad", 0.2, "direction of the waves", start=toward))
-        where = ("", "_quarter")
-        return (
-            *shared,
-            *(replace(p, name=p.name.replace("_m_s", f"{at}_m_s")) for at in where for p in (cosine, sine)),
-        )
+        quarter = [replace(p, name=p.name.replace("_m_s", "_quarter_m_s")) for p in (cosine, sine)]
+        return (*shared, cosine, sine, *quarter)
 
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return points with one amplitude at its scale, for the wavenumbers in deep and in shallow water."""
+        amplitudes = [j for j, p in enumerate(parameters) if p.per_trial]
         found = []
-        for wavenumber in wavenumbers(self.frequency_hz):
-            for j, p in enumerate(parameters):
-                if p.per_trial:
-                    point = np.array([q.start for q in parameters])
-                    point[1], point[j] = wavenumber, p.scale
-                    found.append(point)
+        for wavenumber, j in itertools.product(wavenumbers(self.frequency_hz), amplitudes):
+            point = np.array([p.start for p in parameters])
+            point[1], point[j] = wavenumber, parameters[j].scale
+            found.append(point)
         return found
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
@@ -571,9 +565,9 @@ def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
 
 def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     """Return a channel of the simulation at the start values; zeros if the simulation fails."""
-    values = np.array(
-        [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
-    )
+    own = [p.name for p in model.parameters if p.per_trial]
+    starts = {name: trial.starts[name] for name in own if name in trial.starts}
+    values = np.array([starts.get(p.name, p.start) for p in model.parameters])
     series = model.attempt(values, trial).get(channel)
     if series is None or not np.isfinite(series).all():
         return np.zeros(len(trial.time_s))

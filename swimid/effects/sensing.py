@@ -116,21 +116,15 @@ class _Lens(CameraScale):
         middle = complex(np.mean(places)) if len(places) else 0j
         reach = max(float(np.max(np.abs(places - middle), initial=0.0)), 1e-3)
         (scale,) = super().parameters(model, trials)
+        area, words = reach**2, "radial distortion of the picture"
+        bend = parameter("distortion_1_m2", "1/m^2", 0.03 / area, words, -0.2 / area, 0.5 / area)
+        size, far, words = 0.5 * reach, 3.0 * reach, "centre of the picture"
         first, second = base.require_links(model).pose[:2]
-        return (
-            scale,
-            parameter(
-                "distortion_1_m2", "1/m^2", 0.03 / reach**2, "radial distortion of the picture",
-                -0.2 / reach**2, 0.5 / reach**2,
-            ),
-            *(
-                parameter(
-                    f"centre_{name}", "m", 0.5 * reach, "centre of the picture",
-                    at - 3.0 * reach, at + 3.0 * reach, start=at,
-                )
-                for name, at in ((first, middle.real), (second, middle.imag))
-            ),
-        )  # fmt: skip
+        centre = [
+            parameter(f"centre_{name}", "m", size, words, at - far, at + far, start=at)
+            for name, at in ((first, middle.real), (second, middle.imag))
+        ]
+        return (scale, bend, *centre)
 
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return points with either the scale error or the distortion, with both signs. The centre alone

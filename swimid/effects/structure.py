@@ -186,8 +186,7 @@ class Hardening(Effect):
         With the scale, the torque at the largest deflection is larger by a fifth. The lower bound keeps the
         stiffness of a softening spring positive up to the largest deflection, ``1 + 3 h q^2 > 0``.
         """
-        largest = _deflection(model, trials)
-        unit = "rad"
+        largest, unit = _deflection(model, trials), "rad"
         if model.rig is not None:
             unit = model.rig.displacement.unit
         size, least = 0.2 / largest**2, -1.0 / (3.0 * largest**2)

@@ -769,10 +769,12 @@ def set_weights(problem: Problem, result: FitResult) -> None:
 
 
 def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, allowed: float) -> bool:
-    """Return whether the mean cost of two opposite points is the quadratic prediction, or becomes so nearby.
+    """Return whether the cost is smooth along a step.
 
-    The deviation falls with the fourth power of the step if the cost is smooth. With a kink it falls with the
-    step, and with a piecewise constant cost it falls with the square of the step.
+    The mean cost of two opposite points is compared with its quadratic prediction. If it deviates by more
+    than ``allowed`` and :data:`KINK_SHARE` of the prediction, nearer points are compared. The deviation falls
+    with the fourth power of the step if the cost is smooth. With a kink it falls with the step, and with a
+    piecewise constant cost it falls with the square of the step.
     """
     before = math.nan
     for nearer in (1.0, 4.0, 16.0):
