@@ -458,9 +458,7 @@ def estimates(result: FitResult) -> dict[str, Estimate]:
     found: dict[str, Estimate] = {}
     for p in result.parameters:
         labels = [label for label in result.labels if label.split("[")[0] == p.name]
-        if not labels and not p.per_trial:
-            labels = [p.name]
-        for label in labels:
+        for label in labels or [p.name] * (not p.per_trial):
             found[label] = Estimate(
                 value=result.value(label),
                 stderr=result.stderr(label),
@@ -616,9 +614,8 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     """Return the checks of a fit against their limits; warn of each check that does not pass."""
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
-    found = [
-        ev.check("converged", numbers.number(done), done, "yes", message, otherwise="fail", reason=reason)
-    ]
+    value = numbers.number(done)
+    found = [ev.check("converged", value, done, "yes", message, otherwise="fail", reason=reason)]
     if result.restarts is not None:
         value = numbers.number(result.settled)
         if result.restarts:
@@ -635,13 +632,9 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     if unknown:
         value = f"not: {', '.join(unknown)}"
     otherwise = VERDICTS[len(known) < len(unknown)]
-    limit, text = (
-        "every estimated parameter",
-        "standard errors are below half of the sizes of identifiable parameters",
-    )
-    found.append(
-        ev.check("identifiable", value, not unknown, limit, text, otherwise=otherwise, reason=reason)
-    )
+    text = "standard errors are below half of the sizes of identifiable parameters"
+    shown = ("identifiable", value, not unknown, "every estimated parameter", text)
+    found.append(ev.check(*shown, otherwise=otherwise, reason=reason))
     if at_bound:
         listed = ", ".join(at_bound)
         reason = f"at a bound: {listed}"
@@ -652,9 +645,8 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         reason = f"the trials scatter {result.scatter:.2f} times more than their noise allows ({p})"
         if result.scatter > 1:
             text = f"standard errors are enlarged by {result.scatter:.2f}"
-        found.append(
-            warned_check("SWM014", "trials agree", p, passed, f"p ≥ {HETEROGENEITY:g}", text, reason)
-        )
+        limit = f"p ≥ {HETEROGENEITY:g}"
+        found.append(warned_check("SWM014", "trials agree", p, passed, limit, text, reason))
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
     if result.step_error:
         size, passed = f"{result.step_error:.2g} sd", result.step_error <= STEP_ERROR
