@@ -610,7 +610,7 @@ def prepare(
     return chosen(parameters or experiment.model.parameters, **choices)
 
 
-def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
+def checks(result: FitResult) -> list[ev.Check]:
     """Return the checks of a fit against their limits; warn of each check that does not pass."""
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
@@ -906,7 +906,7 @@ def fit_model(
         }
         origin = provenance.collect(inputs, settings=settings)
         file = parameter_file(result, robot=robot, provenance=origin)
-        tested = checks(result, file)
+        tested = checks(result)
     shared = result.shared
     if shared and all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult(

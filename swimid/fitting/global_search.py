@@ -79,16 +79,15 @@ def multistart(
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
     low, high = problem.search_range()
-    given = list(begins or [problem.start])
+    points = list(begins or [problem.start])[:starts]
+    points += [rng.uniform(low, high) for _ in range(starts - len(points))]
     results: list[FitResult] = []
     ends: list[Start] = []
     failures: list[NoTrustworthyResult] = []
     with progress("starts", total=starts) as step:
-        for k in range(starts):
-            begin = given[k] if k < len(given) else rng.uniform(low, high)
-            found = first if k == 0 else None
+        for k, begin in enumerate(points):
             try:
-                found = found or output_error.fit(
+                found = {0: first}.get(k) or output_error.fit(
                     model, trials, parameters=parameters,
                     jobs=jobs, begin=begin, tested=False, unfinished=True,
                 )  # fmt: skip

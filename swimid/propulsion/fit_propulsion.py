@@ -209,7 +209,7 @@ def _fit_surge(
             "asymmetry": experiment.facts["asymmetry"],
         },
     )
-    checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
+    checks = [*fit_common.checks(result), fit_common.beat_check(beats), *exponent_checks]
     starts = "with the initial speed of each trial estimated"
     if from_rest:
         starts = "with every trial from rest"
@@ -288,7 +288,7 @@ def _fit_recoil_law(
     assert file.fit.model_extra is not None
     file.fit.model_extra.update(departures=departures, operating_points=points)
     checks = [
-        *fit_common.checks(result, file),
+        *fit_common.checks(result),
         _departure_check(departures, everything),
         *exponent_checks,
     ]

@@ -131,7 +131,7 @@ def fit_drag(
             settings=facts,
         )
         checks = [
-            *fit_common.checks(result, file),
+            *fit_common.checks(result),
             *rig_checks.possible_checks(experiment, result),
             *checks,
         ]

@@ -153,7 +153,7 @@ def fit_graybox(
         result = output_error.with_held_out(search.result)
         file = _parameter_file(experiment, result, origin, output, trials, options)
         checks = [
-            *fit_common.checks(result, file),
+            *fit_common.checks(result),
             *fit_common.error_checks(result),
             fit_common.beat_check(experiment.facts["beats"]),
         ]
