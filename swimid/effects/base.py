@@ -333,12 +333,6 @@ def free_body(model: Model) -> Body | None:
     return model.body if model.body is not None and model.body.free else None
 
 
-def require_links(model: Model) -> Body:
-    """Return the links of a model that must have links."""
-    assert model.body is not None
-    return model.body
-
-
 # ---------------------------------------------------------------- hooks
 
 

@@ -162,7 +162,7 @@ class SurfaceBreach(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the force and its moment to the heaviest link."""
-        body = base.require_links(model)
+        body = model.body
         x, y = body.centre(body.hull)
         a, b = x, y
         if body.hull == 0:

@@ -136,9 +136,8 @@ class DragReynolds(Effect):
         """Return hooks that change the model's quadratic drag, or its drag coefficients."""
         body = model.body
         if self.whole:
-            whole = base.require_links(model)
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
-            return Hooks(tables=(lambda tables: whole.drag_times(tables, factor),))
+            return Hooks(tables=(lambda tables: body.drag_times(tables, factor),))
         constants = np.array([0.0, values[0], self.reference_m_s])
         if body is not None:
 
@@ -179,14 +178,14 @@ class LiftDamping(Effect):
         ratio is about 1 per rad, as large as a drag coefficient across the body. A tenth of this lift is
         visible.
         """
-        body = base.require_links(model)
+        body = model.body
         size = 0.1 * float(body.normal_drag(body.tables())[1][:, 2].sum())
         words = "force across the links per speed and speed across"
         return (parameter("lift_N_s2_m2", "N s^2/m^2", size, words, 0.0, 100.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add lift at the points of the model's drag across the links."""
-        body = base.require_links(model)
+        body = model.body
         links, points = body.normal_drag(body.tables())
         points[:, 2] *= float(values[0]) / points[:, 2].sum()
         return Hooks(tables=(lambda tables: body.lift(tables, links, points),))
@@ -284,7 +283,7 @@ class WakeLift(Effect):
         """Return the added mass per length at the trailing edge, kg/m. The scale comes from a square plate
         of the link's length.
         """
-        body = base.require_links(model)
+        body = model.body
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         words = "added mass per length at the trailing edge"
         most = MOST * plate
@@ -292,5 +291,5 @@ class WakeLift(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add a trailing edge."""
-        body = base.require_links(model)
+        body = model.body
         return Hooks(tables=(lambda tables: body.shed(tables, float(values[0])),))

@@ -35,7 +35,7 @@ class CameraRotation(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that rotate the positions."""
-        first, second, _ = base.require_links(model).pose
+        first, second, _ = model.body.pose
         origin = model.origin(trial)
         # Add the difference to the unrotated position, so that a zero angle changes nothing.
         turn = np.exp(1j * values[0]) - 1.0
@@ -49,7 +49,7 @@ class CameraRotation(Effect):
 
 def _both_measured(model: Model, trials: Trials) -> bool:
     """Return whether both coordinates of the position of a planar robot are measured."""
-    return len(base.select_measured(base.require_links(model).pose[:2], trials)) == 2
+    return len(base.select_measured(model.body.pose[:2], trials)) == 2
 
 
 #: Number of Newton steps in the computation of a position from its image.
@@ -119,7 +119,7 @@ class _Lens(CameraScale):
         area, words = reach**2, "radial distortion of the picture"
         bend = parameter("distortion_1_m2", "1/m^2", 0.03 / area, words, -0.2 / area, 0.5 / area)
         size, far, words = 0.5 * reach, 3.0 * reach, "centre of the picture"
-        first, second = base.require_links(model).pose[:2]
+        first, second = model.body.pose[:2]
         centre = [
             parameter(f"centre_{name}", "m", size, words, at - far, at + far, start=at)
             for name, at in ((first, middle.real), (second, middle.imag))
@@ -137,7 +137,7 @@ class _Lens(CameraScale):
         the image.
         """
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = base.require_links(model).pose[:2]
+        first, second = model.body.pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
@@ -168,7 +168,7 @@ class _Lens(CameraScale):
 
 def _places(model: Model, trial: Trial) -> Array:
     """Return the measured positions of the body as complex numbers (two axes); empty if they are unknown."""
-    first, second = (trial.measured.get(name) for name in base.require_links(model).pose[:2])
+    first, second = (trial.measured.get(name) for name in model.body.pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
@@ -309,7 +309,7 @@ class MarkerOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that show pose and velocity of the tracked point."""
-        body = base.require_links(model)
+        body = model.body
         along, across, angle = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
         # Add the difference to the unrotated velocity, so that a zero angle changes nothing.

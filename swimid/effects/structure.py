@@ -36,7 +36,7 @@ class ComOffset(Effect):
         """Return the offsets of the centre of mass, m: forwards, and to port (upwards in the vertical
         plane).
         """
-        body = base.require_links(model)
+        body = model.body
         length = body.lengths_m[body.hull]
         size, most = 0.01 * length, 0.2 * length
         return tuple(
@@ -46,7 +46,7 @@ class ComOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that move the mass and its weight."""
-        body = base.require_links(model)
+        body = model.body
         by = float(values[0]), float(values[1])
         return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))
 
@@ -233,7 +233,7 @@ class JointDamping(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the torque per rate, N m s/rad. The scale corresponds to a damping ratio of 0.05."""
-        body = base.require_links(model)
+        body = model.body
         tables, joints = body.tables(), range(len(body.passive))
         sizes = [
             math.sqrt(max(body.stiffness(tables, k), 1e-6) * body.joint_inertia(tables, k)) for k in joints
@@ -244,7 +244,7 @@ class JointDamping(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add to the damping."""
-        return base.change_springs(base.require_links(model), lambda _: {"damping": values[0]})
+        return base.change_springs(model.body, lambda _: {"damping": values[0]})
 
 
 #: Maximum locked fraction of a joint. The second value is the stiffness that a locked fraction of one half
@@ -295,7 +295,7 @@ class JointLocked(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that hold the joint."""
-        body = base.require_links(model)
+        body = model.body
         lock = float(values[0])
         driven = [axis.column for axis in body.driven]
         if self.column in driven:
@@ -484,7 +484,7 @@ class LoadFriction(Friction):
 
 def _loads(model: Model) -> list[tuple[float, float]]:
     """Return inertia and quadratic drag of the links that each driven joint moves."""
-    body = base.require_links(model)
+    body = model.body
     tables = body.tables()
     return [body.carried(tables, k) for k in range(len(body.driven))]
 
