@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from swimid.fitting.model import (
-    NONE,
-    Array,
-    Channel,
-    Hooks,
-    Model,
-    Parameter,
-    SwimInput,
-    Trial,
-    unless_broken,
-)
+from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
 from swimid.progress import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
@@ -33,6 +23,7 @@ from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.files.atomic import Checkpoint
+    from swimid.fitting.model import SwimInput
     from swimid.swimmer.steady import Cruise, SteadySwimming
 
 #: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the
