@@ -19,8 +19,11 @@ Motion = tuple[Array, Array, Array]
 
 def eased(time_s: Array, ramp_s: float) -> Array:
     """Return a quintic smoothstep, which rises from 0 at time zero to 1 at ``ramp_s`` > 0."""
-    s = np.asarray(np.clip(time_s / ramp_s, 0.0, 1.0))
-    return np.asarray(s * s * s * (10.0 + s * (6.0 * s - 15.0)))
+    found = np.array(np.clip(time_s / ramp_s, 0.0, 1.0))
+    rising = (found > 0.0) & (found < 1.0)
+    s = found[rising]
+    found[rising] = s**3 * (10.0 + s * (6.0 * s - 15.0))
+    return found
 
 
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
