@@ -26,7 +26,8 @@ from swimid.fitting.drives import Beat
 from swimid.fitting.model import SwimInput, Trial
 from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance_map import performance_map
-from swimid.results import blocks, drawing
+from swimid.results import drawing
+from swimid.results import evidence as ev
 from swimid.results.evidence import Figure, Panel, Trace
 from swimid.robots import file as robot_format
 from swimid.robots.file import Robot
@@ -718,7 +719,7 @@ def table_v() -> Figure:
         for k, name in enumerate(names)
     ]
     caption = "Good: the model on the published values."
-    return blocks.panels("table-v", "Turning: Table V", caption, panels)
+    return ev.panels("table-v", "Turning: Table V", caption, panels)
 
 
 def speed_map() -> list[Figure]:

@@ -21,7 +21,7 @@ from scipy import stats
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error, uncertainty
 from swimid.fitting.model import Parameter, Trial
-from swimid.progress import Step
+from swimid.notices import Step
 from swimid.results import evidence, parameters
 from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format

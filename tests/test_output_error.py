@@ -16,7 +16,7 @@ from swimid.fitting import output_error
 from swimid.fitting.model import Trial
 from swimid.fitting.problem import BRIEF, CREEPING, STALLED, Box, Patience, Problem, Solution, minimise
 from swimid.fitting.uncertainty import sandwich
-from swimid.progress import Step
+from swimid.notices import Step
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
 
 BOTH = {"y": 0.02, "v": 0.05}

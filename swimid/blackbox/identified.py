@@ -34,8 +34,7 @@ from swimid.blackbox.trials import Data
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import uncertainty as rt
 from swimid.fitting.fit_common import Score, score
-from swimid.notices import warn
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent, warn
 
 #: Minimum |t| of the constant term at which the working point is subtracted without further conditions.
 CLEAR_T = 5.0

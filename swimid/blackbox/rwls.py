@@ -18,11 +18,10 @@ from swimid.blackbox.trials import read
 from swimid.files import atomic, provenance
 from swimid.fitting import uncertainty as rt
 from swimid.fitting.fit_common import score
-from swimid.notices import recorded, warn
+from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers, parameters
 from swimid.results import evidence as ev
+from swimid.results import numbers, parameters
 from swimid.results.evidence import Check, Evidence, Figure, NoticeRecord, Table, Trace
 from swimid.results.parameters import Fitted
 
@@ -122,7 +121,7 @@ def rwls(
         for code, text in _warnings(m, checks):
             warn(code, text)
     file = _parameter_file(m)
-    made = Fitted.of(file, _evidence(m, file.provenance, checks, blocks.notices(notices)))
+    made = Fitted.of(file, _evidence(m, file.provenance, checks, ev.notices(notices)))
     made.data["orders_tried"] = [{**asdict(orders), "bic": bic} for orders, bic in m.candidates]
     return made.saved(output)
 
@@ -172,7 +171,7 @@ def _checks(m: Identified) -> list[Check]:
         ("white", fitted.whiteness, "are not white, so that the coefficients are biased"),
         ("independent of the input", m.independent, "depend on past inputs: orders or delay are wrong"),
     ):
-        p, passed = blocks.p_text(test.p_value), test.passed or fitted.exact
+        p, passed = ev.p_text(test.p_value), test.passed or fitted.exact
         checks.append(
             ev.check(f"Residuals {name}", p, passed, "p ≥ 0.01", reason=f"the residuals {reason} ({p})")
         )
@@ -365,7 +364,7 @@ def _evidence(
 
 
 def _errors(m: Identified) -> Table:
-    rows: list[list[blocks.Cell]] = []
+    rows: list[list[ev.Cell]] = []
     for name, s in {"fitted": m.fit_scores, **m.scores}.items():
         kinds = {"one step": s.one_step, "free run": s.free_run}
         if s.strict is not None:
@@ -388,7 +387,7 @@ def _errors(m: Identified) -> Table:
 
 
 def _modes(m: Identified) -> Table:
-    rows: list[list[blocks.Cell]] = []
+    rows: list[list[ev.Cell]] = []
     for p in m.poles:
         size = numbers.measured(p.magnitude, p.stderr)
         rows.append([size, _finite(p.frequency_hz), _finite(p.damping_ratio), p.state])
@@ -433,16 +432,16 @@ def _free_run(m: Identified) -> Figure:
                 traces.append(Trace(x=x, y=shown, label=labels[group], group=group))
         y_label = numbers.column_title(m.data.columns.output)
         title = name.removesuffix(".csv") * (len(sets) > 1)
-        panels.append(blocks.panel("time (s)", y_label, traces, title=title))
+        panels.append(ev.panel("time (s)", y_label, traces, title=title))
     caption = "The free run is simulated from the input alone, after its first samples, about the mean level."
     if len(sets) > 2:
         caption += f" Shown are the worst and the best of {len(sets)} records."
-    return blocks.panels("free-run", "Measured and simulated output", caption, panels)
+    return ev.panels("free-run", "Measured and simulated output", caption, panels)
 
 
 def _residuals(m: Identified) -> Figure:
     residuals, _, lags = m.residual_series
     own = rt.autocorrelation(residuals, max_lag=lags)
     caption = "Values outside of the 95 % band of white noise show that the model lacks an effect."
-    panels = [blocks.correlogram(own, "autocorrelation", "residuals", skip_zero=True)]
-    return blocks.panels("residuals", "Autocorrelation of the one-step residuals", caption, panels)
+    panels = [ev.correlogram(own, "autocorrelation", "residuals", skip_zero=True)]
+    return ev.panels("residuals", "Autocorrelation of the one-step residuals", caption, panels)

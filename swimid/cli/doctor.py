@@ -15,8 +15,8 @@ from typing import Any
 import swimid
 from swimid.cli.options import DoctorOptions
 from swimid.files import atomic
+from swimid.notices import Progress, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict
 from swimid.results.result import Result

@@ -49,7 +49,7 @@ from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.fitting.uncertainty import sandwich
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.results.parameters import Estimate
 
 #: Significance level (two-sided, for all parameters together) at which a parameter is reported as moved.

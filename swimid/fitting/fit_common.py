@@ -32,10 +32,9 @@ from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held
 from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import Trials
-from swimid.notices import recorded, warn
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
+from swimid.notices import Progress, recorded, silent, warn
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
 from swimid.robots.file import Robot, locate
 
@@ -641,7 +640,7 @@ def checks(result: FitResult) -> list[ev.Check]:
         found.append(ev.check("inside bounds", listed, False, "no parameter at a bound", reason=reason))
     found += [_whiteness(result, channel) for channel in result.noise]
     if sum(t.role == "fit" for t in result.trials) > 2:
-        p, passed, text = blocks.p_text(result.scatter_p), result.scatter_p >= HETEROGENEITY, ""
+        p, passed, text = ev.p_text(result.scatter_p), result.scatter_p >= HETEROGENEITY, ""
         reason = f"the trials scatter {result.scatter:.2f} times more than their noise allows ({p})"
         if result.scatter > 1:
             text = f"standard errors are enlarged by {result.scatter:.2f}"
@@ -698,7 +697,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
     """Test whether the residuals of a channel are white."""
     test = ljung_box(_weighted(result, channel))
-    p = blocks.p_text(test.p_value)
+    p = ev.p_text(test.p_value)
     name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
     text = "" if test.passed else "the model may miss an effect; the standard errors account for it"
     return warned_check("SWM013", name, p, test.passed, f"p ≥ {SIGNIFICANCE:g}", text, reason)
@@ -773,7 +772,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
         name = channel.meaning or channel.name
         factor, unit = numbers.in_degrees(channel.unit)
         found += [
-            blocks.measured_and_simulated(
+            ev.measured_and_simulated(
                 f"overlay-{channel.name}",
                 f"{name[:1].upper()}{name[1:]}, measured and simulated",
                 "Points are measured, and thinned; lines are simulated with the estimated parameters. Trials "
@@ -783,7 +782,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 series,
                 factor,
             ),
-            blocks.residuals(
+            ev.residuals(
                 f"residuals-{channel.name}",
                 f"Residuals of {name}",
                 "Measured minus simulated over the standard deviation of the noise.",
@@ -921,7 +920,7 @@ def fit_model(
         verdict=ev.judged(answer(file), tested),
         checks=tested,
         figures=figures(result),
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=[
             f"{', '.join(shared)} were estimated from {fitted_trials} trial(s) ({result.samples} samples) "
             f"by output-error maximum likelihood with the model {model.name}.",

@@ -17,7 +17,7 @@ from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.problem import Problem
-from swimid.progress import Progress, show, silent
+from swimid.notices import Progress, show, silent
 
 #: Maximum relative difference of two costs that belong to the same minimum.
 SAME = 1e-3

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
 from swimid.files.atomic import Checkpoint
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 
 if TYPE_CHECKING:
     from swimid.fitting.drives import Beat, Cycle, Motion

@@ -23,8 +23,7 @@ from swimid.fitting import uncertainty
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem, minimise
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
-from swimid.notices import warn
-from swimid.progress import Progress, show, silent
+from swimid.notices import Progress, show, silent, warn
 
 #: Maximum number of noise iterations, and the maximum relative change of a weight at which they have
 #: converged.

@@ -18,14 +18,13 @@ from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded, warn
+from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
-from swimid.progress import Progress, silent
 from swimid.propulsion import trials as propulsion_trials
 from swimid.propulsion.model import SPEED, RecoilModel, strouhal, velocity_ratio
 from swimid.propulsion.options import FitPropulsionOptions
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Estimate, Fitted, ParameterFile
 
 #: Minimum relative deviation of the mean speed at a frequency from the law, and minimum deviation in standard
@@ -128,7 +127,7 @@ def fit_propulsion(
             file, evidence = _fit_surge(
                 experiment, choices, origin, progress, from_rest=options.start_state == "rest"
             )
-    evidence.notices = blocks.notices(notices)
+    evidence.notices = ev.notices(notices)
     return Fitted.of(file, evidence).saved(output)
 
 
@@ -530,7 +529,7 @@ def _run_table(points: list[dict[str, Any]]) -> ev.Table:
     """Return the table of the runs."""
     runs = []
     for p in points:
-        row: dict[str, blocks.Cell] = {"fin": p["fin"]}
+        row: dict[str, ev.Cell] = {"fin": p["fin"]}
         for title, (key, factor) in COLUMNS.items():
             row[title] = p[key] and factor * p[key]
         runs.append(row)
@@ -538,7 +537,7 @@ def _run_table(points: list[dict[str, Any]]) -> ev.Table:
         "Force is drag at terminal speed. The lever of the wake width in the Strouhal number is the length "
         "of the fin (Eq 28), or the distance from the axle to the trailing edge."
     )
-    return blocks.table("points", "Runs", runs, about)
+    return ev.table("points", "Runs", runs, about)
 
 
 def _speed_figure(
@@ -574,15 +573,15 @@ def _speed_figure(
             _points([{**p, "fin": "not fitted"} for p in apart], "frequency_hz", 1.0, len(experiment.trials))
         )
     title, y_label = f"at {amplitude:g}°", "average speed (cm/s)"
-    speeds = [blocks.panel("frequency (Hz)", y_label, over_frequency, title=title)]
+    speeds = [ev.panel("frequency (Hz)", y_label, over_frequency, title=title)]
     if over_amplitude:
         title, y_label = f"at {swept[0]:g} Hz", "speed¹·⁵ ((cm/s)¹·⁵)"
-        speeds.append(blocks.panel("amplitude (°)", y_label, over_amplitude, title=title))
+        speeds.append(ev.panel("amplitude (°)", y_label, over_amplitude, title=title))
     about = (
         "Points are runs, lines the fitted law: straight through the origin over frequency, straight with "
         "the offset as intercept over amplitude. Runs that depart from the law are not fitted."
     )
-    return blocks.panels("speeds", "Average speed", about, speeds)
+    return ev.panels("speeds", "Average speed", about, speeds)
 
 
 def _residual_figure(result: FitResult) -> ev.Figure:
@@ -600,17 +599,17 @@ def _residual_figure(result: FitResult) -> ev.Figure:
             x = factor * inputs[s.trial][name] + 0.025 * reach * (group - (len(fins) - 1) / 2)
             traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
         spans = [ev.Span(start=-2.0, end=2.0, axis="y", label="±2 sd")]
-        panels.append(blocks.panel(label, "residual / sd", traces, spans=spans))
+        panels.append(ev.panel(label, "residual / sd", traces, spans=spans))
     caption = (
         "Measured minus fitted average speed over the standard deviation of the noise. The points of the "
         "fins are moved sideways."
     )
-    return blocks.panels("residuals", "Residuals of the average speed", caption, panels)
+    return ev.panels("residuals", "Residuals of the average speed", caption, panels)
 
 
 def _points(runs: list[dict[str, Any]], x: str, power: float, group: int) -> ev.Trace:
     label = runs[0]["fin"]
-    return blocks.points(
+    return ev.points(
         runs, lambda p: p[x], lambda p: (100 * p["mean_speed_m_s"]) ** power, label=label, group=group
     )
 

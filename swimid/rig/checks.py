@@ -36,8 +36,8 @@ from swimid.fitting.model import Array, Parameter, Trial, chosen
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import HETEROGENEITY, SIGNIFICANCE, UNIDENTIFIABLE, fit_autoregression
 from swimid.notices import recorded, warn
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Estimate
 from swimid.rig.model import ALIKE, COORDINATES, terminal_speed
 from swimid.robots.file import Body, Robot, Theory
@@ -329,7 +329,7 @@ def _friction_check(plain: FitResult) -> list[ev.Check]:
     follows = trend_p < TREND_P
     if follows:
         code, how, p_value = "SWM070", "follows the pulling mass", trend_p
-    value, limit = f"{how} ({blocks.p_text(p_value)})", f"p ≥ {HETEROGENEITY:g}; for a trend p ≥ {TREND_P:g}"
+    value, limit = f"{how} ({ev.p_text(p_value)})", f"p ≥ {HETEROGENEITY:g}; for a trend p ≥ {TREND_P:g}"
     reason = f"the pulley friction {value}"
     text = "standard errors do not allow for it: find the cause with swimid diagnose TRIALS --params FILE"
     check = (code, "same friction in all trials", value, False, limit, text, reason)

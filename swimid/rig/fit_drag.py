@@ -26,11 +26,10 @@ from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Parameter, chosen
 from swimid.fitting.output_error import FitResult
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.parameters import Fit, Fitted, ParameterFile
 from swimid.rig import checks as rig_checks
 from swimid.rig import trials as rig_experiment
@@ -155,7 +154,7 @@ def fit_drag(
         tables=[_methods_table(experiment, result, pair)],
         figures=figures,
         notes=notes,
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=_methods(experiment, result, options.method, pair),
         references=list(experiment.robot.sources),
         provenance=origin,
@@ -493,4 +492,4 @@ def _speed_figure(pair: TwoPointResult) -> ev.Figure:
         traces.append(ev.Trace(x=1e3 * mass, y=line, group=i))
     title = "Squared speed against pulling mass"
     caption = "Squared speed at two displacements with 95 % intervals; the lines are fitted to these points."
-    return blocks.figure("speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces)
+    return ev.figure("speed-squared", title, caption, "pulling mass (g)", "squared speed (m²/s²)", traces)

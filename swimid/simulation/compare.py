@@ -15,11 +15,10 @@ from swimid.fitting import fit_common, mistakes
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Trial
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
 from swimid.simulation import catalogue, compare_series, compare_strokes
@@ -166,7 +165,7 @@ def compare(
         checks=checks,
         tables=_tables(file),
         figures=_figures(experiment, done, profiles, file),
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=_methods(file),
         references=list(experiment.robot.sources),
         provenance=file.provenance,

@@ -20,11 +20,10 @@ from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by
 from swimid.fitting.output_error import FitResult
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
-from swimid.notices import recorded
+from swimid.notices import Progress, recorded, silent
 from swimid.options import takes
-from swimid.progress import Progress, silent
-from swimid.results import blocks, numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Fitted, ParameterFile
 from swimid.robots import file as robot_format
@@ -176,7 +175,7 @@ def fit_graybox(
         checks=checks,
         tables=_tables(experiment, result, search.ends),
         figures=[*_track(experiment, result), *fit_common.figures(result)],
-        notices=blocks.notices(notices),
+        notices=ev.notices(notices),
         methods=_methods(experiment, result, search, options.method),
         references=list(experiment.robot.sources),
         provenance=origin,

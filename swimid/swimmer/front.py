@@ -26,8 +26,7 @@ from swimid.fitting.global_search import Front
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult, Series
 from swimid.fitting.problem import Problem
-from swimid.notices import warn
-from swimid.progress import Progress, show, silent
+from swimid.notices import Progress, show, silent, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.robots.file import Robot
 from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, joint_motion
 from swimid.swimmer.lanes.kernel import Kernels, Room

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from swimid.fitting.drives import Beat
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
-from swimid.progress import Progress, silent
+from swimid.notices import Progress, silent
 from swimid.robots.planar import Multilink
 from swimid.swimmer import drive
 from swimid.swimmer.lanes.kernel import Room
