@@ -39,8 +39,8 @@ from benchmarks.bench_diagnose import settings
 from swimid.diagnosis.remainder import ResidualForce
 from swimid.effects import catalogue
 from swimid.effects.base import Affected
-from swimid.fitting.drives import Beat, Cycle, SwimInput
-from swimid.fitting.model import NONE, Trial
+from swimid.fitting.drives import Beat, Cycle
+from swimid.fitting.model import NONE, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer.lanes import Kernel
 from swimid.swimmer.model import Swimmer

@@ -49,8 +49,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from swimid.fitting import drives, output_error
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Parameter, Trial
+from swimid.fitting.model import Parameter, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer_trials

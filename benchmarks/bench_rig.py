@@ -18,8 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from swimid.fitting import output_error
-from swimid.fitting.drives import RigInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import RigInput, Trial
 from swimid.rig import model as rig
 
 AREA_FACTOR = 0.5 * 997 * 0.00698

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.fitting.drives import Cycle, SwimInput
+from swimid.fitting.drives import Cycle
 from swimid.fitting.global_search import BROKEN_OBJECTIVE, GENERATIONS, POPULATION, nsga2
-from swimid.fitting.model import NONE, Trial
+from swimid.fitting.model import NONE, SwimInput, Trial
 from swimid.robots import file as robot
 from swimid.swimmer.front import Profiles
 from swimid.swimmer.spatial import engine

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import SwimInput, Trial
 from swimid.notices import SwimidWarning
 from swimid.swimmer.fit_graybox import fit_graybox
 from swimid.swimmer.model import Swimmer

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import SwimInput, Trial
 from swimid.optimisation.optimise_stiffness import StiffnessRule, optimise_stiffness
 from swimid.optimisation.performance_map import performance_map
 from swimid.results import drawing

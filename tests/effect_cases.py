@@ -10,8 +10,8 @@ import numpy as np
 
 from swimid.blackbox.model import ArxModel
 from swimid.effects.base import Affected, Effect
-from swimid.fitting.drives import Beat, RigInput, SwimInput
-from swimid.fitting.model import Model, Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import Model, RigInput, SwimInput, Trial
 from swimid.results import parameters
 from swimid.rig import model as rig
 from swimid.robots import file as robots

@@ -16,9 +16,9 @@ from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.search import Search, State
 from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
-from swimid.fitting.drives import Beat, RigInput, SwimInput
+from swimid.fitting.drives import Beat
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Trial
+from swimid.fitting.model import Array, Model, RigInput, SwimInput, Trial
 from swimid.results import evidence
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer_trials

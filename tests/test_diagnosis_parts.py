@@ -37,8 +37,7 @@ from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
 from swimid.diagnosis.shrinkage import closed
 from swimid.effects.base import Affected, Effect, Inside
-from swimid.fitting.drives import CruiseInput, RigInput, SwimInput
-from swimid.fitting.model import Hooks, Model, Parameter, Stroke, Trial
+from swimid.fitting.model import CruiseInput, Hooks, Model, Parameter, RigInput, Stroke, SwimInput, Trial
 from swimid.fitting.problem import Problem
 from swimid.logs.sampling import white_noise_sd
 from tests.toy_models import Toy, parameter

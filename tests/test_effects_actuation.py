@@ -13,8 +13,7 @@ from scipy.optimize import brentq
 from swimid.effects import actuation
 from swimid.effects.base import Affected
 from swimid.fitting import drives
-from swimid.fitting.drives import CruiseInput, SurgeInput, SwimInput
-from swimid.fitting.model import Hooks, Stroke, Trial
+from swimid.fitting.model import CruiseInput, Hooks, Stroke, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
 from swimid.robots import file as robot_format
 from swimid.swimmer.planar.model import MultilinkModel
@@ -107,7 +106,7 @@ class TestOperators:
         """The joint rests while the servo crosses the play, then follows half of it behind."""
         width, size = 0.08, 0.3
         signal = size * np.sin(OMEGA * TIME)
-        found = actuation.apply_play(signal, width)
+        found = actuation.ServoBacklash().follow(width, signal, signal)
         assert found[0] == 0
         assert np.all(np.abs(found - signal) <= 0.5 * width + 1e-15)
         steady = TIME > 1 / 1.5

@@ -24,8 +24,8 @@ from swimid.effects.environment import (
     sink,
 )
 from swimid.effects.rig import InitialSpeed
-from swimid.fitting.drives import Beat, CruiseInput, RigInput, SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import CruiseInput, RigInput, SwimInput, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots

@@ -12,8 +12,7 @@ from swimid.effects.base import Effect
 from swimid.effects.environment import Tether
 from swimid.effects.fluid import AddedMass, DragReynolds, LiftDamping, LinearDrag, QuadraticDrag, WakeLift
 from swimid.effects.rig import InitialSpeed
-from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import CruiseInput, RigInput, SurgeInput, Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots

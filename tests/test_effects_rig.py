@@ -15,8 +15,7 @@ from swimid.effects.rig import (
     StringStretch,
     oscillation,
 )
-from swimid.fitting.drives import RigInput
-from swimid.fitting.model import Force, Hooks, Trial, no_force
+from swimid.fitting.model import Force, Hooks, RigInput, Trial, no_force
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from tests.effect_cases import FORCE, INERTIA, TIME, acted, check_null, start, weight_model, weight_trial

@@ -12,8 +12,7 @@ from scipy.optimize import fsolve
 from swimid.effects import sensing
 from swimid.effects.base import Affected
 from swimid.fitting import drives
-from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import CruiseInput, RigInput, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robot_format

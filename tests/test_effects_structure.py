@@ -25,8 +25,7 @@ from swimid.effects.structure import (
     WaterIngress,
     bent_fin,
 )
-from swimid.fitting.drives import CruiseInput, RigInput
-from swimid.fitting.model import Stroke, Trial
+from swimid.fitting.model import CruiseInput, RigInput, Stroke, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots

@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid

@@ -17,8 +17,7 @@ from swimid.exporters.export import load
 from swimid.exporters.source import Source, about, central
 from swimid.files import yamlio
 from swimid.fitting import drives
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import SwimInput, Trial
 from swimid.results import parameters
 from swimid.results.parameters import Correlation, Estimate, ParameterFile
 from swimid.robots import file as robot

@@ -13,8 +13,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
 from swimid.fitting import output_error
-from swimid.fitting.drives import RigInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import RigInput, Trial
 from swimid.results import evidence, parameters
 from swimid.rig import fit_drag as drag_module
 from swimid.rig import model as equation

@@ -19,7 +19,7 @@ import pytest
 from scipy import stats
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import covariance, output_error
+from swimid.fitting import output_error, uncertainty
 from swimid.fitting.model import Parameter, Trial
 from swimid.notices import Step
 from swimid.results import evidence, parameters
@@ -763,7 +763,7 @@ class TestPublishedFish:
                 stderr = result.stderr(name)
                 # at its bound a coefficient claims no interval
                 inside[name] += stderr is None or abs(result.value(name) - true) < 1.96 * stderr
-            for known in covariance.combinations(result):
+            for known in uncertainty.combinations(result):
                 total = sum(w * swimmer.TFISH[m] for m, w in known.weights.items() if m in swimmer.TFISH)
                 sums.append(abs(known.value - total) < 1.96 * known.stderr)
         print(f"95 % intervals that hold the truth, of {repeats}: {inside}; sums {sum(sums)} of {len(sums)}")

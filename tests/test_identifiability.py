@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swimid.fitting import covariance as idn
 from swimid.fitting import output_error
-from swimid.fitting.metrics import FitResult
+from swimid.fitting import uncertainty as idn
 from swimid.fitting.model import Tied
+from swimid.fitting.output_error import FitResult
 from tests.toy_models import FRICTION, FRICTION_TRUTH, WEIGHTS, Toy, friction, parameter, trials
 
 TOTAL = float(np.dot(WEIGHTS, FRICTION_TRUTH[1:]))

@@ -18,8 +18,7 @@ import pytest
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Affected
 from swimid.fitting import drives
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Tied, Trial
+from swimid.fitting.model import SwimInput, Tied, Trial
 from swimid.fitting.problem import Problem
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid

@@ -18,8 +18,7 @@ from swimid.effects import catalogue
 from swimid.effects.base import Affected, Effect
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import drives
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import TRACEABLE, Trial
+from swimid.fitting.model import TRACEABLE, SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.swimmer import lanes
 from swimid.swimmer.lanes import Kernel

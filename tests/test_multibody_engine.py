@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.fitting import drives
-from swimid.fitting.drives import SwimInput
+from swimid.fitting.model import SwimInput
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody

@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import make_smoothing_spline
 
 from swimid.fitting import drives
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import SwimInput, Trial
 from swimid.robots.file import Robot, schema_of
 from swimid.swimmer import drive
 from swimid.swimmer.planar.model import MultilinkModel

@@ -13,8 +13,7 @@ from ruamel.yaml import YAML
 
 import swimid
 from swimid.fitting import drives
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid, schema_of
 from swimid.robots.planar import Multilink

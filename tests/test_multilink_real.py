@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from swimid.fitting import metrics, output_error
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.metrics import FitResult
-from swimid.fitting.model import Array, Trial, chosen
+from swimid.fitting import fit_common, output_error
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import Array, SwimInput, Trial, chosen
+from swimid.fitting.output_error import FitResult
 from swimid.swimmer import trials as swimmer
 from tests.conftest import ROOT, Ran
 from tests.generators import real_logs
@@ -285,14 +285,14 @@ class TestFish:
     def test_surge_of_runs_held_out(self, fish: FitResult) -> None:
         """At most 12 % of the range over all of them, and little above what no model can have."""
         held_out = [s for s in fish.series if s.role == "validate" and s.channel == "u_m_s"]
-        whole = metrics.score(
+        whole = fit_common.score(
             *(np.concatenate([getattr(s, w) for s in held_out]) for w in ("measured", "simulated"))
         )
         assert whole.nrmse < 0.12
         beats = {t.id: t.swim.beat.frequency_hz for t in fish.trials}
         rest = [beside_trend_and_beat(s.time_s, s.residual, beats[s.trial]) for s in held_out]
         assert whole.rmse < 1.25 * np.sqrt(np.mean(np.square(rest)))
-        each = [metrics.score(s.measured, s.simulated).nrmse for s in held_out]
+        each = [fit_common.score(s.measured, s.simulated).nrmse for s in held_out]
         assert np.mean(each) < 0.12
 
     def test_the_fish_starts_from_rest(self, fish: FitResult) -> None:

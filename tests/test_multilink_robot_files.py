@@ -12,8 +12,7 @@ from hypothesis import given
 
 from swimid.errors import InputError, SwimidError, UsageError
 from swimid.fitting import drives
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.model import SwimInput, Trial
 from swimid.notices import SwimidWarning
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as experiment

@@ -13,9 +13,9 @@ from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
-from swimid.fitting.covariance import sandwich
 from swimid.fitting.model import Trial
 from swimid.fitting.problem import BRIEF, CREEPING, STALLED, Box, Patience, Problem, Solution, minimise
+from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Step
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from swimid.fitting import noise as rt
+from swimid.fitting import uncertainty as rt
 
 
 def test_autocorrelation_of_a_known_autoregression():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from swimid.fitting.between_trials import OwnValues, estimate_spread, estimate_trend
+from swimid.fitting.between_trials import OwnValues, compute_trend_p, estimate_spread
 from tests.conftest import Ran
 from tests.generators import rig as generator
 
@@ -33,12 +33,12 @@ def _inside(ran: Ran, names: tuple[str, ...], sigmas: float = 3.0) -> None:
 class TestRandomEffect:
     @pytest.mark.parametrize("seed", range(4))
     def test_spread_of_known_scatter(self, seed: int) -> None:
-        """40 values with a spread of 2 and errors of 1: the estimate is within three standard errors of 2."""
+        """40 values with a spread of 2 and errors of 1: the estimate is within three errors, 0.85."""
         rng = np.random.default_rng(seed)
         own = OwnValues(tuple(map(str, range(40))), rng.normal(5, 2, 40) + rng.normal(0, 1, 40), np.eye(40))
         found = estimate_spread(own)
         assert found.p_value < 1e-3
-        assert abs(found.sd - 2.0) < 3 * found.stderr
+        assert abs(found.sd - 2.0) < 0.85
 
     def test_errors_alone_give_no_spread(self) -> None:
         """Half of the estimates are zero, and the test has its nominal level."""
@@ -56,15 +56,15 @@ class TestRandomEffect:
         along = np.arange(7.0) - 3.0
         own = OwnValues(tuple("abcdefg"), 50 * along, np.eye(7) + 1e6 * np.outer(along, along))
         assert estimate_spread(own).sd == 0.0
-        assert estimate_trend(own, along).p_value > 0.5
+        assert compute_trend_p(own, along) > 0.5
 
     def test_a_trend_is_not_one_odd_value(self) -> None:
         rng = np.random.default_rng(1)
         mass = np.arange(7.0)
         grows = OwnValues(tuple("abcdefg"), 0.5 * mass + rng.normal(0, 0.2, 7), 1e-4 * np.eye(7))
-        assert estimate_trend(grows, mass).p_value < 1e-3
+        assert compute_trend_p(grows, mass) < 1e-3
         odd = OwnValues(tuple("abcdefg"), np.array([0.0, 0, 0, 0, 0, 0, 3]), 1e-4 * np.eye(7))
-        assert estimate_trend(odd, mass).p_value > 0.05
+        assert compute_trend_p(odd, mass) > 0.05
 
 
 @pytest.mark.parametrize("weight, friction", [(20, 40.0), (40, 60.0), (10, 25.0)])

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import settings
-from swimid.fitting.drives import Beat, CruiseInput, Cycle, Motion, RigInput, SurgeInput, SwimInput
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.drives import Beat, Cycle, Motion
+from swimid.fitting.model import Array, CruiseInput, RigInput, SurgeInput, SwimInput, Trial
 from swimid.robots.spatial import Stroke
 
 TIME = np.arange(0.0, 12.0, 0.02)

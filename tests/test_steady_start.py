@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.model import Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import SwimInput, Trial
 from swimid.swimmer import trials as swimmer
 from tests.conftest import Ran
 from tests.generators import three_link

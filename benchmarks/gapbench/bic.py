@@ -19,7 +19,7 @@ from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects import catalogue
 from swimid.effects.base import Effect
-from swimid.fitting import noise as sample_noise
+from swimid.fitting import uncertainty as sample_noise
 
 #: Effects together at most; so many times the noise is read off the residuals before.
 MOST, WEIGHTINGS = 2, 2
@@ -54,7 +54,7 @@ def rounds(case: Case) -> list[dict[str, float]]:
 def _nominal(bench: FitContext) -> tuple[Fit, NoiseModel]:
     """The model refitted, with the noise that its own residuals show."""
     problem = bench.problem(())
-    sample_noise.weigh_first(problem, False)
+    sample_noise.weigh_first(problem)
     theta = np.clip(problem.start, problem.lower, problem.upper)
     sizes: Mapping[str, tuple[float, float]] = {}
     for _ in range(1 + WEIGHTINGS):

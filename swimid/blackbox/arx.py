@@ -42,7 +42,7 @@ from numba import njit
 
 from swimid.blackbox.model import Orders, Record, lagged
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise as rt
+from swimid.fitting import uncertainty as rt
 from swimid.logs.sampling import rounding
 
 #: Maximum magnitude of a zero of C. The inverse of C is stable if all magnitudes are below 1.
@@ -508,7 +508,7 @@ def estimate(
 
     Let the weights be ``w_k = forgetting^(n-1-k)``, J the derivative of the one-step prediction, and ``S =
     J'WJ + prior``. For white residuals the covariance is ``sigma^2 S^-1 (J'W^2 J) S^-1``. Otherwise it is
-    ``S^-1 M S^-1``, with M from :func:`swimid.fitting.noise.long_run_covariance`.
+    ``S^-1 M S^-1``, with M from :func:`swimid.fitting.uncertainty.long_run_covariance`.
     """
     data = regression(records, orders)
     check_enough(data, orders)

@@ -28,7 +28,7 @@ import numpy as np
 from swimid.blackbox.options import RwlsOptions
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import Input
-from swimid.fitting import noise as rt
+from swimid.fitting import uncertainty as rt
 from swimid.fitting.fit_common import Experiment, read_log
 from swimid.fitting.model import Array, Channel, Hooks, Model, Parameter, Trial
 from swimid.logs import sampling

@@ -48,8 +48,8 @@ from swimid.blackbox.model import (
 from swimid.blackbox.options import RwlsOptions
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import noise as rt
-from swimid.fitting.metrics import Score, score
+from swimid.fitting import uncertainty as rt
+from swimid.fitting.fit_common import Score, score
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev

@@ -127,7 +127,7 @@ KERNELS = (
     "swimid.rig.model",
     "swimid.swimmer.planar.model",
     "swimid.blackbox.arx",
-    "swimid.fitting.metrics",
+    "swimid.fitting.fit_common",
     "swimid.tracking.pose",
 )
 

@@ -48,8 +48,8 @@ from swimid.diagnosis.shrinkage import Misfit, Piece
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting.covariance import sandwich
 from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Progress, silent
 from swimid.results.parameters import Estimate
 

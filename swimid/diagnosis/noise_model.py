@@ -17,8 +17,8 @@ from scipy.sparse import block_diag, coo_array, csr_array
 
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.fitting.model import Array
-from swimid.fitting.noise import fit_autoregression, joined
 from swimid.fitting.problem import Problem
+from swimid.fitting.uncertainty import fit_autoregression, joined
 
 #: Maximum order of the autoregression, and minimum number of samples per coefficient.
 ORDER, PER_ORDER = 6, 25

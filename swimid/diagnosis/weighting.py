@@ -17,7 +17,7 @@ from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import FEWEST, RandomEffect
 from swimid.effects.base import Effect
-from swimid.fitting import noise as sample_noise
+from swimid.fitting import uncertainty as sample_noise
 from swimid.fitting.model import Array
 
 #: Number of reweighting iterations before any effect is tried.
@@ -34,7 +34,7 @@ SHORT = 20
 def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
     """Refit the model without effects, with weights from its own residuals."""
     problem = context.problem(())
-    sample_noise.weigh_first(problem, False)
+    sample_noise.weigh_first(problem)
     noise_model = NoiseModel([list(sds) for sds in problem.sd])
     start = np.clip(problem.start, problem.lower, problem.upper)
     previous: dict[str, tuple[float, float]] = {}

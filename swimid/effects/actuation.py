@@ -11,14 +11,13 @@ import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 from scipy.optimize import brentq
 
-from swimid.effects import common
-from swimid.effects.base import Array, Hooks, Model, Parameter, Parameters, Trial, Trials
-from swimid.effects.common import parameter
+from swimid.effects import base
+from swimid.effects.base import Parameters, Trials, parameter
 from swimid.fitting.drives import eased
-from swimid.fitting.model import Stroke, typical
+from swimid.fitting.model import Array, Hooks, Model, Parameter, Stroke, Trial, typical
 
 
-class AmplitudeLoss(common.Actuation):
+class AmplitudeLoss(base.Actuation):
     """A constant relative loss of amplitude: the joint moves by ``(1 - loss)`` times the command."""
 
     name = "amplitude-loss"
@@ -44,7 +43,7 @@ class AmplitudeLoss(common.Actuation):
 EASE_S = 0.5
 
 
-class AmplitudeOffset(common.Actuation):
+class AmplitudeOffset(base.Actuation):
     """A trim that is added to the angle of each driven joint, or a constant that a steady beat loses in
     amplitude.
 
@@ -64,19 +63,17 @@ class AmplitudeOffset(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the angle that is added to each driven joint, in the unit of the command."""
-        size = common.typical_amplitude(model, trials)
+        size = base.typical_amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"
         return (parameter("offset_rad", "rad", 0.05 * size, words, -most, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the trim to the command, and reduce the amplitude of a steady beat."""
         offset = float(values[0])
-        still: list[int] = []
-        if model.body is not None:
-            laws = [axis.driven for axis in model.body.driven]
-            still = [k for k, law in enumerate(laws) if law is None or law.gain == 0]
+        laws = [] if model.body is None else [axis.driven for axis in model.body.driven]
+        still = [k for k, law in enumerate(laws) if law is None or law.gain == 0]
         begin = model.onset(trial)
-        trimmed = common.for_every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
+        trimmed = base.for_every_joint(lambda time, angle: angle + offset * eased(time - begin, EASE_S))
 
         def command(time_s: Array, angle: Array, joint: int) -> Array:
             if joint in still:
@@ -86,7 +83,7 @@ class AmplitudeOffset(common.Actuation):
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        return replace(common.on_command(model, trial, command), stroke=(beaten,))
+        return replace(base.on_command(model, trial, command), stroke=(beaten,))
 
 
 #: Ratio of the rate limit to the largest commanded rate below which the limited sine is a triangle: ``1 /
@@ -94,7 +91,7 @@ class AmplitudeOffset(common.Actuation):
 TRIANGLE = 1.0 / math.hypot(1.0, 0.5 * math.pi)
 
 
-class RateLimit(common.Actuation):
+class RateLimit(base.Actuation):
     """A limit of the rate with which the joint follows its command.
 
     The effect has no influence if the limit is the largest commanded rate. In models of the average over a
@@ -110,7 +107,7 @@ class RateLimit(common.Actuation):
 
         Its start value is the largest commanded rate of the trials, which has no influence.
         """
-        largest = common.largest_rate(model, trials)
+        largest = base.largest_rate(model, trials)
         bounds, words = (0.02 * largest, largest), "largest rate of the servos"
         return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
 
@@ -194,7 +191,7 @@ def _middle() -> tuple[Array, Array]:
     return ratios, gains
 
 
-class ServoBacklash(common.Actuation):
+class ServoBacklash(base.Actuation):
     """Play between servo and joint: the joint rests until the servo has crossed the play, and then moves with
     the servo.
 
@@ -207,35 +204,19 @@ class ServoBacklash(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the whole width of the play of each joint, in the unit of the command."""
-        size = common.typical_amplitude(model, trials)
+        size = base.typical_amplitude(model, trials)
         return (parameter("backlash_rad", "rad", 0.1 * size, "whole width of the play", 0.0, 1.9 * size),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
         """Return the motion of the joint behind the play."""
-        return apply_play(angle, value)
+        return np.asarray(base.hold_back(angle, np.full(len(angle), 0.5 * value)))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
         """Return the amplitude minus half the play."""
         return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
 
 
-def apply_play(signal: Array, width: float) -> Array:
-    """Return the output of a play that starts in the middle of the play.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (n,)
-    width : float
-        Whole width of the play.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    return np.asarray(common.hold_back(signal, np.full(len(signal), 0.5 * width)))
-
-
-class ServoDelay(common.Actuation):
+class ServoDelay(base.Actuation):
     """A constant delay of the command. It does not change the average over a steady beat."""
 
     name = "servo-delay"
@@ -246,7 +227,7 @@ class ServoDelay(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the delay, s."""
-        beat = common.typical_period(model, trials)
+        beat = base.typical_period(model, trials)
         return (parameter("delay_s", "s", 0.04 * beat, "delay of the joints' commands", 0.0, beat),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
@@ -270,7 +251,7 @@ def apply_delay(time_s: Array, signal: Array, delay_s: float) -> Array:
     return np.asarray(curve(np.clip(time_s - delay_s, time_s[0], time_s[-1])))
 
 
-class ServoLag(common.Actuation):
+class ServoLag(base.Actuation):
     """A first-order lag ``tau a' = command - a`` of the servo.
 
     A steady beat of frequency f has ``1 / sqrt(1 + (2 pi f tau)^2)`` of the commanded amplitude.
@@ -286,7 +267,7 @@ class ServoLag(common.Actuation):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the time constant, s."""
-        beat = common.typical_period(model, trials)
+        beat = base.typical_period(model, trials)
         return (parameter("time_constant_s", "s", 0.04 * beat, "time constant of the servos", 0.0, beat),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
@@ -337,7 +318,7 @@ RAMP, SAMPLES = 0.25, 4.0
 MOMENTS = (0.125, 0.375, 0.625, 0.875)
 
 
-class Slip(common.Actuation):
+class Slip(base.Actuation):
     """A loss of amplitude that sets in during the trial: the joint moves by ``1 - loss s(t)`` times the
     command.
 
@@ -380,11 +361,11 @@ class Slip(common.Actuation):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that reduce the commands by the loss."""
         loss, begin = (float(v) for v in values)
-        ramp = RAMP * common.typical_period(model, [trial])
+        ramp = RAMP * base.typical_period(model, [trial])
         ramp = max(ramp, SAMPLES * typical(np.diff(trial.time_s).tolist(), 0.0))
         first = float(trial.time_s[0]) + begin - 0.5 * ramp
 
         def command(time_s: Array, angle: Array) -> Array:
             return angle * (1.0 - loss * eased(time_s - first, ramp))
 
-        return common.on_command(model, trial, common.for_every_joint(command))
+        return base.on_command(model, trial, base.for_every_joint(command))

@@ -8,16 +8,38 @@ simulated system on which the effect acts.
 from __future__ import annotations
 
 import itertools
+import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
+import numba
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial, unless_broken
+from swimid.fitting.model import (
+    MEAN_SPEED,
+    NONE,
+    POSITIONS,
+    Array,
+    Command,
+    Force,
+    Hooks,
+    Model,
+    Parameter,
+    Stroke,
+    Trial,
+    typical,
+    unless_broken,
+)
 
+if TYPE_CHECKING:
+    from swimid.swimmer.planar.model import Body
+
+Choice = TypeVar("Choice")
 Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "rig"]
 STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")
 Trials = Sequence[Trial]
@@ -46,7 +68,8 @@ class Effect(ABC):
     sources : tuple of str
         Papers and sections that describe the effect.
     needs : frozenset of str
-        Hooks that the effect uses. The effect applies to models that offer at least one of them.
+        Hooks of which a model must offer at least one, unless the effect has its own :meth:`applies` or
+        :meth:`variants`.
     scatters : bool
         Whether the effect may differ at random between trials (a trim, a clock). It is then a random effect
         as well.
@@ -65,7 +88,7 @@ class Effect(ABC):
     stage: ClassVar[Stage]
     meaning: ClassVar[str]
     sources: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[frozenset[str]]
+    needs: ClassVar[frozenset[str]] = frozenset()
     scatters: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
     inside: ClassVar[Inside] = {}
@@ -257,3 +280,347 @@ class Affected(Model):
         """
         finer = self.nominal.refined()
         return None if finer is None else Affected(finer, self.effects, self._trials)
+
+
+# ---------------------------------------------------------------- parts of effects
+
+#: Amplitude of a servo or joint, rad, if the trials state none.
+USUAL_ANGLE = 0.3
+SPEEDS = ("u_m_s", "v_m_s", "w_m_s", MEAN_SPEED)
+#: Channels whose unit contains a length.
+LENGTHS = (*POSITIONS, *SPEEDS)
+#: Channels of a swimmer's pose that a camera measures.
+POSES = (*POSITIONS, "yaw_rad", "pitch_rad")
+#: Channels of a gyroscope that is fixed to the body.
+TURN_RATES = ("roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
+
+
+def parameter(
+    name: str,
+    unit: str,
+    scale: float,
+    meaning: str,
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    *,
+    start: float = 0.0,
+    per_trial: bool = False,
+) -> Parameter:
+    """Return a parameter of an effect. The default start value is 0, without influence."""
+    return Parameter(name, unit, lower, upper, start, scale, per_trial=per_trial, meaning=meaning)
+
+
+# ---------------------------------------------------------------- models
+
+
+def pick_by_motion(model: Model, along: Choice, about: Choice) -> Choice:
+    """Return ``about`` for a rig whose only coordinate is an angle, otherwise ``along``."""
+    return about if model.rig is not None and model.rig.rotation else along
+
+
+def is_pulled(model: Model) -> bool:
+    """Return whether a model is a body on a rig that is pulled over a distance."""
+    return model.rig is not None and not model.rig.swings
+
+
+def has_pulley(trials: Trials) -> bool:
+    """Return whether some trial has a pulley."""
+    return any(trial.rig.pulley for trial in trials)
+
+
+def free_body(model: Model) -> Body | None:
+    """Return the links of a swimmer whose base moves; None for other models."""
+    return model.body if model.body is not None and model.body.free else None
+
+
+# ---------------------------------------------------------------- hooks
+
+
+def add_to_coefficient(value: float, *names: str) -> Hooks:
+    """Return hooks that add a value to a coefficient of a model's equation of motion.
+
+    The coefficient is the first of the names that the equation has.
+    """
+
+    def change(coefficients: dict[str, float]) -> None:
+        coefficients[next(name for name in names if name in coefficients)] += value
+
+    return Hooks(coefficients=(change,))
+
+
+def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
+    """Return a force at the centre of mass of the heaviest link."""
+    x, y = body.centre(body.hull)
+    return Force(function, constants, body.hull, x, y)
+
+
+def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: int) -> Hooks:
+    """Return hooks that add a force on the body of a rig.
+
+    Parameters
+    ----------
+    **places : int
+        Indices of the constants that are coefficients of the model, by the name of the coefficient.
+    """
+    values = np.array(constants, dtype=float)
+
+    def take(coefficients: dict[str, float]) -> None:
+        for name, place in places.items():
+            values[place] = coefficients[name]
+
+    return Hooks(coefficients=(take,), force=(Force(function, values),))
+
+
+def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> Hooks:
+    """Return hooks that change the springs and dampers of all passive joints.
+
+    Parameters
+    ----------
+    change : callable
+        Function that returns the changes (``stiffness``, ``cubic``, ``damping``) for a given stiffness.
+    """
+
+    def springs(tables: dict[str, Any]) -> None:
+        for k in range(len(body.passive)):
+            body.stiffen(tables, k, **change(body.stiffness(tables, k)))
+
+    return Hooks(tables=(springs,))
+
+
+class RigCoefficient(Effect, ABC):
+    """An addition to one coefficient of a rig's equation of motion that the model does not estimate.
+
+    Attributes
+    ----------
+    coefficient : str
+        Name of the coefficient in the model's equation of motion.
+    own : tuple of str
+        Parameters of the model with the same meaning as the effect.
+    pulley : bool
+        Whether the effect acts only in trials with a pulley.
+    """
+
+    smooth = True
+    coefficient: ClassVar[str]
+    own: ClassVar[tuple[str, ...]] = ()
+    pulley: bool = False
+
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Return whether the model is a rig that does not estimate the effect. A pulley effect also needs
+        a pulley.
+        """
+        known = model.rig is None or model.estimates(*self.own)
+        return not known and (not self.pulley or has_pulley(trials))
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return hooks that add the value to the coefficient."""
+        if self.pulley and not trial.rig.pulley:
+            return Hooks()
+        return add_to_coefficient(values[0], self.coefficient)
+
+
+# ---------------------------------------------------------------- commands
+
+
+class Actuation(Effect, ABC):
+    """An effect of the actuator, for models that follow a command and not a measured joint angle.
+
+    A subclass with one parameter for all driven joints defines :meth:`follow`. It also defines
+    :meth:`amplitude` if its ``needs`` include the stroke.
+    """
+
+    needs = frozenset({"command", "stroke"})
+
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Return whether a command drives some trial."""
+        return super().applies(model, trials) and any(model.commanded(t) for t in trials)
+
+    def follow(self, value: float, time_s: Array, angle: Array) -> Array:
+        """Return the motion of a joint that follows a command, shape (n,), without missing samples."""
+        raise NotImplementedError
+
+    def amplitude(self, value: float, stroke: Stroke) -> Array:
+        """Return the joint amplitude of a steady beat with the effect, rad."""
+        raise NotImplementedError
+
+    def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
+        """Return hooks that change the commands, and the amplitude of a steady beat."""
+        value = float(values[0])
+
+        def beaten(stroke: Stroke) -> Stroke:
+            return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
+
+        hooks = follow_commands(model, trial, partial(self.follow, value))
+        return replace(hooks, stroke=(beaten,) * ("stroke" in self.needs))
+
+
+def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
+    """Return hooks that change the commands of a trial; no hooks if no command drives the trial."""
+    return Hooks(command=(change,)) if model.commanded(trial) else Hooks()
+
+
+def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
+    """Return a hook that changes every joint in the same way. Joints with the same command are computed
+    once.
+    """
+    last: tuple[Array, Array, Array] | None = None
+
+    def command(time_s: Array, angle: Array, joint: int) -> Array:
+        nonlocal last
+        if last is None or last[0] is not time_s or last[1] is not angle:
+            last = time_s, angle, change(time_s, angle)
+            last[2].flags.writeable = False
+        return last[2]
+
+    return command
+
+
+def follow_commands(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
+    """Return hooks that change each command in the same way, bridging missing samples."""
+    return on_command(model, trial, for_every_joint(partial(bridge_missing, change)))
+
+
+@numba.njit(cache=True, nogil=True)
+def hold_back(signal, half):  # type: ignore[no-untyped-def]
+    """Follow a signal with a play operator: the output moves only if its distance from the signal would
+    exceed ``half``.
+
+    A position servo of stiffness k with dry friction T stands still while ``k |command - angle| < T``.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+    half : ndarray, shape (n,)
+        Half the width of the play: ``T / k`` for a servo. It may change in time.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Output, whose first value is that of the signal.
+    """
+    output = signal.copy()
+    for i in range(1, len(signal)):
+        output[i] = min(max(output[i - 1], signal[i] - half[i]), signal[i] + half[i])
+    return output
+
+
+def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
+    """Change a signal that has missing samples.
+
+    Missing samples are interpolated before the change, and are missing again after the change.
+    """
+    there = np.isfinite(signal)
+    if there.all():
+        return change(time_s, signal)
+    if not there.any():
+        return signal
+    filled = np.interp(time_s, time_s[there], signal[there])
+    return np.where(there, change(time_s, filled), np.nan)
+
+
+def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float]]:
+    """Yield time, command and largest known rate of the command, for each driven joint of each trial."""
+    for trial in trials:
+        if model.commanded(trial):
+            yield from model.commands(trial)
+
+
+def _strokes(trials: Trials) -> tuple[Array, Array]:
+    """Return frequency (Hz) and amplitude (rad) of every steady beat."""
+    beats = [np.zeros((2, 0)), *(np.stack(trial.steady) for trial in trials)]
+    frequency, amplitude = np.concatenate(beats, axis=1)
+    there = np.isfinite(frequency) & np.isfinite(amplitude) & (frequency > 0) & (amplitude > 0)
+    return frequency[there], amplitude[there]
+
+
+def typical_amplitude(model: Model, trials: Trials) -> float:
+    """Return the typical amplitude of a driven joint, rad, or the unit of a black-box model's input."""
+    sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
+    return typical(sizes or list(_strokes(trials)[1]), USUAL_ANGLE)
+
+
+def largest_rate(model: Model, trials: Trials) -> float:
+    """Return the largest rate of the commands, rad/s, or the unit of a black-box model's input per second."""
+    rates = [r for _, _, r in _signals(model, trials)]
+    for time, signal, _ in _signals(model, trials):
+        if len(time) > 1:
+            rates.append(float(np.max(np.abs(np.diff(signal) / np.diff(time)))))
+    frequency, amplitude_rad = _strokes(trials)
+    rates.extend(2 * math.pi * frequency * amplitude_rad)
+    return float(max(rates, default=0.0)) or 1.0
+
+
+def typical_period(model: Model, trials: Trials) -> float:
+    """Return the typical period of the beat, s; one second if it is unknown."""
+    return 1.0 / typical([f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0], 1.0)
+
+
+# ---------------------------------------------------------------- channels
+
+
+def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
+    """Return the channels that have samples in some trial."""
+    return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
+
+
+class Clock(Effect, ABC):
+    """An error of the clock of a log, or of the clock of the camera alone.
+
+    Parameters
+    ----------
+    camera : bool
+        Whether only the poses have the clock with the error.
+    """
+
+    needs = frozenset({"clock"})
+    smooth = True
+
+    def __init__(self, *, camera: bool = False) -> None:
+        self.camera = camera
+
+    def variants(self, model: Model, trials: Trials) -> Sequence[Effect]:
+        """Return the form for the clock of the log, and that for the camera if it has its own clock."""
+        forms = [*super().variants(model, trials)]
+        measured = {c for t in trials for c in t.measured}
+        rates = any(c.endswith("_rate_rad_s") for c in measured)
+        if "output" in model.offers and rates and measured & set(POSES):
+            forms.append(type(self)(camera=True))
+        return forms
+
+
+def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
+    """Return hooks for a camera with its own clock: it shows the poses of the times ``happened(time_s)``."""
+
+    def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+        # A cubic spline extrapolates well over two samples, but not further.
+        end = time_s[-1] + 2.0 * np.median(np.diff(time_s))
+        then = np.clip(happened(time_s), time_s[0], end)
+        poses = [c for c in POSES if c in channels]
+        values = np.column_stack([channels[c] for c in poses])
+        # Only values of a simulation without missing samples can be interpolated.
+        sound = np.isfinite(values).all(axis=0)
+        shifted = np.full(values.shape, np.nan)
+        shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
+        return {**channels, **dict(zip(poses, shifted.T, strict=True))}
+
+    return Hooks(output=(seen,) * (len(trial.time_s) > 3))
+
+
+class Sensing(Effect, ABC):
+    """An effect that changes log channels one by one. It applies if one of these channels is measured."""
+
+    needs = frozenset({"output"})
+    channels: ClassVar[tuple[str, ...]]
+
+    def applies(self, model: Model, trials: Trials) -> bool:
+        """Return whether one of the channels is measured."""
+        return super().applies(model, trials) and bool(select_measured(self.channels, trials))
+
+    def show(self, change: Callable[[str, Array], Array]) -> Hooks:
+        """Return hooks that apply ``change(name, simulated)`` to every channel of the effect."""
+
+        def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
+            mine = {n: change(n, v) for n, v in channels.items() if n in self.channels}
+            return {**channels, **mine}
+
+        return Hooks(output=(seen,))

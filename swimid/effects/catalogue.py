@@ -62,15 +62,12 @@ def from_file(path: str | Path) -> list[Effect]:
         try:
             effects[kind.name] = kind()
         except Exception as error:
-            raise InputError(
-                f"the effect {kind.__name__} cannot be made: {error}",
-                file=path,
-                line=_raised(error, path) or inspect.getsourcelines(kind)[1],
-            ) from error
+            line = _raised(error, path) or inspect.getsourcelines(kind)[1]
+            problem = f"the effect {kind.__name__} cannot be made: {error}"
+            raise InputError(problem, file=path, line=line) from error
     if not effects:
-        raise InputError(
-            "defines no effect", file=path, hint="derive a class from swimid.effects.base.Effect"
-        )
+        hint = "derive a class from swimid.effects.base.Effect"
+        raise InputError("defines no effect", file=path, hint=hint)
     return list(effects.values())
 
 
@@ -101,9 +98,8 @@ def _run(path: Path) -> ModuleType:
     except SyntaxError as error:
         raise InputError(f"is no valid Python: {error.msg}", file=path, line=error.lineno) from error
     except Exception as error:
-        raise InputError(
-            f"cannot be run: {type(error).__name__}: {error}", file=path, line=_raised(error, path)
-        ) from error
+        problem = f"cannot be run: {type(error).__name__}: {error}"
+        raise InputError(problem, file=path, line=_raised(error, path)) from error
     return module
 
 
@@ -115,21 +111,20 @@ def _raised(error: Exception, path: Path) -> int | None:
 
 def _check(kind: type[Effect], path: Path, taken: Collection[str]) -> None:
     """Raise an error if a user's effect lacks an attribute or has an invalid one."""
-    problem, hint = None, None
-    missing = [name for name in ("name", "stage", "meaning", "needs") if not hasattr(kind, name)]
-    unwritten = sorted(kind.__abstractmethods__)
-    if missing or unwritten:
-        problem = f"lacks {', '.join([*missing, *(f'{name}()' for name in unwritten)])}"
-    elif not isinstance(kind.name, str) or not kind.name or not isinstance(kind.meaning, str):
-        problem = "needs a name and a meaning in words"
-    elif kind.stage not in STAGES:
-        problem = f"is at the stage '{kind.stage}', which there is not"
-        hint = suggestion(str(kind.stage), STAGES)
-    elif isinstance(kind.needs, str) or not set(kind.needs) <= PLACES:
-        problem = f"needs {kind.needs!r}, which are no hooks"
-        hint = f"a set of: {', '.join(sorted(PLACES))}"
-    elif kind.name in taken:
-        problem = f"has a name that is used already: '{kind.name}'"
-    if problem:
-        line = inspect.getsourcelines(kind)[1]
-        raise InputError(f"the effect {kind.__name__} {problem}", file=path, line=line, hint=hint)
+    lacking = [name for name in ("name", "stage", "meaning") if not hasattr(kind, name)]
+    if not kind.needs and (kind.applies, kind.variants) == (Effect.applies, Effect.variants):
+        lacking.append("needs")
+    lacking += [f"{name}()" for name in sorted(kind.__abstractmethods__)]
+    name, stage, meaning, needs = (getattr(kind, n, "") for n in ("name", "stage", "meaning", "needs"))
+    hooks, stages = f"a set of: {', '.join(sorted(PLACES))}", suggestion(f"{stage}", STAGES)
+    faults = (
+        (lacking, f"lacks {', '.join(lacking)}", None),
+        (not name or {type(name), type(meaning)} != {str}, "needs a name and a meaning in words", None),
+        (stage not in STAGES, f"is at the stage '{stage}', which there is not", stages),
+        (isinstance(needs, str) or not set(needs) <= PLACES, f"needs {needs!r}, which are no hooks", hooks),
+        (name in taken, f"has a name that is used already: '{name}'", None),
+    )
+    for fault, problem, hint in faults:
+        if fault:
+            line = inspect.getsourcelines(kind)[1]
+            raise InputError(f"the effect {kind.__name__} {problem}", file=path, line=line, hint=hint)

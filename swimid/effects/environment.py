@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 from numba import cfunc
 from scipy.constants import g
 from scipy.interpolate import CubicSpline
 
-from swimid.effects import common
-from swimid.effects.base import (
-    SIZES,
-    Array,
-    Effect,
-    Effects,
-    Hooks,
-    Inside,
-    Model,
-    Parameter,
-    Parameters,
-    Trial,
-    Trials,
-)
-from swimid.effects.common import parameter
-from swimid.fitting.model import FORCE_SIGNATURE, Force, traceable, typical
+from swimid.effects import base
+from swimid.effects.base import SIZES, Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
+from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Parameter, traceable, typical
 
 
 @traceable(on="hull", constants=2)
@@ -44,7 +31,6 @@ class Buoyancy(Effect):
     name = "buoyancy"
     meaning = "buoyancy beyond weight, and its righting moment"
     sources = ("dolphin paper, section 4.1", "sea lion paper, discussion")
-    needs = frozenset({"force", "coefficients"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -53,7 +39,7 @@ class Buoyancy(Effect):
         """
         if model.rig is not None:
             return model.axes == ("z",) and not model.estimates("rest_position")
-        body = common.free_body(model)
+        body = base.free_body(model)
         return body is not None and body.vertical
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -70,8 +56,8 @@ class Buoyancy(Effect):
         """Return hooks that add the constant force and the moment."""
         body = model.body
         if body is not None:
-            return Hooks(force=(common.force_at_hull(body, rise, np.array(values, dtype=float)),))
-        return common.add_to_coefficient("force", values[0])
+            return Hooks(force=(base.force_at_hull(body, rise, np.array(values, dtype=float)),))
+        return base.add_to_coefficient(values[0], "force")
 
 
 #: Maximum speed of the current, divided by the typical speed of the robot.
@@ -104,8 +90,7 @@ class Current(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that move the water."""
-        velocity = np.zeros(2)
-        velocity[: len(values)] = values
+        velocity = np.pad(values, (0, 2 - len(values)))
 
         def flow(time_s: Array) -> tuple[Array, Array]:
             return np.outer(time_s, velocity), np.tile(velocity, (len(time_s), 1))
@@ -145,7 +130,6 @@ class SurfaceBreach(Effect):
     name = "surface-breach"
     meaning = "buoyancy lost above the surface"
     sources = ("dolphin paper, section 4.1",)
-    needs = frozenset({"force"})
 
     def __init__(self, levels_m: tuple[float, ...] = (0.0,)) -> None:
         """Set the levels at which the effect is tried."""
@@ -154,7 +138,7 @@ class SurfaceBreach(Effect):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for free swimmers in the vertical plane with a measured height."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
-        body = common.free_body(model)
+        body = base.free_body(model)
         if body is None or not body.vertical or not heights:
             return []
         values = np.concatenate(heights)
@@ -178,15 +162,13 @@ class SurfaceBreach(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the force and its moment to the heaviest link."""
-        body = common.require_links(model)
-        hull = body.hull
-        x, y = body.centre(hull)
+        body = model.body
+        x, y = body.centre(body.hull)
         a, b = x, y
-        if hull == 0:
+        if body.hull == 0:
             a, b = body.reference_m
-        quarter = 0.25 * body.lengths_m[hull]
-        constants = np.array([*values, x - a, y - b, quarter])
-        return Hooks(force=(common.force_at_hull(body, sink, constants),))
+        constants = np.array([*values, x - a, y - b, 0.25 * body.lengths_m[body.hull]])
+        return Hooks(force=(base.force_at_hull(body, sink, constants),))
 
 
 def _heights(trial: Trial) -> Trial:
@@ -229,11 +211,10 @@ class Tether(Effect):
     name = "tether"
     meaning = "cable that pulls the robot back the more the farther it is"
     sources = ("dolphin paper, section 1",)
-    needs = frozenset({"force", "coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a pulled body, a cruise or a free swimmer."""
-        return common.is_pulled(model) or model.timed_runs or common.free_body(model) is not None
+        return base.is_pulled(model) or model.timed_runs or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the stiffness, N/m, the slack, m, and further parameters that the motion can show.
@@ -247,14 +228,12 @@ class Tether(Effect):
             parameter("stiffness_N_m", "N/m", stiffness, "pull of the tether per length", lower=0.0),
             parameter("slack_m", "m", 0.2 * size, "length before it pulls", 0.0, size),
         )
+        drag, words = 0.3 * scales.force / (size * scales.speed**2), "distance of the anchor behind the start"
+        line = parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, "drag of the line per length", lower=0.0)
         if model.timed_runs:
             return pull
-        drag = 0.3 * scales.force / (size * scales.speed**2)
-        words = "drag of the line per length"
-        line = parameter("line_drag_N_s2_m3", "N s^2/m^3", drag, words, lower=0.0)
         if model.body is None:
             return (*pull, line)
-        words = "distance of the anchor behind the start"
         return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
     def tries(self, parameters: Parameters) -> list[Array]:
@@ -274,15 +253,14 @@ class Tether(Effect):
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
-            return common.add_to_coefficient("dry", mean)
+            return base.add_to_coefficient(mean, "dry")
+        line, anchor, (x, y) = list(values), (trial.rig.x0, 0.0), (0.0, 0.0)
         if model.body is not None:
             *line, behind = values
             start_x, start_y, heading = trial.swim.posed()
             anchor = (start_x - behind * math.cos(heading), start_y - behind * math.sin(heading))
             x, y = model.body.reference_m
-            return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
-        origin = trial.rig.x0
-        return Hooks(force=(Force(pull_back, np.array([*values, origin, 0.0])),))
+        return Hooks(force=(Force(pull_back, np.array([*line, *anchor]), x=x, y=y),))
 
 
 def _reach(model: Model, trials: Trials) -> float:
@@ -337,7 +315,6 @@ class Wall(Effect):
     name = "wall"
     meaning = "wall near the tracks"
     sources = ("tendon fish paper, section V", "dolphin paper, section 4.2.1")
-    needs = frozenset({"force"})
 
     def __init__(self, side: str = "x_max", extreme_m: float = 0.0) -> None:
         self.side = side
@@ -345,18 +322,17 @@ class Wall(Effect):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return one form per side for free swimmers, and the form for the far end for pulled bodies."""
-        free = common.free_body(model) is not None
         walls: list[Effect] = []
-        for axis in model.axes if free or common.is_pulled(model) else ():
+        for axis in model.axes:
             series = [t.measured[f"{axis}_m"] for t in trials if f"{axis}_m" in t.measured]
             values = np.concatenate([np.zeros(0), *series])
             values = values[np.isfinite(values)]
-            if len(values) and free:
-                walls += [
-                    _Push(f"{axis}_max", float(values.max())),
-                    _Push(f"{axis}_min", float(values.min())),
-                ]
-            elif len(values):
+            if not len(values):
+                continue
+            if base.free_body(model) is not None:
+                walls.append(_Push(f"{axis}_max", float(values.max())))
+                walls.append(_Push(f"{axis}_min", float(values.min())))
+            elif base.is_pulled(model):
                 walls.append(Wall(f"{axis}_max", float(values.max())))
         return walls
 
@@ -392,8 +368,8 @@ class Wall(Effect):
             axis, end = self.side.split("_")
             side = {"max": 1.0, "min": -1.0}[end]
             place = [side * (axis == "x"), side * (axis != "x"), side * self.extreme_m]
-            return Hooks(force=(common.force_at_hull(body, push_off, np.array([*values, *place])),))
-        return common.force_on_rig(blockage, [0.0, *values, self.extreme_m], quadratic=0)
+            return Hooks(force=(base.force_at_hull(body, push_off, np.array([*values, *place])),))
+        return base.force_on_rig(blockage, [0.0, *values, self.extreme_m], quadratic=0)
 
 
 class _Push(Wall):
@@ -401,7 +377,7 @@ class _Push(Wall):
     force.
     """
 
-    inside: ClassVar[Inside] = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}
+    inside = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}
 
 
 #: Lowest and highest tried frequency of waves, Hz.
@@ -440,8 +416,7 @@ class Waves(Effect):
     name = "waves"
     meaning = "oscillatory (orbital) flow: waves or their reflections"
     sources = ("dolphin paper, section 4.2.1", "tendon fish paper, section V")
-    needs = frozenset({"flow"})
-    inside: ClassVar[Inside] = {"frequency_hz": "lower"}
+    inside = {"frequency_hz": "lower"}
 
     def __init__(self, axis: str = "x", frequency_hz: float = 1.0) -> None:
         self.axis = axis
@@ -459,8 +434,7 @@ class Waves(Effect):
         for axis in model.axes:
             strongest = lines(model, trials, axis)
             found += [Waves(axis, line) for line in strongest]
-            if tracked:
-                found += [_Travelling(axis, line) for line in strongest[:TRAVELLED]]
+            found += [_Travelling(axis, line) for line in strongest[: TRAVELLED * tracked]]
         return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -473,10 +447,8 @@ class Waves(Effect):
         band = least, max(2.0 * HIGHEST, 2.0 * least)
         return (
             Parameter("frequency_hz", "Hz", *band, self.frequency_hz, near, meaning=words),
-            *(
-                parameter(f"{part}_{self.axis}_m_s", "m/s", size, f"{part} {along}", per_trial=True)
-                for part in ("cos", "sin")
-            ),
+            parameter(f"cos_{self.axis}_m_s", "m/s", size, f"cos {along}", per_trial=True),
+            parameter(f"sin_{self.axis}_m_s", "m/s", size, f"sin {along}", per_trial=True),
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
@@ -530,21 +502,17 @@ class _Travelling(Waves):
         if model.axes[1] == "y":
             toward = 0.5 * math.pi * (self.axis != "x")
             shared.append(parameter("direction_rad", "rad", 0.2, "direction of the waves", start=toward))
-        where = ("", "_quarter")
-        return (
-            *shared,
-            *(replace(p, name=p.name.replace("_m_s", f"{at}_m_s")) for at in where for p in (cosine, sine)),
-        )
+        quarter = [replace(p, name=p.name.replace("_m_s", "_quarter_m_s")) for p in (cosine, sine)]
+        return (*shared, cosine, sine, *quarter)
 
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return points with one amplitude at its scale, for the wavenumbers in deep and in shallow water."""
+        amplitudes = [j for j, p in enumerate(parameters) if p.per_trial]
         found = []
-        for wavenumber in wavenumbers(self.frequency_hz):
-            for j, p in enumerate(parameters):
-                if p.per_trial:
-                    point = np.array([q.start for q in parameters])
-                    point[1], point[j] = wavenumber, p.scale
-                    found.append(point)
+        for wavenumber, j in itertools.product(wavenumbers(self.frequency_hz), amplitudes):
+            point = np.array([p.start for p in parameters])
+            point[1], point[j] = wavenumber, parameters[j].scale
+            found.append(point)
         return found
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
@@ -597,9 +565,9 @@ def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
 
 def _simulated(model: Model, trial: Trial, channel: str) -> Array:
     """Return a channel of the simulation at the start values; zeros if the simulation fails."""
-    values = np.array(
-        [trial.starts.get(p.name, p.start) if p.per_trial else p.start for p in model.parameters]
-    )
+    own = [p.name for p in model.parameters if p.per_trial]
+    starts = {name: trial.starts[name] for name in own if name in trial.starts}
+    values = np.array([starts.get(p.name, p.start) for p in model.parameters])
     series = model.attempt(values, trial).get(channel)
     if series is None or not np.isfinite(series).all():
         return np.zeros(len(trial.time_s))
@@ -628,8 +596,8 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
         width = 1.0 / max(float(time[-1]), 1e-9)
         beat = trial.swim.beat
         simulated = _simulated(model, trial, name)[there]
-        base = oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
-        harmonics = [k * base for k in (1, 2, 3) if base > 0.0]
+        beating = oscillation(time, simulated) if beat is None else float(beat.frequency_hz)
+        harmonics = [k * beating for k in (1, 2, 3) if beating > 0.0]
         slow = np.polynomial.legendre.legvander(2.0 * time * width - 1.0, ORDER)
         waves = [f(2.0 * math.pi * h * time) for h in harmonics for f in (np.cos, np.sin)]
         known = np.linalg.qr(np.column_stack([slow, *waves]))[0]
@@ -648,9 +616,7 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
     for k in np.argsort(-score):
         if score[k] > 0 and all(abs(grid[k] - f) > 0.75 / length for f in strongest):
             strongest.append(float(grid[k]))
-        if len(strongest) == LINES:
-            break
-    return tuple(strongest)
+    return tuple(strongest[:LINES])
 
 
 def oscillation(time_s: Array, series: Array) -> float:

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects import common
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.fitting.model import traceable
+from swimid.effects import base
+from swimid.effects.base import Effect, Effects, Parameters, Trials, parameter
+from swimid.fitting.model import Array, Hooks, Model, Trial, traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
 #: Minimum inertia that may remain, as a fraction of the rigid body's inertia.
@@ -27,12 +26,11 @@ class AddedMass(Effect):
     name = "added-mass"
     meaning = "added mass beyond the model's"
     sources = ("boxfish paper, Eq 8", "tendon fish paper, Eq 6", "dolphin paper, Eq 7")
-    needs = frozenset({"coefficients", "tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a rig or a free swimmer."""
-        return model.rig is not None or common.free_body(model) is not None
+        return model.rig is not None or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the added mass along and across all links, kg, or the added mass of a rig (added inertia
@@ -49,7 +47,7 @@ class AddedMass(Effect):
                 parameter("tail_kg", "kg", size, tail, lower=-0.5 * LEAST * masses[-1]),
             )
         linear, angular = ("added_kg", "kg", "added mass"), ("added_kg_m2", "kg m^2", "added inertia")
-        name, unit, words = common.pick_by_motion(model, linear, angular)
+        name, unit, words = base.pick_by_motion(model, linear, angular)
         size = model.scales(trials).inertia
         own = size - model.start("added_mass", "added_inertia")
         return (parameter(name, unit, 0.05 * size, words, lower=-LEAST * own),)
@@ -68,7 +66,7 @@ class AddedMass(Effect):
                 body.weigh(tables, len(masses) - 1, points[-1], 0.0, values[2])
 
             return Hooks(tables=(carry,))
-        return common.add_to_coefficient("inertia", values[0])
+        return base.add_to_coefficient(values[0], "inertia")
 
 
 #: Speed, m/s or rad/s, below which the drag is zero. It avoids a division by zero.
@@ -101,7 +99,6 @@ class DragReynolds(Effect):
     name = "drag-reynolds"
     meaning = "drag coefficient that falls with speed"
     sources = ("Schlichting and Gersten 2017, Boundary-Layer Theory, chapters 6 and 18",)
-    needs = frozenset({"force"})
     smooth = True
 
     def __init__(self, reference_m_s: float = 0.3, *, whole: bool = False) -> None:
@@ -111,37 +108,45 @@ class DragReynolds(Effect):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the forms for rigs and for free swimmers with quadratic drag."""
         body, typical = model.body, model.scales(trials).speed
+        forms = [DragReynolds(typical)]
         if body is None:
-            return [DragReynolds(typical)] if "force" in model.offers else []
+            return forms * ("force" in model.offers)
         if not body.free or body.axial_drag(body.tables()) <= 0:
             return []
         speeds = [model.scales([trial]).speed for trial in trials]
         # Trials of a single speed do not show how the drag changes with speed.
-        if not speeds or max(speeds) <= (1.0 + FREQUENCY_RTOL) * min(speeds):
-            return [DragReynolds(typical)]
-        return [DragReynolds(typical), DragReynolds(typical, whole=True)]
+        if speeds and max(speeds) > (1.0 + FREQUENCY_RTOL) * min(speeds):
+            forms.append(DragReynolds(typical, whole=True))
+        return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the exponent n."""
-        name = "trial_exponent" if self.whole else "exponent"
-        return (parameter(name, "1", 0.2, "the drag coefficient falls as speed^-n", -1.5, 1.5),)
+        return (
+            parameter(
+                f"{self.whole * 'trial_'}exponent",
+                "1",
+                0.2,
+                "the drag coefficient falls as speed^-n",
+                -1.5,
+                1.5,
+            ),
+        )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that change the model's quadratic drag, or its drag coefficients."""
         body = model.body
         if self.whole:
-            whole = common.require_links(model)
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
-            return Hooks(tables=(lambda tables: whole.drag_times(tables, factor),))
+            return Hooks(tables=(lambda tables: body.drag_times(tables, factor),))
         constants = np.array([0.0, values[0], self.reference_m_s])
         if body is not None:
 
             def read(tables: dict[str, Any]) -> None:
                 constants[0] = body.axial_drag(tables)
 
-            return Hooks(tables=(read,), force=(common.force_at_hull(body, changed_drag, constants),))
+            return Hooks(tables=(read,), force=(base.force_at_hull(body, changed_drag, constants),))
 
-        return common.force_on_rig(changed_drag, constants, quadratic=0)
+        return base.force_on_rig(changed_drag, constants, quadratic=0)
 
 
 class LiftDamping(Effect):
@@ -159,12 +164,11 @@ class LiftDamping(Effect):
         "Hoerner and Borst 1985, Fluid-Dynamic Lift (streamline bodies)",
         "Prestero 2001, MIT (simulation of the REMUS vehicle: body lift)",
     )
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a free swimmer with drag across a link."""
-        body = common.free_body(model)
+        body = base.free_body(model)
         return body is not None and len(body.normal_drag(body.tables())[0]) > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -174,14 +178,14 @@ class LiftDamping(Effect):
         ratio is about 1 per rad, as large as a drag coefficient across the body. A tenth of this lift is
         visible.
         """
-        body = common.require_links(model)
+        body = model.body
         size = 0.1 * float(body.normal_drag(body.tables())[1][:, 2].sum())
         words = "force across the links per speed and speed across"
         return (parameter("lift_N_s2_m2", "N s^2/m^2", size, words, 0.0, 100.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add lift at the points of the model's drag across the links."""
-        body = common.require_links(model)
+        body = model.body
         links, points = body.normal_drag(body.tables())
         points[:, 2] *= float(values[0]) / points[:, 2].sum()
         return Hooks(tables=(lambda tables: body.lift(tables, links, points),))
@@ -228,10 +232,10 @@ class LinearDrag(Effect):
         if body is not None:
             at = body.centre(body.hull)
             return Hooks(tables=(lambda tables: body.drag_more(tables, body.hull, at, values[0]),))
-        return common.add_to_coefficient("linear", values[0])
+        return base.add_to_coefficient(values[0], "linear")
 
 
-class QuadraticDrag(common.RigCoefficient):
+class QuadraticDrag(base.RigCoefficient):
     """Drag ``-c v |v|`` of separated flow: form drag of a towed body, or vortex damping of a body that
     swings.
     """
@@ -248,7 +252,7 @@ class QuadraticDrag(common.RigCoefficient):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the drag per squared speed, N s2/m2, or N m s2/rad2 for an angle."""
         linear, angular = ("quadratic_N_s2_m2", "N s^2/m^2"), ("quadratic_N_m_s2_rad2", "N m s^2/rad^2")
-        name, unit = common.pick_by_motion(model, linear, angular)
+        name, unit = base.pick_by_motion(model, linear, angular)
         scales = model.scales(trials)
         size = scales.brake / scales.speed**2
         return (parameter(name, unit, size, "drag per squared speed", lower=-scales.quadratic),)
@@ -269,7 +273,6 @@ class WakeLift(Effect):
     name = "wake-lift"
     meaning = "reactive force of the fin: momentum shed into the wake"
     sources = ("Lighthill 1971, Proc. R. Soc. Lond. B 179:125",)
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -280,7 +283,7 @@ class WakeLift(Effect):
         """Return the added mass per length at the trailing edge, kg/m. The scale comes from a square plate
         of the link's length.
         """
-        body = common.require_links(model)
+        body = model.body
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
         words = "added mass per length at the trailing edge"
         most = MOST * plate
@@ -288,5 +291,5 @@ class WakeLift(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add a trailing edge."""
-        body = common.require_links(model)
+        body = model.body
         return Hooks(tables=(lambda tables: body.shed(tables, float(values[0])),))

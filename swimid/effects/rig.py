@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numba
 import numpy as np
 
-from swimid.effects import common
-from swimid.effects.base import SIZES, Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
+from swimid.effects import base
+from swimid.effects.base import SIZES, Effect, Effects, Parameters, Trials, parameter
+from swimid.fitting.model import Array, Hooks, Model, Trial
 
 
-class InitialSpeed(common.RigCoefficient):
+class InitialSpeed(base.RigCoefficient):
     """An initial speed that is equal in every trial."""
 
     name = "initial-speed"
@@ -23,11 +24,11 @@ class InitialSpeed(common.RigCoefficient):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the speed, m/s or rad/s."""
-        name, unit = common.pick_by_motion(model, ("speed_m_s", "m/s"), ("speed_rad_s", "rad/s"))
+        name, unit = base.pick_by_motion(model, ("speed_m_s", "m/s"), ("speed_rad_s", "rad/s"))
         return (parameter(name, unit, 0.1 * model.scales(trials).speed, self.meaning),)
 
 
-class PulleyFriction(common.RigCoefficient):
+class PulleyFriction(base.RigCoefficient):
     """Dry friction of a rig in addition to that of the model, ``f_c sgn(v)`` in boxfish, Eq 7.
 
     On a falling-weight rig it is the friction of the pulley, in the trials with a pulley. If no trial has a
@@ -45,18 +46,18 @@ class PulleyFriction(common.RigCoefficient):
 
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for the pulley or for the slide, if the model does not estimate the friction."""
-        form = PulleyFriction(everywhere=not common.has_pulley(trials))
-        return common.RigCoefficient.variants(form, model, trials)
+        form = PulleyFriction(everywhere=not base.has_pulley(trials))
+        return base.RigCoefficient.variants(form, model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the friction in addition to that of the model, N (N m for an angle)."""
-        name, unit = common.pick_by_motion(model, ("friction_N", "N"), ("friction_N_m", "N m"))
+        name, unit = base.pick_by_motion(model, ("friction_N", "N"), ("friction_N_m", "N m"))
         words = "dry friction beyond the model's"
         size = model.scales(trials).brake
         return (parameter(name, unit, size, words, lower=-model.start(*self.own)),)
 
 
-class PulleyInertia(common.RigCoefficient):
+class PulleyInertia(base.RigCoefficient):
     """The pulley's moment of inertia divided by its squared radius, added to M in Eq 8 of the boxfish paper.
 
     Trials of one body in water do not distinguish it from added mass. Trials with and without a pulley do.
@@ -75,7 +76,7 @@ class PulleyInertia(common.RigCoefficient):
         return (parameter("inertia_kg", "kg", size, words, lower=0.0),)
 
 
-class PulleyViscous(common.RigCoefficient):
+class PulleyViscous(base.RigCoefficient):
     """Friction ``-b v`` proportional to the speed of the pulley, as in a lubricated bearing."""
 
     name = "pulley-viscous"
@@ -92,7 +93,7 @@ class PulleyViscous(common.RigCoefficient):
         return (parameter("viscous_N_s_m", "N s/m", size, "friction of the pulley per speed", lower=least),)
 
 
-class StartOffset(common.RigCoefficient):
+class StartOffset(base.RigCoefficient):
     """A displacement at release that is equal in every trial."""
 
     name = "start-offset"
@@ -103,7 +104,7 @@ class StartOffset(common.RigCoefficient):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the displacement, m or rad."""
-        unit = common.pick_by_motion(model, "m", "rad")
+        unit = base.pick_by_motion(model, "m", "rad")
         return (parameter(f"offset_{unit}", unit, 0.01 * model.scales(trials).span, self.meaning),)
 
 
@@ -164,11 +165,10 @@ class StringStretch(Effect):
     name = "string-stretch"
     meaning = "stretch of the string between the body and the counted pulley"
     sources = ("boxfish paper, section 3.3",)
-    needs = frozenset({"coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether a weight pulls over a pulley."""
-        return common.is_pulled(model) and common.has_pulley(trials)
+        return base.is_pulled(model) and base.has_pulley(trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the compliance, m/N, the fraction of the weight that the string takes up only after the
@@ -187,11 +187,8 @@ class StringStretch(Effect):
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return sizes of the compliance, for a string that is slack and for one that is taut at release."""
         compliance, _, damping = parameters
-        return [
-            np.array([size * compliance.scale, unloaded, damping.start])
-            for unloaded in (1.0, 0.0)
-            for size in SIZES
-        ]
+        sizes = itertools.product((1.0, 0.0), SIZES)
+        return [np.array([size * compliance.scale, unloaded, damping.start]) for unloaded, size in sizes]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the stretch to the displacement that the pulley measures."""

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from swimid.effects import common
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.fitting.model import MEAN_SPEED, NONE
+from swimid.effects import base
+from swimid.effects.base import Effect, Effects, Parameters, Trials, parameter
+from swimid.fitting.model import MEAN_SPEED, NONE, Array, Hooks, Model, Trial
 
 
 class CameraRotation(Effect):
@@ -26,9 +25,8 @@ class CameraRotation(Effect):
         """Return whether both positions are measured and the model does not estimate the rotation of the
         camera.
         """
-        if model.body is None or model.estimates("camera_rotation"):
-            return False
-        return super().applies(model, trials) and _both_measured(model, trials)
+        known = model.body is None or model.estimates("camera_rotation")
+        return not known and super().applies(model, trials) and _both_measured(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the rotation angle, rad."""
@@ -37,33 +35,28 @@ class CameraRotation(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that rotate the positions."""
-        angle = float(values[0])
-        first, second, _ = common.require_links(model).pose
+        first, second, _ = model.body.pose
         origin = model.origin(trial)
+        # Add the difference to the unrotated position, so that a zero angle changes nothing.
+        turn = np.exp(1j * values[0]) - 1.0
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-            a, b = channels[first] - origin[first], channels[second] - origin[second]
-            # Add the difference to the unrotated position, so that a zero angle changes nothing.
-            c, s = math.cos(angle) - 1.0, math.sin(angle)
-            return {
-                **channels,
-                first: channels[first] + c * a - s * b,
-                second: channels[second] + s * a + c * b,
-            }
+            change = turn * (channels[first] - origin[first] + 1j * (channels[second] - origin[second]))
+            return {**channels, first: channels[first] + change.real, second: channels[second] + change.imag}
 
         return Hooks(output=(seen,))
 
 
 def _both_measured(model: Model, trials: Trials) -> bool:
     """Return whether both coordinates of the position of a planar robot are measured."""
-    return len(common.select_measured(common.require_links(model).pose[:2], trials)) == 2
+    return len(base.select_measured(model.body.pose[:2], trials)) == 2
 
 
 #: Number of Newton steps in the computation of a position from its image.
 ITERATIONS = 8
 
 
-class CameraScale(common.Sensing):
+class CameraScale(base.Sensing):
     """Measured displacements from the start of the trial, and speeds, that are multiplied by ``1 +
     scale_error``.
 
@@ -78,7 +71,7 @@ class CameraScale(common.Sensing):
         "tendon fish, section V (global camera)",
         "robotic dolphin, section 4 (global camera)",
     )
-    channels = common.LENGTHS
+    channels = base.LENGTHS
     smooth = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
@@ -86,7 +79,7 @@ class CameraScale(common.Sensing):
         distortion.
         """
         found = super().variants(model, trials)
-        if found and common.free_body(model) and _both_measured(model, trials):
+        if found and base.free_body(model) and _both_measured(model, trials):
             return [*found, _Lens()]
         return found
 
@@ -123,21 +116,15 @@ class _Lens(CameraScale):
         middle = complex(np.mean(places)) if len(places) else 0j
         reach = max(float(np.max(np.abs(places - middle), initial=0.0)), 1e-3)
         (scale,) = super().parameters(model, trials)
-        first, second = common.require_links(model).pose[:2]
-        return (
-            scale,
-            parameter(
-                "distortion_1_m2", "1/m^2", 0.03 / reach**2, "radial distortion of the picture",
-                -0.2 / reach**2, 0.5 / reach**2,
-            ),
-            *(
-                parameter(
-                    f"centre_{name}", "m", 0.5 * reach, "centre of the picture",
-                    at - 3.0 * reach, at + 3.0 * reach, start=at,
-                )
-                for name, at in ((first, middle.real), (second, middle.imag))
-            ),
-        )  # fmt: skip
+        area, words = reach**2, "radial distortion of the picture"
+        bend = parameter("distortion_1_m2", "1/m^2", 0.03 / area, words, -0.2 / area, 0.5 / area)
+        size, far, words = 0.5 * reach, 3.0 * reach, "centre of the picture"
+        first, second = model.body.pose[:2]
+        centre = [
+            parameter(f"centre_{name}", "m", size, words, at - far, at + far, start=at)
+            for name, at in ((first, middle.real), (second, middle.imag))
+        ]
+        return (scale, bend, *centre)
 
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return points with either the scale error or the distortion, with both signs. The centre alone
@@ -150,7 +137,7 @@ class _Lens(CameraScale):
         the image.
         """
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
-        first, second = common.require_links(model).pose[:2]
+        first, second = model.body.pose[:2]
         origin = model.origin(trial)
         begin = complex(origin[first], origin[second])
 
@@ -167,12 +154,12 @@ class _Lens(CameraScale):
         for _ in range(ITERATIONS):
             slope = 1.0 + 3.0 * bent * distance**2
             distance -= (distance * (1.0 + bent * distance**2) - shown) / slope
-        away = off * (distance / abs(off) - 1.0) if off else 0j
+        away = off * (distance / (abs(off) or 1.0) - 1.0)
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             place = channels[first] + 1j * channels[second] + away
             change = moved(place) + away
-            speeds = {n: error * v for n, v in channels.items() if n in common.SPEEDS}
+            speeds = {n: error * v for n, v in channels.items() if n in base.SPEEDS}
             shown = {first: channels[first] + change.real, second: channels[second] + change.imag}
             return {**channels, **speeds, **shown}
 
@@ -181,7 +168,7 @@ class _Lens(CameraScale):
 
 def _places(model: Model, trial: Trial) -> Array:
     """Return the measured positions of the body as complex numbers (two axes); empty if they are unknown."""
-    first, second = (trial.measured.get(name) for name in common.require_links(model).pose[:2])
+    first, second = (trial.measured.get(name) for name in model.body.pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
     return np.asarray(first + 1j * second)
@@ -191,7 +178,7 @@ def _places(model: Model, trial: Trial) -> Array:
 LARGEST = 0.1
 
 
-class ClockRate(common.Clock):
+class ClockRate(base.Clock):
     """A clock that runs fast: the time stamp ``t`` belongs to the event at ``t_0 + (t - t_0) / (1 + rate)``.
 
     The clocks of log and drive agree at ``t_0``, where the drive or the run begins (the first sample of a
@@ -212,31 +199,27 @@ class ClockRate(common.Clock):
 
         The scale of 0.2 % is 20 ms after 10 s, which is a visible offset.
         """
-        name = "camera_rate" if self.camera else "rate"
-        words = "share by which the clock of the log is fast"
+        name, words = f"{self.camera * 'camera_'}rate", "share by which the clock of the log is fast"
         return (parameter(name, "1", 0.002, words, -LARGEST, LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that let the clock drift from the beginning of the run."""
-        rate = float(values[0])
         begin = model.onset(trial)
         if not math.isfinite(begin):
             begin = float(trial.time_s[0])
-        drift = rate / (1.0 + rate)
-        if not self.camera:
-            return Hooks(clock_s=-drift * begin, clock_drift=drift)
-        if rate == 0.0:
-            return Hooks()
-        return common.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
+        drift = float(values[0]) / (1.0 + float(values[0]))
+        if self.camera and drift:
+            return base.shift_poses(trial, lambda time_s: time_s - drift * (time_s - begin))
+        return Hooks(clock_s=-drift * begin, clock_drift=drift)
 
 
-class ImuBias(common.Sensing):
+class ImuBias(base.Sensing):
     """A constant that is added to the measured turn rate."""
 
     name = "imu-bias"
     meaning = "The gyroscope shows a constant turn rate at rest."
     sources = ("long-fin vehicle, section 5.2 (drift and calibration errors; the mean is filtered out)",)
-    channels = common.TURN_RATES
+    channels = base.TURN_RATES
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -248,13 +231,13 @@ class ImuBias(common.Sensing):
         return self.show(lambda name, rate: rate + float(values[0]))
 
 
-class ImuTilt(common.Sensing):
+class ImuTilt(base.Sensing):
     """A tilted gyroscope: the turn rate in the plane of motion is multiplied by the cosine of the tilt."""
 
     name = "imu-tilt"
     meaning = "The inertial sensor is tilted: its axis sees only part of the turn rate."
     sources = ("long-fin vehicle, section 5 (inertial unit fixed in the hull)",)
-    channels = common.TURN_RATES
+    channels = base.TURN_RATES
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the tilt, rad."""
@@ -278,7 +261,6 @@ class MarkerDropout(Effect):
         "tendon fish, section V.A (failed detection of the colour labels at 4 s)",
         "sea lion, section II (two markers tracked)",
     )
-    needs = frozenset()
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return no parameters, because the effect is not simulated."""
@@ -309,10 +291,10 @@ class MarkerOffset(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether a pose or a velocity of the body is measured."""
-        body = common.free_body(model)
+        body = base.free_body(model)
         if body is None or not super().applies(model, trials):
             return False
-        return bool(common.select_measured((*body.pose, *body.velocity[:2]), trials))
+        return bool(base.select_measured((*body.pose, *body.velocity[:2]), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the position of the tracked point ahead of and beside the reference point, m, and its
@@ -327,24 +309,23 @@ class MarkerOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that show pose and velocity of the tracked point."""
-        body = common.require_links(model)
-        along, across, turn = (float(v) for v in values)
+        body = model.body
+        along, across, angle = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
+        # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
+        offset, turn = complex(along, across), np.exp(-1j * angle) - 1.0
 
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
-            yaw, r = channels[heading], channels[rate]
-            c, s = np.cos(yaw), np.sin(yaw)
-            a, b = along * c - across * s, along * s + across * c
-            u, v = channels[ahead] - across * r, channels[beside] + along * r
-            # Add the difference to the unrotated velocity, so that a zero angle changes nothing.
-            cosine, sine = math.cos(turn) - 1.0, math.sin(turn)
+            place = offset * np.exp(1j * channels[heading])
+            velocity = channels[ahead] + 1j * channels[beside] + 1j * offset * channels[rate]
+            velocity = velocity + turn * velocity
             return {
                 **channels,
-                first: channels[first] + a - a[0],
-                second: channels[second] + b - b[0],
-                heading: yaw + turn,
-                ahead: u + cosine * u + sine * v,
-                beside: v + cosine * v - sine * u,
+                first: channels[first] + (place - place[0]).real,
+                second: channels[second] + (place - place[0]).imag,
+                heading: channels[heading] + angle,
+                ahead: velocity.real,
+                beside: velocity.imag,
             }
 
         return Hooks(output=(seen,))
@@ -354,7 +335,7 @@ class MarkerOffset(Effect):
 LARGEST_S = 2.0
 
 
-class TimeOffset(common.Clock):
+class TimeOffset(base.Clock):
     """A clock with a constant offset, so that the log shows events earlier and a timed run takes longer.
 
     If a log contains turn rates in addition to poses, the clock of the camera alone may be late relative to
@@ -382,17 +363,14 @@ class TimeOffset(common.Clock):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the time by which the log is late, s."""
-        name = "camera_offset_s" if self.camera else "offset_s"
-        typical = 0.1 if model.timed_runs else 0.03
-        return (parameter(name, "s", typical, "time by which the log is late", -LARGEST_S, LARGEST_S),)
+        name, size = f"{self.camera * 'camera_'}offset_s", max(0.03, 0.1 * model.timed_runs)
+        return (parameter(name, "s", size, "time by which the log is late", -LARGEST_S, LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that delay the clock, or lengthen the durations of cruising runs."""
         offset = float(values[0])
-        if self.camera and offset != 0.0:
-            return common.shift_poses(trial, lambda time_s: time_s - offset)
-        if self.camera:
-            return Hooks()
+        if self.camera and offset:
+            return base.shift_poses(trial, lambda time_s: time_s - offset)
         if not model.timed_runs:
             return Hooks(clock_s=offset)
         distance = trial.inputs["distance_m"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC
 from dataclasses import replace
@@ -10,10 +11,9 @@ from typing import Any
 import numpy as np
 from numba import cfunc
 
-from swimid.effects import common
-from swimid.effects.base import Array, Effect, Effects, Hooks, Model, Parameters, Trial, Trials
-from swimid.effects.common import parameter
-from swimid.fitting.model import FORCE_SIGNATURE, Force, Stroke, traceable, typical
+from swimid.effects import base
+from swimid.effects.base import Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
+from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Stroke, traceable, typical
 
 
 class ComOffset(Effect):
@@ -26,18 +26,17 @@ class ComOffset(Effect):
     name = "com-offset"
     meaning = "centre of mass of the hull off the model's"
     sources = ("sea lion paper, section on identification", "tendon fish paper, Table II")
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a free swimmer."""
-        return common.free_body(model) is not None
+        return base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the offsets of the centre of mass, m: forwards, and to port (upwards in the vertical
         plane).
         """
-        body = common.require_links(model)
+        body = model.body
         length = body.lengths_m[body.hull]
         size, most = 0.01 * length, 0.2 * length
         return tuple(
@@ -47,7 +46,7 @@ class ComOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that move the mass and its weight."""
-        body = common.require_links(model)
+        body = model.body
         by = float(values[0]), float(values[1])
         return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))
 
@@ -89,7 +88,6 @@ class FinFlexibility(Effect):
     name = "fin-flexibility"
     meaning = "caudal fin that bends under its load"
     sources = ("dolphin paper, section 1", "Katz and Weihs 1978, J. Fluid Mech. 88:485")
-    needs = frozenset({"force", "stroke"})
 
     def __init__(self, load: float = 1.0, inertia_kg_m2: float = 1.0) -> None:
         self.load, self.inertia_kg_m2 = load, inertia_kg_m2
@@ -148,14 +146,12 @@ def _stroke_speed(model: Model, length: float, trials: Trials) -> float:
 
 def _typical(trials: Trials) -> tuple[float, float]:
     """Return the median load and the median inertia of the fins; 1 if unknown."""
-    middle = typical([t.cruise.inertia_kg_m2 for t in trials if t.cruise.inertia_kg_m2 is not None], 1.0)
+    known = [t.cruise.inertia_kg_m2 for t in trials]
+    middle = typical([own for own in known if own is not None], 1.0)
     loads: list[float] = []
-    for trial in trials:
-        own = trial.cruise.inertia_kg_m2
-        if own is None:
-            own = middle
+    for trial, own in zip(trials, known, strict=True):
         frequency, amplitude = (np.where(np.isnan(v), 1.0, v) for v in trial.steady)
-        loads += list(np.square(frequency) * np.abs(amplitude) * own)
+        loads += list(np.square(frequency) * np.abs(amplitude) * (middle if own is None else own))
     return typical(loads, 1.0), middle
 
 
@@ -179,7 +175,6 @@ class Hardening(Effect):
         "tendon fish paper, Eqs 3 and 4",
         "Kovacic and Brennan 2011, The Duffing Equation, chapter 2",
     )
-    needs = frozenset({"tables", "force"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a swimmer with a spring in a joint, or a free decay."""
@@ -191,8 +186,7 @@ class Hardening(Effect):
         With the scale, the torque at the largest deflection is larger by a fifth. The lower bound keeps the
         stiffness of a softening spring positive up to the largest deflection, ``1 + 3 h q^2 > 0``.
         """
-        largest = _deflection(model, trials)
-        unit = "rad"
+        largest, unit = _deflection(model, trials), "rad"
         if model.rig is not None:
             unit = model.rig.displacement.unit
         size, least = 0.2 / largest**2, -1.0 / (3.0 * largest**2)
@@ -203,8 +197,8 @@ class Hardening(Effect):
         """Return hooks that add a cubic term to the springs."""
         body = model.body
         if body is not None:
-            return common.change_springs(body, lambda own: {"cubic": max(own, 0.0) * values[0]})
-        return common.force_on_rig(cubic, [values[0], 0.0, 0.0], stiffness=1, rest=2)
+            return base.change_springs(body, lambda own: {"cubic": max(own, 0.0) * values[0]})
+        return base.force_on_rig(cubic, [values[0], 0.0, 0.0], stiffness=1, rest=2)
 
 
 def _deflection(model: Model, trials: Trials) -> float:
@@ -213,7 +207,7 @@ def _deflection(model: Model, trials: Trials) -> float:
         return 0.5 * model.scales(trials).span
     columns = [axis.column for axis in model.body.passive]
     seen = [np.abs(t.measured[c]) for t in trials for c in columns if c in t.measured]
-    return typical([float(np.nanmax(s)) for s in seen if np.isfinite(s).any()], common.USUAL_ANGLE)
+    return typical([float(np.nanmax(s)) for s in seen if np.isfinite(s).any()], base.USUAL_ANGLE)
 
 
 def _has_spring(model: Model) -> bool:
@@ -231,7 +225,6 @@ class JointDamping(Effect):
     name = "joint-damping"
     meaning = "viscous friction of the passive joints beyond the model's"
     sources = ("tendon fish paper, Eq 5", "dolphin paper, Eq 5")
-    needs = frozenset({"tables"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -240,7 +233,7 @@ class JointDamping(Effect):
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the torque per rate, N m s/rad. The scale corresponds to a damping ratio of 0.05."""
-        body = common.require_links(model)
+        body = model.body
         tables, joints = body.tables(), range(len(body.passive))
         sizes = [
             math.sqrt(max(body.stiffness(tables, k), 1e-6) * body.joint_inertia(tables, k)) for k in joints
@@ -251,7 +244,7 @@ class JointDamping(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add to the damping."""
-        return common.change_springs(common.require_links(model), lambda _: {"damping": values[0]})
+        return base.change_springs(model.body, lambda _: {"damping": values[0]})
 
 
 #: Maximum locked fraction of a joint. The second value is the stiffness that a locked fraction of one half
@@ -278,7 +271,6 @@ class JointLocked(Effect):
     name = "joint-locked"
     meaning = "a joint that is held fast, wholly or in part"
     sources = ("dolphin paper, section 4.2.1",)
-    needs = frozenset({"command", "tables"})
 
     def __init__(self, column: str = "joint1_rad") -> None:
         self.column = column
@@ -289,14 +281,11 @@ class JointLocked(Effect):
         """
         if model.body is None:
             return []
-        columns = [axis.column for axis in model.body.passive]
         given = any(t.swim.commanded for t in trials)
         beaten = any(t.swim.joints is None for t in trials)
-        for axis in model.body.driven:
-            law = axis.driven
-            assert law is not None
-            if given or (beaten and (law.gain != 0.0 or law.bias_gain)):
-                columns.append(axis.column)
+        laws = [(axis.column, axis.driven) for axis in model.body.driven]
+        columns = [name for name, law in laws if given or (beaten and (law.gain or law.bias_gain))]
+        columns += [axis.column for axis in model.body.passive]
         return [JointLocked(column) for column in sorted(columns)]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -306,7 +295,7 @@ class JointLocked(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that hold the joint."""
-        body = common.require_links(model)
+        body = model.body
         lock = float(values[0])
         driven = [axis.column for axis in body.driven]
         if self.column in driven:
@@ -339,7 +328,6 @@ class JointStiffness(Effect):
     name = "joint-stiffness"
     meaning = "stiffness of the passive joints against the model's"
     sources = ("tendon fish paper, Eqs 3 and 4", "dolphin paper, Eq 5 and section 4.2.1")
-    needs = frozenset({"tables", "coefficients"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the model is a swimmer with a spring, or a free decay whose stiffness is not
@@ -366,9 +354,7 @@ class JointStiffness(Effect):
         body = model.body
         if body is not None:
             stiffer, harder = values
-            return common.change_springs(
-                body, lambda own: {"stiffness": own * stiffer, "cubic": own * harder}
-            )
+            return base.change_springs(body, lambda own: {"stiffness": own * stiffer, "cubic": own * harder})
 
         def restoring(c: dict[str, float]) -> None:
             c["stiffness"] *= 1.0 + values[0]
@@ -419,7 +405,7 @@ class Friction(Effect, ABC):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return the form for rigs, or the form for models that a command drives in some trial."""
         if model.rig is not None:
-            return [type(self)(everywhere=not common.has_pulley(trials))]
+            return [type(self)(everywhere=not base.has_pulley(trials))]
         return super().variants(model, trials)
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -445,7 +431,6 @@ class LoadFriction(Friction):
         "Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30:1083",
         "Reid 1956, J. R. Aeronaut. Soc. 60:283",
     )
-    needs = frozenset({"command", "coefficients", "force"})
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
@@ -480,26 +465,26 @@ class LoadFriction(Friction):
 
             def command(time_s: Array, angle: Array, joint: int) -> Array:
                 def stuck(time: Array, told: Array) -> Array:
-                    return np.asarray(common.hold_back(told, share * _torque(loads[joint], time, told)))
+                    return np.asarray(base.hold_back(told, share * _torque(loads[joint], time, told)))
 
-                return common.bridge_missing(stuck, time_s, angle)
+                return base.bridge_missing(stuck, time_s, angle)
 
-            return common.on_command(model, trial, command)
+            return base.on_command(model, trial, command)
         if not (trial.rig.pulley or self.everywhere):
             return Hooks()
         measured = trial.inputs.get("force_N")
         if measured is None and not model.rig.swings:
-            return common.add_to_coefficient("dry", share * abs(trial.rig.pull))
+            return base.add_to_coefficient(share * abs(trial.rig.pull), "dry")
         slow = ROUND * model.scales([trial]).speed
         constants = np.array([share, slow, 0.0, 0.0])
         if measured is not None:
             constants = np.concatenate([constants, trial.time_s, measured])
-        return common.force_on_rig(loaded, constants, stiffness=2, rest=3)
+        return base.force_on_rig(loaded, constants, stiffness=2, rest=3)
 
 
 def _loads(model: Model) -> list[tuple[float, float]]:
     """Return inertia and quadratic drag of the links that each driven joint moves."""
-    body = common.require_links(model)
+    body = model.body
     tables = body.tables()
     return [body.carried(tables, k) for k in range(len(body.driven))]
 
@@ -537,7 +522,6 @@ class Stribeck(Friction):
         "Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30:1083",
         "boxfish paper, Eq 7 (a friction that does not depend on speed)",
     )
-    needs = frozenset({"command", "force"})
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the difference ``F_s - F_c``, N or N m, and the Stribeck speed.
@@ -549,15 +533,15 @@ class Stribeck(Friction):
         """
         if model.rig is not None:
             scales = model.scales(trials)
-            rise, unit = common.pick_by_motion(model, ("rise_N", "N"), ("rise_N_m", "N m"))
+            rise, unit = base.pick_by_motion(model, ("rise_N", "N"), ("rise_N_m", "N m"))
             size, most, top = scales.brake, math.inf, scales.speed
             word = f"stribeck_{model.rig.speed.unit.replace('/', '_')}"
             rates, moving = model.rig.speed.unit, "speed"
             what = "friction at rest beyond that in motion"
         else:
-            largest = common.typical_amplitude(model, trials)
+            largest = base.typical_amplitude(model, trials)
             rise, unit, size, most = "stick_rad", "rad", 0.05 * largest, 0.9 * largest
-            word, rates, top = "stribeck_rad_s", "rad/s", common.largest_rate(model, trials)
+            word, rates, top = "stribeck_rad_s", "rad/s", base.largest_rate(model, trials)
             what, moving = "angle by which a joint at rest is held back", "rate"
         over, least = f"{moving} over which it falls", 0.01 * top
         return (
@@ -568,11 +552,8 @@ class Stribeck(Friction):
     def tries(self, parameters: Parameters) -> list[Array]:
         """Return points with a small and a large difference, each at a low and at a high Stribeck speed."""
         rise, speed = parameters
-        return [
-            np.array([min(size * rise.scale, rise.upper), share * speed.start])
-            for size in (1.0, 3.0)
-            for share in (0.4, 1.5)
-        ]
+        sizes = itertools.product((rise.scale, min(3.0 * rise.scale, rise.upper)), (0.4, 1.5))
+        return [np.array([size, share * speed.start]) for size, share in sizes]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add friction at rest and reduce it in motion, or let joints stick."""
@@ -581,18 +562,15 @@ class Stribeck(Friction):
             if not (trial.rig.pulley or self.everywhere):
                 return Hooks()
             spared = Force(relieved, np.array([rise, slow]))
-            return Hooks(coefficients=common.add_to_coefficient("dry", rise).coefficients, force=(spared,))
+            return Hooks(coefficients=base.add_to_coefficient(rise, "dry").coefficients, force=(spared,))
 
         def stuck(time_s: Array, angle: Array) -> Array:
             if len(time_s) < 2:
                 return angle
             rate = np.gradient(angle, time_s)
-            return np.asarray(common.hold_back(angle, rise * np.exp(-np.square(rate / slow))))
+            return np.asarray(base.hold_back(angle, rise * np.exp(-np.square(rate / slow))))
 
-        def command(time_s: Array, angle: Array) -> Array:
-            return common.bridge_missing(stuck, time_s, angle)
-
-        return common.on_command(model, trial, common.for_every_joint(command))
+        return base.follow_commands(model, trial, stuck)
 
 
 #: Unit of force in a model without an inertia of its own (force per mass).
@@ -624,7 +602,7 @@ class WaterIngress(Effect):
         of mass).
         """
         linear, angular = ("mass_kg", "kg", "mass"), ("inertia_kg_m2", "kg m^2", "inertia")
-        name, unit, what = common.pick_by_motion(model, linear, angular)
+        name, unit, what = base.pick_by_motion(model, linear, angular)
         size = 0.05 * model.scales(trials).inertia
         much = parameter(name, unit, size, f"{what} of the water inside", lower=0.0)
         body = model.body
@@ -650,8 +628,4 @@ class WaterIngress(Effect):
             at = x + float(values[1]), y
             return Hooks(tables=(lambda tables: body.weigh(tables, body.hull, at, mass, mass),))
 
-        def change(c: dict[str, float]) -> None:
-            name = next(name for name in ("mass", "inertia") if name in c)
-            c[name] += values[0]
-
-        return Hooks(coefficients=(change,))
+        return base.add_to_coefficient(values[0], "mass", "inertia")

@@ -14,16 +14,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import optimize, special
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise as noise_model
-from swimid.fitting import output_error
-from swimid.fitting.covariance import orthogonal_part, sandwich
-from swimid.fitting.metrics import FitResult
+from swimid.fitting import output_error, uncertainty
 from swimid.fitting.model import Array
+from swimid.fitting.output_error import FitResult
+from swimid.fitting.uncertainty import orthogonal_part, sandwich
 
 #: Minimum number of trials for an estimate of the standard deviation between trials, and for a search for an
 #: outlier.
@@ -55,16 +55,6 @@ class Spread:
     """Standard deviation of a parameter between trials, and p-value of the hypothesis that it is zero."""
 
     sd: float
-    stderr: float
-    p_value: float
-
-
-@dataclass(frozen=True)
-class Trend:
-    """Slope of a parameter over a setting of the trials, with its two-sided p-value (Student's t)."""
-
-    slope: float
-    stderr: float
     p_value: float
 
 
@@ -76,13 +66,9 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     name, common : str
         Per-trial parameter, and the shared parameter from which it deviates.
     """
-    parameters = []
-    for p in result.parameters:
-        if p.name == name:
-            p = replace(p, free=True)
-        elif p.name == common:
-            p = replace(p, free=False, start=result.value(common))
-        parameters.append(p)
+    fixed = {"free": False, "start": result.value(common)}
+    changes: dict[str, dict[str, Any]] = {name: {"free": True}, common: fixed}
+    parameters = [replace(p, **changes.get(p.name, {})) for p in result.parameters]
     problem = output_error.weighted(result, tuple(parameters))
     parted = [label.partition("[") for label in problem.labels]
     theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in parted])
@@ -97,7 +83,7 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     # the noise is estimated after the step, because the residuals before the step contain the differences
     # between trials
     left = [r + j @ step for r, j in zip(residuals, rows, strict=True)]
-    found = sandwich(problem, rows, left, noise_model.autoregressions(problem, left))
+    found = sandwich(problem, rows, left, uncertainty.autoregressions(problem, left))
     labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]
     others = [i for i in range(len(labels)) if i not in mine]
@@ -123,26 +109,25 @@ def estimate_spread(own: OwnValues) -> Spread:
     variances, values, _ = _contrasts(own)
     between, gain = _reml(variances, values, np.zeros(len(values)))
     if between == 0.0:
-        return Spread(0.0, 0.0, 1.0)
-    sd = math.sqrt(between)
-    information = float(np.sum((variances + between) ** -2.0))
-    error = math.sqrt(2.0 / information) / (2.0 * sd)
+        return Spread(0.0, 1.0)
     # the p-value is half that of a chi-square distribution, because zero is a bound (Self and Liang 1987)
-    return Spread(sd, error, 0.5 * float(special.chdtrc(1, max(gain, 0.0))))
+    return Spread(math.sqrt(between), 0.5 * float(special.chdtrc(1, max(gain, 0.0))))
 
 
-def estimate_trend(own: OwnValues, setting: Array) -> Trend:
-    """Estimate the slope of the trials' values over a setting, shape (n,), allowing for random variation."""
+def compute_trend_p(own: OwnValues, setting: Array) -> float:
+    """Return the two-sided p-value (Student's t) of a slope of the trials' values over a setting, shape (n,).
+
+    The test allows for random variation between the trials.
+    """
     variances, values, turn = _contrasts(own)
     slope_column = turn @ np.asarray(setting, dtype=float)
     between, _ = _reml(variances, values, slope_column)
     weight = 1.0 / (variances + between)
     information = float(np.sum(slope_column**2 * weight))
     if information <= 0 or len(values) < 2:
-        return Trend(0.0, math.inf, 1.0)
-    slope = float(np.sum(slope_column * values * weight)) / information
-    error = 1.0 / math.sqrt(information)
-    return Trend(slope, error, float(2.0 * special.stdtr(len(values) - 1, -abs(slope) / error)))
+        return 1.0
+    slope_over_error = float(np.sum(slope_column * values * weight)) / math.sqrt(information)
+    return float(2.0 * special.stdtr(len(values) - 1, -abs(slope_over_error)))
 
 
 def _contrasts(own: OwnValues) -> tuple[Array, Array, Array]:
@@ -230,9 +215,8 @@ def find_outlier_trial(result: FitResult) -> OutlierTrial | None:
         far = float(np.log(_error(fits[suspect], suspect, scale)))
     except NoTrustworthyResult:
         return None
-    n = len(rest)
-    sd = float(np.std(logs, ddof=1))
-    if not sd > 0 or not np.isfinite(sd):
+    n, sd = len(rest), float(np.std(logs, ddof=1))
+    if not 0 < sd < math.inf:
         return None
     t = (far - float(np.mean(logs))) / (sd * np.sqrt(1.0 + 1.0 / n))
     # Bonferroni's correction: the suspect is the most distant of n + 1 trials

@@ -1,14 +1,9 @@
-"""Inputs of trials: tail beats and strokes of joints, and known quantities of each kind of experiment.
-
-Every trial has one input object for each kind of experiment. The default values of the fields mean that a
-quantity is unknown.
-"""
+"""Motions of joints: tail beats and strokes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -112,11 +107,10 @@ class Beat:
         return _ramped(self, time_s, (a * value + b, a * rate, a * bend))
 
     def _wave(self, time_s: Array, phase_rad: float) -> Motion:
+        if self.waveform != "sine":
+            asymmetry = self.asymmetry * (self.waveform == "a-cpg")
+            return hopf(time_s, self.frequency_hz, asymmetry, phase_rad)
         omega = 2.0 * math.pi * self.frequency_hz
-        if self.waveform == "a-cpg":
-            return hopf(time_s, self.frequency_hz, self.asymmetry, phase_rad)
-        if self.waveform == "hopf":
-            return hopf(time_s, self.frequency_hz, 0.0, phase_rad)
         angle = omega * time_s + phase_rad
         return np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle)
 
@@ -162,11 +156,8 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
     # elapsed fraction of the period since the last minimum; the drive starts in the middle of the rise
     share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
     up = share < rising
-    psi = np.where(
-        up,
-        -0.5 * math.pi + math.pi * share / rising,
-        0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising),
-    )
+    falls = 0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising)
+    psi = np.where(up, -0.5 * math.pi + math.pi * share / rising, falls)
     speed = np.where(up, omega / (1.0 - asymmetry), omega / (1.0 + asymmetry))
     return np.sin(psi), speed * np.cos(psi), -(speed**2) * np.sin(psi)
 
@@ -217,100 +208,3 @@ class Cycle:
         rate, bend = self.scale * f * spline(at, 1), self.scale * f**2 * spline(at, 2)
         angle, rate, bend = _ramped(self, time_s, (value, rate, bend))
         return first + angle, rate, bend
-
-
-# ---------------------------------------------------------------- inputs of trials
-
-
-@dataclass(frozen=True)
-class RigInput:
-    """Known quantities of a body on a test rig."""
-
-    #: Known inertia, including pulling mass and pulley, kg or kg m2. NaN if unknown.
-    inertia: float = math.nan
-    #: Known constant force, N.
-    force: float | None = None
-    #: The body is pulled over a pulley, whose friction acts on it.
-    pulley: bool = False
-    #: Factor ``rho A / 2`` of the drag coefficient, kg/m. It is 0 if the quadratic coefficient itself is
-    #: estimated.
-    area_factor: float = 0.0
-    #: Time of release. None means time zero.
-    release_s: float | None = None
-    #: Displacement at the time of release, m or rad.
-    x0: float = 0.0
-
-    @property
-    def pull(self) -> float:
-        """Known constant force, N; 0 if there is none."""
-        return self.force or 0.0
-
-    @property
-    def begin_s(self) -> float:
-        """Time of release, s; 0 if it is not stated."""
-        return self.release_s or 0.0
-
-
-@dataclass(frozen=True)
-class SwimInput:
-    """Drive and initial pose of a robot with links."""
-
-    beat: Beat | None = None
-    stroke: Cycle | None = None
-    #: Functions that return the motion of each driven joint at given times (s). They replace a drive.
-    joints: Sequence[Callable[[Array], Motion]] | None = None
-    #: Whether the motions in ``joints`` are commands to the actuators; otherwise they were measured.
-    commanded: bool = False
-    #: Pose of the reference point at the first sample. The start offsets are added to it.
-    pose: tuple[float, ...] | None = None
-    #: Coefficients of the robot whose values differ in this trial, by name.
-    coefficients: Mapping[str, float] | None = None
-
-    @property
-    def drive(self) -> Beat | Cycle | None:
-        """Tail beat or stroke; None if measured joint angles, or nothing, move the robot."""
-        return self.beat or self.stroke
-
-    @property
-    def steady(self) -> bool:
-        """Whether the simulation begins on the limit cycle of the drive."""
-        return self.drive is not None and self.drive.steady
-
-    def begun(self) -> SwimInput:
-        """Return the same input for steady swimming, which begins on the limit cycle of the drive."""
-        if self.stroke is not None:
-            return replace(self, stroke=replace(self.stroke, steady=True, ramp_s=0.0, cycles=math.inf))
-        if self.beat is None:
-            return self
-        return replace(self, beat=replace(self.beat, steady=True, ramp_s=0.0))
-
-    @property
-    def measured(self) -> bool:
-        """Whether the joint motions are measured, so that they are the output of the actuators."""
-        return self.joints is not None and not self.commanded
-
-    def posed(self, count: int = 3) -> tuple[float, ...]:
-        """Return the initial pose; zeros if it is unknown."""
-        return self.pose or (0.0,) * count
-
-
-@dataclass(frozen=True)
-class CruiseInput:
-    """Known quantities of the timed runs with one fin."""
-
-    fin: str = ""
-    #: Hydrodynamic inertia of the fin; None if unknown.
-    inertia_kg_m2: float | None = None
-    #: Reference frequency (Hz) and amplitude (rad) of the power law.
-    middle: tuple[float, float] = (1.0, 1.0)
-
-
-@dataclass(frozen=True)
-class SurgeInput:
-    """Steady tail beat of a trial of which only averages over beats are used."""
-
-    #: Frequency of the beat; NaN if there is no beat.
-    frequency_hz: float = math.nan
-    amplitude_rad: float = math.nan
-    #: Time of the first sample, s.
-    start_s: float = 0.0

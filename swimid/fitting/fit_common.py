@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numba
 import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
 from swimid.files.provenance import Held, Input
-from swimid.fitting import metrics, output_error
-from swimid.fitting.covariance import HETEROGENEITY, combinations, sentences
-from swimid.fitting.metrics import FitResult
+from swimid.fitting import output_error
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen
-from swimid.fitting.noise import SIGNIFICANCE, autocorrelation, joined, ljung_box
-from swimid.fitting.output_error import STEP_ERROR
+from swimid.fitting.output_error import STEP_ERROR, FitResult
+from swimid.fitting.uncertainty import (
+    HETEROGENEITY,
+    SIGNIFICANCE,
+    autocorrelation,
+    combinations,
+    joined,
+    ljung_box,
+    sentences,
+)
 from swimid.logs import log as log_format
 from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held
@@ -41,6 +48,8 @@ COVARIANCE = "Standard errors follow from the Jacobian at the optimum and accoun
 #: Maximum residual of a normal sample, in robust standard deviations. A sample with a larger residual is an
 #: outlier.
 OUTLIER = 8.0
+#: Verdicts of a check that does not pass and only warns, and of one that fails.
+VERDICTS: tuple[Literal["warn"], Literal["fail"]] = ("warn", "fail")
 #: Angles that a camera may measure in addition to a position.
 ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
@@ -112,18 +121,14 @@ def _measured_anew(log: Log) -> Log:
     at = np.flatnonzero(repeats)
     if not len(at):
         return log
-
-    def repeated(values: Array) -> bool:
-        return bool((values[at] == values[at - 1]).all())
-
-    # an angle is repeated if all its values at the repeated positions equal the value before
-    shown = [*places, *(n for n in ANGLES if n in log and repeated(log[n]))]
     warn(
         "SWM058",
         f"{log.path.name}: {len(at)} of {len(log)} samples repeat the position before and are left out: the "
         "log is written faster than it is measured",
     )
-    masked = {n: np.where(repeats, np.nan, log[n]) for n in shown}
+    # an angle is repeated if all its values at the repeated positions equal the value before
+    angles = [n for n in ANGLES if n in log and (log[n][at] == log[n][at - 1]).all()]
+    masked = {n: np.where(repeats, np.nan, log[n]) for n in (*places, *angles)}
     return replace(log, columns={**log.columns, **masked})
 
 
@@ -135,6 +140,309 @@ def warn_mass(name: str, value: float, against: float, file: Path) -> None:
             f"{file.name}: {name} {value:g} kg is not small against the body's {against:g} kg; is it in "
             "grams (a factor of 1000)?",
         )
+
+
+# ---------------------------------------------------------------- errors
+
+
+#: Maximum error for a good and for a usable description of a channel, as fractions of its measured range.
+GOOD, USABLE = 0.15, 0.30
+#: Maximum error of the mean speed of trials for a good and a usable model, as fractions of the measured
+#: speed.
+GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of one channel."""
+
+    #: Root-mean-square error, in the unit of the channel.
+    rmse: float
+    #: Root-mean-square error divided by the measured range (maximum minus minimum). For a pose with several
+    #: trials, the range is the root mean square of the ranges of the trials.
+    nrmse: float
+    #: Variance accounted for, ``1 - var(error) / var(measured)``.
+    vaf: float
+    #: Fit in percent, ``100 (1 - |error| / |measured - mean|)``, as MATLAB's ``compare`` prints it.
+    fit_percent: float
+    #: Mean error, measured minus simulated, in the unit of the channel.
+    bias: float
+    samples: int
+
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """Return the errors as an entry of the parameter file."""
+        return {**asdict(self), "unit": unit}
+
+
+def score(measured: Array, simulated: Array) -> Score:
+    """Compare two series, shape (n,). Samples missing in either are left out; NaN without samples.
+
+    >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
+    100.0
+    """
+    return score_trials([(measured, simulated)], own_motion=False)
+
+
+def _ratio(value: float, size: float) -> float:
+    """Return a value divided by a size; NaN unless the size is positive."""
+    return value / size if size > 0 else math.nan
+
+
+def score_trials(parts: Sequence[tuple[Array, Array]], *, own_motion: bool) -> Score:
+    """Compute the errors of one channel over several trials.
+
+    Parameters
+    ----------
+    parts : sequence of (ndarray, ndarray), each shape (n_k,)
+        Measured and simulated values of each trial.
+    own_motion : bool
+        Whether the channel belongs to a pose. Range and variance are then taken about the mean of each trial.
+        Otherwise they are taken over all trials together.
+
+    Examples
+    --------
+    Two trials with different headings have the same motion and the same error:
+
+    >>> wave = np.array([0.0, 1.0, 0.0, -1.0])
+    >>> pair = (wave, 0.5 * wave)
+    >>> turned = (wave + 90.0, 0.5 * wave + 90.0)
+    >>> round(score_trials([pair, turned], own_motion=True).vaf, 3), round(score(*pair).vaf, 3)
+    (0.75, 0.75)
+    """
+    there = [pair for pair in (_both(y, z) for y, z in parts) if len(pair[0])]
+    if not there:
+        return Score(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+    if not own_motion:
+        there = [(np.concatenate([y for y, _ in there]), np.concatenate([z for _, z in there]))]
+    error = np.concatenate([y - z for y, z in there])
+    share = np.array([len(y) for y, _ in there]) / len(error)
+    span = math.sqrt(float(share @ [np.ptp(y) ** 2 for y, _ in there]))
+    variance = float(share @ [np.var(y) for y, _ in there])
+    missed = float(share @ [np.var(y - z) for y, z in there])
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return Score(
+        rmse=rmse,
+        nrmse=_ratio(rmse, span),
+        vaf=1.0 - _ratio(missed, variance),
+        fit_percent=100.0 * (1.0 - _ratio(rmse, math.sqrt(variance))),
+        bias=float(np.mean(error)),
+        samples=len(error),
+    )
+
+
+def pose_channels(model: Model) -> tuple[str, ...]:
+    """Return the pose channels of a robot that moves freely; an empty tuple for any other model."""
+    if model.swimmer is None or not model.swimmer.free_base:
+        return ()
+    return tuple(model.swimmer.pose)
+
+
+def own_axes(
+    measured: Mapping[str, Array], simulated: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Rotate the horizontal positions of one trial into the trial's own axes.
+
+    Parameters
+    ----------
+    measured, simulated : mapping of channel name to ndarray, each shape (n,)
+        Series of the trial. The axes are along and across the mean measured heading. Without a measured
+        heading the first axis points from the first to the last measured position.
+
+    Returns
+    -------
+    measured, simulated : dict of channel name to ndarray
+        Series in which ``x_m`` is the coordinate along, and ``y_m`` the coordinate across the mean heading.
+        If ``x_m`` or ``y_m`` is missing, the series are unchanged.
+
+    Examples
+    --------
+    >>> still = {"x_m": np.zeros(2), "y_m": np.zeros(2)}
+    >>> y, z = own_axes({"x_m": np.zeros(2), "y_m": np.array([0.0, 1.0])}, still)
+    >>> y["x_m"].round(9).tolist(), z["x_m"].tolist()
+    ([0.0, 1.0], [0.0, 0.0])
+    """
+    turned = dict(measured), dict(simulated)
+    if not all(name in side for name in ("x_m", "y_m") for side in turned):
+        return turned
+    heading = measured.get("yaw_rad", np.empty(0))
+    x, y = _both(measured["x_m"], measured["y_m"])
+    angle = 0.0
+    if np.isfinite(heading).any():
+        angle = float(np.nanmean(heading))
+    elif len(x):
+        angle = math.atan2(y[-1] - y[0], x[-1] - x[0])
+    c, s = math.cos(angle), math.sin(angle)
+    for side in turned:
+        x, y = side["x_m"], side["y_m"]
+        side["x_m"], side["y_m"] = c * x + s * y, c * y - s * x
+    return turned
+
+
+def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
+    """Compute the difference between the largest magnitudes of two series, and its ratio to the measured one.
+
+    This is Eq 14 of the T-Fish paper. Samples missing in either series, shape (n,), are left out.
+
+    >>> peak_error(np.array([0.0, -4.0, 2.0]), np.array([1.0, 3.0, 0.0]))
+    (1.0, 0.25)
+    """
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan, np.nan
+    peak = float(np.max(np.abs(y)))
+    error = abs(peak - float(np.max(np.abs(z))))
+    return error, _ratio(error, peak)
+
+
+def dtw_distance(measured: Array, simulated: Array, *, band: int) -> float:
+    """Compute the dynamic-time-warping distance, which is the error if time may be stretched.
+
+    Parameters
+    ----------
+    measured, simulated : ndarray, shape (n,) or (n, d)
+        Two series at the same times with constant steps. The d columns are warped together. Samples missing
+        in either series are left out.
+    band : int
+        Maximum shift between the two series, in samples (Sakoe and Chiba, 1978). With 0 the distance is the
+        root-mean-square error. With a larger shift it is at most the root-mean-square error.
+
+    Returns
+    -------
+    float
+        Square root of the minimum sum of squared differences divided by n, in the unit of the channel.
+
+    >>> late = np.array([0.0, 0.0, 1.0, 0.0])
+    >>> dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=1)
+    0.0
+    >>> round(dtw_distance(np.array([0.0, 1.0, 0.0, 0.0]), late, band=0), 3)
+    0.707
+    """
+    y, z = _both(measured, simulated)
+    if len(y) == 0:
+        return np.nan
+    cost = warping_cost(y.reshape(len(y), -1), z.reshape(len(z), -1), int(band))
+    return math.sqrt(cost / len(y))
+
+
+def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_hz: float) -> float:
+    """Compute the phase by which the simulation leads the measurement at one frequency.
+
+    Parameters
+    ----------
+    measured, simulated, time_s : ndarray, shape (n,)
+        Series and their times. Samples missing in either series are left out. The time steps may be uneven.
+    frequency_hz : float
+        Frequency of the beat. A sine of this frequency, a constant and a linear trend are fitted to both
+        series.
+
+    Returns
+    -------
+    float
+        Phase in (-pi, pi], rad; positive if the simulation is early. NaN if a series has no component at the
+        frequency, or if fewer than five samples exist.
+
+    >>> t = np.linspace(0.0, 4.0, 200)
+    >>> early = 0.3 * np.sin(2 * np.pi * t + 0.5)
+    >>> round(phase_error(np.sin(2 * np.pi * t) + 0.1 * t, early, t, frequency_hz=1.0), 6)
+    0.5
+    """
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    t = np.asarray(time_s)[there]
+    if len(t) < 5:
+        return np.nan
+    angle = 2 * np.pi * frequency_hz * t
+    design = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(t), t - t.mean()))
+    both = np.column_stack((measured[there], simulated[there]))
+    cosine, sine = np.linalg.lstsq(design, both, rcond=None)[0][:2]
+    # A cos(wt) + B sin(wt) = |A - iB| cos(wt + arg(A - iB))
+    phasor = cosine - 1j * sine
+    if np.any(np.abs(phasor) <= 1e-12 * np.max(np.abs(both), axis=0)):
+        return np.nan
+    return float(np.angle(phasor[1] / phasor[0]))
+
+
+def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
+    """Return two series without the samples that are missing in either of them."""
+    there = np.isfinite(measured) & np.isfinite(simulated)
+    if there.ndim > 1:
+        there = np.asarray(there.all(axis=1))
+    return np.asarray(measured, dtype=float)[there], np.asarray(simulated, dtype=float)[there]
+
+
+@numba.njit(cache=True, nogil=True)
+def warping_cost(a: Array, b: Array, band: int) -> float:
+    """Return the minimum sum of squared distances along a warping path; both series have the shape (n, d).
+
+    The path lies at most ``band`` cells off the diagonal (Sakoe and Chiba, 1978). Only two rows of the cost
+    matrix are stored.
+    """
+    n = len(a)
+    before = np.full(n + 1, np.inf)
+    before[0] = 0.0
+    for i in range(1, n + 1):
+        row = np.full(n + 1, np.inf)
+        for j in range(max(1, i - band), min(n, i + band) + 1):
+            squares = 0.0
+            for k in range(a.shape[1]):
+                squares += (a[i - 1, k] - b[j - 1, k]) ** 2
+            row[j] = squares + min(before[j], row[j - 1], before[j - 1])
+        before = row
+    return float(before[n])
+
+
+def warm_up() -> None:
+    """Compile the numba function of this module before its first use."""
+    warping_cost(np.zeros((2, 1)), np.ones((2, 1)), 1)
+
+
+# ---------------------------------------------------------------- limits
+
+
+def score_checks(
+    scores: Mapping[str, Any], *, fitted: Iterable[str], noise: Iterable[str] = (), held_out: bool = False
+) -> list[ev.Check]:
+    """Check the errors of channels against the limits :data:`GOOD` and :data:`USABLE`.
+
+    Parameters
+    ----------
+    scores : mapping of channel name to Score, or to an object with ``nrmse`` and ``vaf``
+        Errors of each channel over all trials.
+    fitted : iterable of str
+        Channels to which the parameters were fitted. For these channels a negative variance accounted for
+        fails.
+    noise : iterable of str
+        Channels whose residuals are white. Their errors are noise, and are not judged.
+    held_out : bool
+        The trials were held out. The names of the checks then say so.
+    """
+    where = held_out * "held-out "
+    found = []
+    for name, score in scores.items():
+        check = share_check(f"{where}error of {name}", score.nrmse, GOOD, USABLE, "measured range")
+        if name in set(noise) and check.verdict != "pass":
+            text = "the residuals are white: noise alone is left"
+            check = ev.check(check.name, check.value, None, text=text)
+        found.append(check)
+    for name in (name for name in fitted if name in scores):
+        vaf, said = scores[name].vaf, f"{where}variance accounted for, {name}"
+        reason = f"the simulated {name} is farther from the measurement than a constant is"
+        if vaf is not None and vaf < 0.0:
+            shown = numbers.percent(vaf)
+            found.append(ev.check(said, shown, False, "≥ 0 %", otherwise="fail", reason=reason))
+    return found
+
+
+def share_check(
+    name: str, share: float | None, good: float, usable: float, of: str, text: str = ""
+) -> ev.Check:
+    """Check a fraction against two limits: it passes up to ``good`` and fails above ``usable``."""
+    shown = numbers.percent(share)
+    # comparisons with NaN are false
+    value = math.nan if share is None else share
+    otherwise = VERDICTS[not value <= usable]
+    limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
+    reason = f"the {name} is {shown} of the {of}"
+    return ev.check(name, shown, value <= good, limit, text, otherwise=otherwise, reason=reason)
 
 
 # ---------------------------------------------------------------- document and checks
@@ -149,17 +457,13 @@ def estimates(result: FitResult) -> dict[str, Estimate]:
     found: dict[str, Estimate] = {}
     for p in result.parameters:
         labels = [label for label in result.labels if label.split("[")[0] == p.name]
-        if not labels and not p.per_trial:
-            found[p.name] = Estimate(
-                value=p.start, unit=p.unit, bounds=p.bounds, status="fixed", meaning=p.meaning
-            )
-        for label in labels:
+        for label in labels or [p.name] * (not p.per_trial):
             found[label] = Estimate(
-                value=float(result.estimate[result.labels.index(label)]),
+                value=result.value(label),
                 stderr=result.stderr(label),
                 unit=p.unit,
                 bounds=p.bounds,
-                status=result.status[label],  # type: ignore[arg-type]
+                status=result.status.get(label, "fixed"),  # type: ignore[arg-type]
                 meaning=p.meaning,
             )
     return found
@@ -194,29 +498,23 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
     return said
 
 
-def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, metrics.Score]:
+def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, Score]:
     """Return the errors of each measured channel over all trials of a role, or over the named trials."""
     ids = [t.id for t in result.trials if t.role == role and (trials is None or t.id in trials)]
-    pose = metrics.pose_channels(result.model)
+    pose = pose_channels(result.model)
     found: dict[str, list[tuple[Array, Array]]] = {}
     for trial in ids:
         series = [s for s in result.series if s.trial == trial]
-        measured, simulated = metrics.own_axes(
+        measured, simulated = own_axes(
             {s.channel: s.measured for s in series}, {s.channel: s.simulated for s in series}
         )
         for s in series:
             found.setdefault(s.channel, []).append((measured[s.channel], simulated[s.channel]))
     return {
-        c.name: metrics.score_trials(found[c.name], own_motion=c.name in pose)
+        c.name: score_trials(found[c.name], own_motion=c.name in pose)
         for c in result.model.channels
         if c.name in found
     }
-
-
-def _listed(result: FitResult, role: str) -> dict[str, dict[str, Any]]:
-    """Return the errors of each measured channel as entries of the parameter file."""
-    units = {c.name: c.unit for c in result.model.channels}
-    return {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
 
 
 def refuse_interrupted(result: FitResult) -> None:
@@ -249,8 +547,15 @@ def parameter_file(
         channel: {**asdict(n), "autoregression": [float(a) for a in n.autoregression]}
         for channel, n in result.noise.items()
     }
-    trials = {role: [t.id for t in result.trials if t.role == role] for role in ("fit", "validate")}
-    validation = _listed(result, "validate")
+    units = {c.name: c.unit for c in result.model.channels}
+    listed = {
+        role: {name: score.as_dict(units[name]) for name, score in scores(result, role).items()}
+        for role in ("fit", "validate")
+    }
+    trials = {role: [t.id for t in result.trials if t.role == role] for role in listed}
+    validation: dict[str, Any] = {}
+    if listed["validate"]:
+        validation = {"trials": trials["validate"], "channels": listed["validate"]}
     known_sums = {
         c.text.rpartition(" = ")[0]: Estimate(value=c.value, stderr=c.stderr, unit=c.unit, status="estimated")
         for c in combinations(result)
@@ -265,8 +570,8 @@ def parameter_file(
         settings=settings or {},
         fit=Fit(
             trials=trials["fit"],
-            channels=_listed(result, "fit"),
-            validation={"trials": trials["validate"], "channels": validation} if validation else {},
+            channels=listed["fit"],
+            validation=validation,
             converged=result.converged,
             message=result.message,  # type: ignore[call-arg]
             noise=noise,
@@ -284,12 +589,10 @@ def prepare(
     output: Path | None,
     *,
     parameters: Sequence[Parameter] | None = None,
-    fixed: Mapping[str, float] | None = None,
-    freed: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
     also: Sequence[Path] = (),
+    **choices: Any,
 ) -> tuple[Parameter, ...]:
-    """Return the parameters to fit, with the fixed, free and bounded ones that the user selects.
+    """Return the parameters to fit, with the choices of the user (:func:`swimid.fitting.model.chosen`).
 
     Parameters
     ----------
@@ -303,18 +606,15 @@ def prepare(
     """
     if output is not None:
         atomic.check_writable(output, inputs=(*experiment.inputs, *also))
-    return chosen(
-        tuple(parameters or experiment.model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds
-    )
+    return chosen(parameters or experiment.model.parameters, **choices)
 
 
-def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
+def checks(result: FitResult) -> list[ev.Check]:
     """Return the checks of a fit against their limits; warn of each check that does not pass."""
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
-    found = [
-        ev.check("converged", numbers.number(done), done, "yes", message, otherwise="fail", reason=reason)
-    ]
+    value = numbers.number(done)
+    found = [ev.check("converged", value, done, "yes", message, otherwise="fail", reason=reason)]
     if result.restarts is not None:
         value = numbers.number(result.settled)
         if result.restarts:
@@ -322,23 +622,18 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         name, text = "starts near the answer lead back to it", "points and short searches around it"
         reason = "starts near the answer still lead to better ones"
         found.append(ev.check(name, value, result.settled, "yes", text, reason=reason))
-    status = {label: result.status[label] for label in result.shared}
     names = {p.name: spoken(p.name, p.meaning) for p in result.parameters}
-    unknown = [names[label] for label, s in status.items() if s == "unidentifiable"]
-    at_bound = [names[label] for label, s in status.items() if s == "at-bound"]
-    mostly = list(status.values()).count("estimated") >= len(unknown)
-    listed = ", ".join(unknown)
-    found.append(
-        ev.check(
-            "identifiable",
-            f"not: {listed}" if unknown else "all",
-            not unknown,
-            "every estimated parameter",
-            "standard errors are below half of the sizes of identifiable parameters",
-            otherwise="warn" if mostly else "fail",
-            reason=f"not identifiable: {listed}",
-        )
+    unknown, at_bound, known = (
+        [names[label] for label in result.shared if result.status[label] == status]
+        for status in ("unidentifiable", "at-bound", "estimated")
     )
+    value, reason = "all", f"not identifiable: {', '.join(unknown)}"
+    if unknown:
+        value = f"not: {', '.join(unknown)}"
+    otherwise = VERDICTS[len(known) < len(unknown)]
+    text = "standard errors are below half of the sizes of identifiable parameters"
+    shown = ("identifiable", value, not unknown, "every estimated parameter", text)
+    found.append(ev.check(*shown, otherwise=otherwise, reason=reason))
     if at_bound:
         listed = ", ".join(at_bound)
         reason = f"at a bound: {listed}"
@@ -349,9 +644,8 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
         reason = f"the trials scatter {result.scatter:.2f} times more than their noise allows ({p})"
         if result.scatter > 1:
             text = f"standard errors are enlarged by {result.scatter:.2f}"
-        found.append(
-            warned_check("SWM014", "trials agree", p, passed, f"p ≥ {HETEROGENEITY:g}", text, reason)
-        )
+        limit = f"p ≥ {HETEROGENEITY:g}"
+        found.append(warned_check("SWM014", "trials agree", p, passed, limit, text, reason))
     found += [check for channel in result.noise if (check := _outliers(result, channel))]
     if result.step_error:
         size, passed = f"{result.step_error:.2g} sd", result.step_error <= STEP_ERROR
@@ -362,22 +656,18 @@ def checks(result: FitResult, file: ParameterFile) -> list[ev.Check]:
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 
 
-def warned_check(
-    code: str,
-    name: str,
-    value: str,
-    passed: bool,
-    limit: str,
-    text: str,
-    reason: str,
-    *,
-    failed: bool = False,
-) -> ev.Check:
-    """Return a check; warn with the given reason if the check does not pass."""
+def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
+    """Return a check that warns, or fails, with a reason; if it does not pass, also warn of it.
+
+    Parameters
+    ----------
+    *shown
+        Name, value, whether the check passes, limit, text and reason (:func:`swimid.results.evidence.check`).
+    """
+    *_, passed, _, text, reason = shown
     if not passed:
-        warn(code, f"{reason}; {text}" if text else reason)
-    otherwise: Literal["warn", "fail"] = "fail" if failed else "warn"
-    return ev.check(name, value, passed, limit, text, otherwise=otherwise, reason=reason)
+        warn(code, f"{reason}; {text}".removesuffix("; "))
+    return ev.check(*shown[:-1], otherwise=VERDICTS[failed], reason=reason)
 
 
 def _outliers(result: FitResult, channel: str) -> ev.Check | None:
@@ -438,7 +728,7 @@ def _rms(parts: Sequence[Array]) -> float:
     """Return the root mean square of all finite samples of several series; 0 without samples."""
     values = np.concatenate(parts)
     values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+    return float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1))
 
 
 def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
@@ -452,21 +742,21 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
     for role in roles:
         known = {name: score for name, score in scores(result, role).items() if name in result.noise}
         white = [name for name in known if ljung_box(_weighted(result, name, role)).passed]
-        found += metrics.error_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
+        found += score_checks(known, fitted=result.noise, noise=white, held_out=role == "validate")
     return found
 
 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
     """Check that the beat frequency found in each log is the stated one (:mod:`swimid.logs.beat`)."""
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
-    wrong = [
-        name
-        for name, b in known.items()
-        if abs(b["found_hz"] - b["stated_hz"]) > max(FREQUENCY_RTOL * b["stated_hz"], 3 * b["stderr_hz"])
-    ]
+    wrong, shown = [], "yes"
+    for name, b in known.items():
+        if abs(b["found_hz"] - b["stated_hz"]) > max(FREQUENCY_RTOL * b["stated_hz"], 3 * b["stderr_hz"]):
+            wrong.append(name)
+            shown = f"not in {len(wrong)} of {len(known)} trials"
     return ev.check(
         "beat frequency as stated",
-        f"not in {len(wrong)} of {len(known)} trials" if wrong else "yes",
+        shown,
         not wrong,
         f"within {100 * FREQUENCY_RTOL:g} %",
         "found in the heading of each log",
@@ -476,7 +766,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
 
 def figures(result: FitResult) -> list[ev.Figure]:
     """Return the figures of each channel: measured and simulated series, and residuals."""
-    found = []
+    found, abscissa = [], result.model.abscissa
     for channel in (c for c in result.model.channels if c.name in result.noise):
         series = result.series_of(channel.name)
         name = channel.meaning or channel.name
@@ -487,7 +777,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 f"{name[:1].upper()}{name[1:]}, measured and simulated",
                 "Points are measured, and thinned; lines are simulated with the estimated parameters. Trials "
                 "are ranked by their root-mean-square residual over the noise.",
-                result.model.abscissa,
+                abscissa,
                 f"{name} ({numbers.unit_text(unit) or '1'})",
                 series,
                 factor,
@@ -496,7 +786,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
                 f"residuals-{channel.name}",
                 f"Residuals of {name}",
                 "Measured minus simulated over the standard deviation of the noise.",
-                result.model.abscissa,
+                abscissa,
                 series,
                 autocorrelation(_weighted(result, channel.name)),
             ),
@@ -511,10 +801,9 @@ def answer(file: ParameterFile) -> str:
         for name, e in file.parameters.items()
         if e.status == "estimated" and "[" not in name
     ]
-    if not parts:
-        return "Nothing was estimated."
-    more = f"; and {len(parts) - 3} more" if len(parts) > 3 else ""
-    return f"{'; '.join(parts[:3])}{more}."
+    if len(parts) > 3:
+        parts[3:] = [f"and {len(parts) - 3} more"]
+    return f"{'; '.join(parts) or 'Nothing was estimated'}."
 
 
 # ---------------------------------------------------------------- a model of one's own
@@ -606,7 +895,7 @@ def fit_model(
         raise UsageError("there is no trial to fit")
     target = None if output is None else atomic.check_writable(Path(output), inputs=inputs)
     with recorded(repeat=True) as notices:
-        parameters = chosen(tuple(model.parameters), fixed=fixed, freed=tuple(freed), bounds=bounds)
+        parameters = chosen(model.parameters, fixed=fixed, freed=freed, bounds=bounds)
         result = output_error.fit(model, trials, parameters=parameters, progress=progress)
         result = output_error.with_held_out(result)
         settings = {
@@ -616,7 +905,7 @@ def fit_model(
         }
         origin = provenance.collect(inputs, settings=settings)
         file = parameter_file(result, robot=robot, provenance=origin)
-        tested = checks(result, file)
+        tested = checks(result)
     shared = result.shared
     if shared and all(result.status[label] != "estimated" for label in shared):
         raise NoTrustworthyResult(

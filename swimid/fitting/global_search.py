@@ -14,8 +14,8 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.output_error import FitResult
 from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent
 
@@ -79,16 +79,15 @@ def multistart(
     problem = Problem(model, parameters, [t for t in trials if t.role == "fit"])
     rng = np.random.default_rng(seed)
     low, high = problem.search_range()
-    given = list(begins or [problem.start])
+    points = list(begins or [problem.start])[:starts]
+    points += [rng.uniform(low, high) for _ in range(starts - len(points))]
     results: list[FitResult] = []
     ends: list[Start] = []
     failures: list[NoTrustworthyResult] = []
     with progress("starts", total=starts) as step:
-        for k in range(starts):
-            begin = given[k] if k < len(given) else rng.uniform(low, high)
-            found = first if k == 0 else None
+        for k, begin in enumerate(points):
             try:
-                found = found or output_error.fit(
+                found = {0: first}.get(k) or output_error.fit(
                     model, trials, parameters=parameters,
                     jobs=jobs, begin=begin, tested=False, unfinished=True,
                 )  # fmt: skip
@@ -109,11 +108,10 @@ def multistart(
             show(step, f"least cost {least:.5g}, reached {agreeing(ends)} times")
     if not results:
         raise failures[0]
-    best = functools.reduce(_better, results)
-    others = [r for r in results if r is not best]
+    best = found = functools.reduce(_better, results)
     if best.converged:
         best = output_error.check_by_restarts(best, jobs=jobs or os.cpu_count() or 1)
-    evaluations = best.evaluations + sum(r.evaluations for r in others)
+    evaluations = best.evaluations - found.evaluations + sum(r.evaluations for r in results)
     return replace(best, evaluations=evaluations), ends
 
 
@@ -132,9 +130,8 @@ def agreeing(ends: Sequence[Start]) -> int:
 
 def _better(best: FitResult, other: FitResult) -> FitResult:
     """Return the fit of the lower cost; if both reached the same minimum, prefer a fit that converged."""
-    if max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME):
-        return min(best, other, key=lambda result: (not result.converged, result.cost))
-    return min(best, other, key=lambda result: result.cost)
+    same = max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME)
+    return min(best, other, key=lambda result: (same and not result.converged, result.cost))
 
 
 # ---------------------------------------------------------------- several objectives
@@ -154,8 +151,6 @@ class Front:
     points: Array
     #: Objectives of the points, shape (n, m).
     objectives: Array
-    #: Lowest value of each objective in the population of each generation, shape (generations, m).
-    history: Array
     evaluations: int
 
 
@@ -234,32 +229,20 @@ def nsga2(
         pop_size=population, sampling=begin, crossover=SBX(prob=CROSSOVER, eta=15), mutation=PM(eta=20)
     )
     algorithm.setup(problem, termination=("n_gen", generations), seed=seed, verbose=False)
-    history: list[Array] = []
     evaluations = 0
-    while algorithm.has_next():
+    for generation in range(generations):
         asked = algorithm.ask()
         points = np.asarray(asked.get("X"), dtype=float)
-        label = f"{name}: generation {len(history)}"
-        found = _kept(keep, label, points, objectives)
-        if found is None:
-            found = np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE)
-            keep.put(label, np.concatenate([points.ravel(), found.ravel()]))
+
+        def objectives_of(points: Array = points) -> Array:
+            return np.nan_to_num(evaluate(points), nan=BROKEN_OBJECTIVE, posinf=BROKEN_OBJECTIVE).ravel()
+
+        found = keep.kept(f"{name}: generation {generation}", objectives_of).reshape(-1, objectives)
         Evaluator().eval(StaticProblem(problem, F=found), asked)
         algorithm.tell(infills=asked)
-        history.append(np.asarray(algorithm.pop.get("F")).min(axis=0))
         evaluations += len(points)
         advance()
     best = algorithm.opt
     points, values = np.asarray(best.get("X"), dtype=float), np.asarray(best.get("F"), dtype=float)
     order = np.lexsort(values.T[::-1])
-    return Front(points[order], values[order], np.array(history), evaluations)
-
-
-def _kept(checkpoint: Checkpoint, label: str, points: Array, objectives: int) -> Array | None:
-    """Return the objectives that an interrupted search stored for these points; None if there are none."""
-    known = checkpoint.get(label)
-    if known is None or len(known) != points.size + len(points) * objectives:
-        return None
-    if not np.array_equal(known[: points.size], points.ravel()):
-        return None
-    return known[points.size :].reshape(len(points), objectives)
+    return Front(points[order], values[order], evaluations)

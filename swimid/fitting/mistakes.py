@@ -12,16 +12,16 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import metrics
-from swimid.fitting.drives import Beat, Motion
-from swimid.fitting.metrics import GOOD, USABLE
+from swimid.fitting import fit_common
+from swimid.fitting.drives import Motion
+from swimid.fitting.fit_common import GOOD, USABLE
 from swimid.fitting.model import Array, Model, Trial
-from swimid.fitting.noise import autocorrelation
+from swimid.fitting.uncertainty import autocorrelation
 from swimid.notices import recorded
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -127,92 +127,82 @@ Evaluate = Callable[[Trial], Errors]
 def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
     """List the mistakes that can occur in the trials of a model."""
     names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
-    pose = metrics.pose_channels(model)
+    pose = fit_common.pose_channels(model)
     units = {c.name: c.unit for c in model.channels}
     place = [name for name in pose if units[name] == "m"]
-    found: list[Mistake] = []
+    known = [name for name in names if name in units]
+    changes: dict[str, Mapping[str, tuple[float, float]]] = {}
     if {"x_m", "y_m", "yaw_rad"} <= set(pose):
-        found += [
-            _changed(model, "yaw + 180 degrees", {}, {"yaw_rad": math.pi}),
-            _changed(model, "yaw mirrored", {"yaw_rad": -1.0}),
-            _changed(model, "y mirrored", {"y_m": -1.0}),
-        ]
-    others = [n for n in names if n in units and n not in pose]
-    found += [_changed(model, f"the sign of {name} changed", {name: -1.0}) for name in others]
-    for name in (n for n in names if units.get(n) == "rad"):
-        found.append(_changed(model, f"{name} taken as degrees", {name: DEGREE}))
-        found.append(_changed(model, f"{name} multiplied by 180/pi", {name: 1.0 / DEGREE}))
-    groups = [tuple(place), *((name,) for name in names if name in units and name not in place)]
+        changes["yaw + 180 degrees"] = {"yaw_rad": (1.0, math.pi)}
+        changes["yaw mirrored"] = {"yaw_rad": (-1.0, 0.0)}
+        changes["y mirrored"] = {"y_m": (-1.0, 0.0)}
+    changes |= {f"the sign of {name} changed": {name: (-1.0, 0.0)} for name in known if name not in pose}
+    for name in (n for n in known if units[n] == "rad"):
+        changes[f"{name} taken as degrees"] = {name: (DEGREE, 0.0)}
+        changes[f"{name} multiplied by 180/pi"] = {name: (1.0 / DEGREE, 0.0)}
+    groups = [place, *([name] for name in known if name not in place)]
     for group in (group for group in groups if group and units[group[0]] != "rad"):
         for factor in FACTORS:
             says = f"{' and '.join(group)} multiplied by {factor:g}"
-            found.append(_changed(model, says, dict.fromkeys(group, factor)))
-    found += [Mistake(says, partial(_driven, factor=factor)) for says, factor in AMPLITUDES.items()]
+            changes[says] = dict.fromkeys(group, (factor, 0.0))
+    found = [Mistake(says, partial(_changed, pose, change)) for says, change in changes.items()]
+    found += [Mistake(says, partial(_driven, factor)) for says, factor in AMPLITUDES.items()]
     joints = max((len(t.swim.joints) for t in trials if t.swim.joints is not None), default=0)
     for k in range(joints):
-        says = f"the sign of driven joint {k + 1} changed"
-        found.append(Mistake(says, partial(_joint, factor=-1.0, number=k)))
+        found.append(Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, -1.0, [k])))
     if joints:
-        found += [Mistake(says, partial(_joint, factor=factor)) for says, factor in JOINTS.items()]
+        found += [Mistake(says, partial(_joint, by, range(joints))) for says, by in JOINTS.items()]
     swimmer = model.swimmer
     if swimmer is not None and not swimmer.in_space:
         found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
     return found
 
 
-def _changed(
-    model: Model, says: str, factors: Mapping[str, float], offsets: Mapping[str, float] | None = None
-) -> Mistake:
-    """Return a mistake whose correction changes channels and start pose to ``factor * value + offset``."""
-    offsets = offsets or {}
-    pose = metrics.pose_channels(model)
-    changes = {**dict.fromkeys(offsets, 1.0), **factors}
+def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], trial: Trial) -> Trial | None:
+    """Return the trial with channels and start pose changed to ``factor * value + offset``."""
+    if not any(name in trial.measured for name in change):
+        return None
 
-    def undo(trial: Trial) -> Trial | None:
-        if not any(name in trial.measured for name in changes):
-            return None
+    def changed(name: str, values: Any) -> Any:
+        factor, offset = change.get(name, (1.0, 0.0))
+        return factor * values + offset
 
-        def changed(series: Mapping[str, Array]) -> dict[str, Array]:
-            return {n: changes.get(n, 1.0) * v + offsets.get(n, 0.0) for n, v in series.items()}
-
-        swim = trial.swim
-        if swim.pose is not None:
-            moved = [
-                changes.get(n, 1.0) * p + offsets.get(n, 0.0) for n, p in zip(pose, swim.pose, strict=False)
-            ]
-            swim = replace(swim, pose=(*moved, *swim.pose[len(moved) :]))
-        # discard the initial velocities, which were estimated from the uncorrected channels
-        starts = {n: v for n, v in trial.starts.items() if not n.startswith("initial_")}
-        return replace(
-            trial, measured=changed(trial.measured), inputs=changed(trial.inputs), swim=swim, starts=starts
-        )
-
-    return Mistake(says, undo)
+    swim = trial.swim
+    if swim.pose is not None:
+        moved = [changed(name, at) for name, at in zip(pose, swim.pose, strict=False)]
+        swim = replace(swim, pose=(*moved, *swim.pose[len(moved) :]))
+    measured, inputs = (
+        {name: changed(name, values) for name, values in series.items()}
+        for series in (trial.measured, trial.inputs)
+    )
+    # discard the initial velocities, which were estimated from the uncorrected channels
+    starts = {n: v for n, v in trial.starts.items() if not n.startswith("initial_")}
+    return replace(trial, measured=measured, inputs=inputs, swim=swim, starts=starts)
 
 
-def _driven(trial: Trial, *, factor: float) -> Trial | None:
+def _driven(factor: float, trial: Trial) -> Trial | None:
     """Return the trial with the amplitude of its beat multiplied by a factor; None without a beat."""
     beat = trial.swim.beat
     if beat is None or not beat.amplitude_rad:
         return None
-    changed: Beat = replace(beat, amplitude_rad=factor * beat.amplitude_rad)
-    return replace(trial, swim=replace(trial.swim, beat=changed))
+    beat = replace(beat, amplitude_rad=factor * beat.amplitude_rad)
+    return replace(trial, swim=replace(trial.swim, beat=beat))
 
 
-def _joint(trial: Trial, *, factor: float, number: int | None = None) -> Trial | None:
-    """Return the trial with the motion of one joint or all joints times a factor; None without joints."""
+def _joint(factor: float, numbers: Sequence[int], trial: Trial) -> Trial | None:
+    """Return the trial with the motions of some joints multiplied by a factor; None without joints."""
     if trial.swim.joints is None:
         return None
-
-    def scaled(motion: Callable[[Array], Motion]) -> Callable[[Array], Motion]:
-        def moved(time_s: Array) -> Motion:
-            angle, rate, bend = motion(time_s)
-            return factor * angle, factor * rate, factor * bend
-
-        return moved
-
-    joints = [scaled(m) if number in (None, k) else m for k, m in enumerate(trial.swim.joints)]
+    joints = list(trial.swim.joints)
+    for k in (k for k in numbers if k < len(joints)):
+        joints[k] = partial(_scaled, joints[k], factor)
     return replace(trial, swim=replace(trial.swim, joints=joints))
+
+
+def _scaled(motion: Callable[[Array], Motion], factor: float, time_s: Array) -> Motion:
+    """Return a motion of a joint at given times, multiplied by a factor."""
+    angle, rate, bend = motion(time_s)
+    return factor * angle, factor * rate, factor * bend
 
 
 def _steady(trial: Trial) -> Trial | None:
@@ -227,18 +217,18 @@ def _steady(trial: Trial) -> Trial | None:
 
 def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
     """Compute the errors of the measured channels of a trial, with positions in the trial's own axes."""
-    measured, simulated = metrics.own_axes(trial.measured, simulated)
+    measured, simulated = fit_common.own_axes(trial.measured, simulated)
     known = [name for name in measured if name in simulated]
-    scores = {name: metrics.score(measured[name], simulated[name]) for name in known}
+    scores = {name: fit_common.score(measured[name], simulated[name]) for name in known}
     ranges = {
         name: float(np.ptp(y[np.isfinite(y)])) for name in known if np.isfinite(y := measured[name]).any()
     }
     place = [name for name in ("x_m", "y_m") if name in ranges]
     found = {}
     for name in (n for n in ranges if math.isfinite(scores[n].nrmse)):
-        group: Sequence[str] = [name]
-        if name in place:
-            group = place
+        group: Sequence[str] = place
+        if name not in place:
+            group = [name]
         error = math.hypot(*(scores[n].rmse for n in group)) / math.hypot(*(ranges[n] for n in group))
         residual = measured[name] - simulated[name]
         found[name] = Misfit(max(scores[name].nrmse, 1e-9), max(error, 1e-9), _independent(residual))
@@ -262,10 +252,8 @@ def _independent(residual: Array) -> float:
 
 def gain(before: Errors, after: Errors) -> float:
     """Return twice the logarithm of a trial's likelihood ratio, based on its independent samples."""
-    shared = [name for name in after if name in before]
-    return float(
-        sum(2.0 * after[n].independent * math.log(before[n].relative / after[n].relative) for n in shared)
-    )
+    pairs = [(before[name], after[name]) for name in after if name in before]
+    return float(sum(2.0 * late.independent * math.log(old.relative / late.relative) for old, late in pairs))
 
 
 def screened(
@@ -324,18 +312,14 @@ def explained(
     total = sum(gain(before[k], after[k]) for k in after) - 2.0 * math.log(max(tried, 1))
     if not trials or total < DECISIVE or any(m.nrmse > GOOD for k in trials for m in after[k].values()):
         return None
-    falls = {
-        name: (
-            math.sqrt(np.mean([before[k][name].nrmse ** 2 for k in trials if name in before[k]])),
-            math.sqrt(np.mean([after[k][name].nrmse ** 2 for k in trials if name in after[k]])),
-        )
-        for name in after[trials[0]]
-        if name in before[trials[0]]
-    }
+    falls = {}
+    for name in (n for n in after[trials[0]] if n in before[trials[0]]):
+        squares = [[m[k][name].nrmse ** 2 for k in trials if name in m[k]] for m in (before, after)]
+        first, last = (math.sqrt(np.mean(of_trials)) for of_trials in squares)
+        falls[name] = first, last
     channel = max(falls, key=lambda name: falls[name][0] - falls[name][1])
-    return Explanation(
-        says, tuple(trials), len(trials) == count and count > 1, channel, *falls[channel], total
-    )
+    everywhere = len(trials) == count and count > 1
+    return Explanation(says, tuple(trials), everywhere, channel, *falls[channel], total)
 
 
 def check(found: Explanation | None, count: int) -> ev.Check:

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numba import cfunc, types
@@ -23,8 +23,10 @@ from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
 from swimid.files.atomic import Checkpoint
-from swimid.fitting.drives import CruiseInput, RigInput, SurgeInput, SwimInput
 from swimid.notices import Progress, silent
+
+if TYPE_CHECKING:
+    from swimid.fitting.drives import Beat, Cycle, Motion
 
 Array = NDArray[np.float64]
 #: Channels of the position, by axis.
@@ -108,6 +110,103 @@ class Channel:
     name: str
     unit: str
     meaning: str = ""
+
+
+# ---------------------------------------------------------------- inputs of trials
+
+
+@dataclass(frozen=True)
+class RigInput:
+    """Known quantities of a body on a test rig."""
+
+    #: Known inertia, including pulling mass and pulley, kg or kg m2. NaN if unknown.
+    inertia: float = math.nan
+    #: Known constant force, N.
+    force: float | None = None
+    #: The body is pulled over a pulley, whose friction acts on it.
+    pulley: bool = False
+    #: Factor ``rho A / 2`` of the drag coefficient, kg/m. It is 0 if the quadratic coefficient itself is
+    #: estimated.
+    area_factor: float = 0.0
+    #: Time of release. None means time zero.
+    release_s: float | None = None
+    #: Displacement at the time of release, m or rad.
+    x0: float = 0.0
+
+    @property
+    def pull(self) -> float:
+        """Known constant force, N; 0 if there is none."""
+        return self.force or 0.0
+
+    @property
+    def begin_s(self) -> float:
+        """Time of release, s; 0 if it is not stated."""
+        return self.release_s or 0.0
+
+
+@dataclass(frozen=True)
+class SwimInput:
+    """Drive and initial pose of a robot with links."""
+
+    beat: Beat | None = None
+    stroke: Cycle | None = None
+    #: Functions that return the motion of each driven joint at given times (s). They replace a drive.
+    joints: Sequence[Callable[[Array], Motion]] | None = None
+    #: Whether the motions in ``joints`` are commands to the actuators; otherwise they were measured.
+    commanded: bool = False
+    #: Pose of the reference point at the first sample. The start offsets are added to it.
+    pose: tuple[float, ...] | None = None
+    #: Coefficients of the robot whose values differ in this trial, by name.
+    coefficients: Mapping[str, float] | None = None
+
+    @property
+    def drive(self) -> Beat | Cycle | None:
+        """Tail beat or stroke; None if measured joint angles, or nothing, move the robot."""
+        return self.beat or self.stroke
+
+    @property
+    def steady(self) -> bool:
+        """Whether the simulation begins on the limit cycle of the drive."""
+        return self.drive is not None and self.drive.steady
+
+    def begun(self) -> SwimInput:
+        """Return the same input for steady swimming, which begins on the limit cycle of the drive."""
+        if self.stroke is not None:
+            return replace(self, stroke=replace(self.stroke, steady=True, ramp_s=0.0, cycles=math.inf))
+        if self.beat is None:
+            return self
+        return replace(self, beat=replace(self.beat, steady=True, ramp_s=0.0))
+
+    @property
+    def measured(self) -> bool:
+        """Whether the joint motions are measured, so that they are the output of the actuators."""
+        return self.joints is not None and not self.commanded
+
+    def posed(self, count: int = 3) -> tuple[float, ...]:
+        """Return the initial pose; zeros if it is unknown."""
+        return self.pose or (0.0,) * count
+
+
+@dataclass(frozen=True)
+class CruiseInput:
+    """Known quantities of the timed runs with one fin."""
+
+    fin: str = ""
+    #: Hydrodynamic inertia of the fin; None if unknown.
+    inertia_kg_m2: float | None = None
+    #: Reference frequency (Hz) and amplitude (rad) of the power law.
+    middle: tuple[float, float] = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class SurgeInput:
+    """Steady tail beat of a trial of which only averages over beats are used."""
+
+    #: Frequency of the beat; NaN if there is no beat.
+    frequency_hz: float = math.nan
+    amplitude_rad: float = math.nan
+    #: Time of the first sample, s.
+    start_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -561,10 +660,8 @@ class Model(ABC):
         def simulated(values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
             return self.simulate(values, trial) if hooks is NONE else self.hooked(values, trial, hooks)
 
-        return [
-            self.broken_down(trial) if one is None else one
-            for one, (_, trial, _) in zip(unless_broken(simulated, runs), runs, strict=True)
-        ]
+        found = unless_broken(simulated, runs)
+        return [one or self.broken_down(trial) for one, (_, trial, _) in zip(found, runs, strict=True)]
 
     def broken_down(self, trial: Trial) -> dict[str, Array]:
         """Return the channels of a simulation that diverged: NaN at every sample."""
@@ -645,10 +742,10 @@ def unless_broken(compute: Callable[..., Outcome], runs: Iterable[tuple[Any, ...
 
 
 def chosen(
-    parameters: tuple[Parameter, ...],
+    parameters: Sequence[Parameter],
     *,
     fixed: Mapping[str, float] | None = None,
-    freed: tuple[str, ...] = (),
+    freed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[Parameter, ...]:
     """Return the parameters with the choices of the user: fixed values, freed parameters, and bounds.
@@ -658,9 +755,7 @@ def chosen(
     UsageError
         For an unknown name, bounds in the wrong order, or a fixed value outside the bounds.
     """
-    fixed = dict(fixed or {})
-    bounds = dict(bounds or {})
-    names = [p.name for p in parameters]
+    fixed, bounds, names = dict(fixed or {}), dict(bounds or {}), [p.name for p in parameters]
     for name in (*fixed, *freed, *bounds):
         if name not in names:
             raise UsageError(f"there is no parameter '{name}'", hint=suggestion(name, names))
@@ -673,12 +768,11 @@ def chosen(
             start = min(max(parameter.start, lower), upper)
             parameter = replace(parameter, lower=lower, upper=upper, start=start)
         if parameter.name in fixed:
-            if not parameter.lower <= fixed[parameter.name] <= parameter.upper:
-                raise UsageError(
-                    f"{parameter.name} cannot be {fixed[parameter.name]:g}: "
-                    f"it lies between {parameter.lower:g} and {parameter.upper:g}"
-                )
-            parameter = replace(parameter, start=float(fixed[parameter.name]), free=False)
+            value = float(fixed[parameter.name])
+            if not parameter.lower <= value <= parameter.upper:
+                limits = f"it lies between {parameter.lower:g} and {parameter.upper:g}"
+                raise UsageError(f"{parameter.name} cannot be {value:g}: {limits}")
+            parameter = replace(parameter, start=value, free=False)
         elif parameter.name in freed:
             parameter = replace(parameter, free=True)
         result.append(parameter)
@@ -799,17 +893,18 @@ class Tied(Model):
                 if member in owner:
                     raise UsageError(f"{member} is shared twice: as {owner[member]} and as {name}")
                 owner[member] = name
-        parameters: list[Parameter] = []
-        places: dict[str, int] = {}
+        parameters: dict[str, Parameter] = {}
         for parameter in model.parameters:
             name = owner.get(parameter.name, parameter.name)
             if parameter.name not in owner and name in self.groups:
                 raise UsageError(f"the name {name} is taken by a parameter that does not share it")
-            if name not in places:
-                places[name] = len(parameters)
-                parameters.append(self._shared(name) if name in self.groups else parameter)
-        self.parameters = tuple(parameters)
-        self._places = np.array([places[owner.get(p.name, p.name)] for p in model.parameters], dtype=int)
+            if name not in self.groups:
+                parameters[name] = parameter
+            elif name not in parameters:
+                parameters[name] = self._shared(name)
+        self.parameters, places = tuple(parameters.values()), list(parameters)
+        owners = [owner.get(p.name, p.name) for p in model.parameters]
+        self._places = np.array([places.index(name) for name in owners], dtype=int)
 
     @property
     def body(self) -> Any:
@@ -857,9 +952,8 @@ class Tied(Model):
         first = members[0]
         for other in members[1:]:
             if (other.unit, other.per_trial) != (first.unit, first.per_trial):
-                raise UsageError(
-                    f"{first.name} ({first.unit}) and {other.name} ({other.unit}) cannot share a value"
-                )
+                both = f"{first.name} ({first.unit}) and {other.name} ({other.unit})"
+                raise UsageError(f"{both} cannot share a value")
         lower, upper = max(m.lower for m in members), min(m.upper for m in members)
         if lower > upper:
             raise UsageError(f"no value lies within the bounds of all of {', '.join(self.groups[name])}")

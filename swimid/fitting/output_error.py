@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,10 @@ from scipy import special
 from threadpoolctl import threadpool_limits
 
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting import noise as noise_model
-from swimid.fitting.covariance import UNIDENTIFIABLE, Sandwich, sandwich
-from swimid.fitting.metrics import FitResult, Noise, Series
+from swimid.fitting import uncertainty
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem, minimise
+from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import Progress, show, silent, warn
 
 #: Maximum number of noise iterations, and the maximum relative change of a weight at which they have
@@ -52,15 +51,159 @@ MAX_RESTARTS = 6
 NEEDED_GAIN, SMALL_GAIN = 1.0, 0.1
 
 
+# ---------------------------------------------------------------- result of a fit
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one channel, as estimated by a fit."""
+
+    #: Standard deviation of the measured values, in the unit of the channel. If it differs between samples,
+    #: the root mean square over the samples.
+    value_sd: float
+    #: Standard deviation of the time stamps, s; 0 if the time stamps are exact.
+    time_sd_s: float
+    #: Coefficients of the autoregression of the weighted residuals, shape (p,). Empty if the residuals are
+    #: white.
+    autoregression: Array
+
+
+@dataclass(frozen=True)
+class Series:
+    """Measured and simulated series of one channel of one trial."""
+
+    trial: str
+    role: str
+    channel: str
+    #: Time and values of the samples, shape (n,) each. ``sd`` is the standard deviation of each sample in the
+    #: noise model.
+    time_s: Array
+    measured: Array
+    simulated: Array
+    sd: Array
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus simulated values, shape (n,); NaN for missing samples."""
+        return self.measured - self.simulated
+
+    @property
+    def weighted(self) -> Array:
+        """Residuals divided by the standard deviations of their samples, shape (n,)."""
+        return self.residual / self.sd
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """Result of a fit: estimates, covariance, and the series and numbers that support them."""
+
+    model: Model
+    #: Parameters of the fit, with the choices of the user.
+    parameters: tuple[Parameter, ...]
+    trials: tuple[Trial, ...]
+    #: One label for each unknown: the name of its parameter, or ``name[trial]`` if each trial has its own
+    #: value.
+    labels: list[str]
+    #: Estimates, shape (p,).
+    estimate: Array
+    #: Covariance of the estimates, shape (p, p). NaN for parameters at a bound, and for parameters that do
+    #: not affect the residuals.
+    covariance: Array
+    #: Status of each label: ``estimated``, ``at-bound`` or ``unidentifiable``.
+    status: dict[str, str]
+    #: Series of the fitted and of the validation trials.
+    series: list[Series]
+    #: Noise of each channel.
+    noise: dict[str, Noise]
+    #: Factor by which trials differ more than their noise explains; 1 if the trials agree. The covariance
+    #: includes it.
+    scatter: float
+    #: p-value of the test that the trials agree.
+    scatter_p: float
+    samples: int
+    converged: bool
+    message: str
+    #: Number of simulations of single trials in all searches and tests of the fit. Simulations for
+    #: derivatives by time (uncertain time stamps) are not counted.
+    evaluations: int
+    #: Largest change of a simulated sample if the integration step is halved, in standard deviations of the
+    #: noise.
+    step_error: float = 0.0
+    #: The user stopped the search. The estimates are then the best ones so far.
+    interrupted: bool = False
+    #: Mean squared residual, as a geometric mean over channels of different units. It is the exponential of
+    #: (twice the negative log-likelihood per sample, minus one). It compares fits of the same samples, even
+    #: if their weights differ.
+    cost: float = math.nan
+    #: Square root of the information matrix, shape (q, p): ``information_root' information_root`` is the
+    #: inverse of the covariance. It is accurate even if the covariance is infinite. Columns of parameters
+    #: held at a bound are NaN.
+    information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
+    #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held.
+    start_states: Mapping[str, float] = field(default_factory=dict)
+    #: Number of restarts near the estimates that led to a better fit; None if no restart was tested.
+    restarts: int | None = None
+    #: The last restart led to no better fit.
+    settled: bool = True
+
+    @property
+    def shared(self) -> list[str]:
+        """Labels of the unknowns that all trials share."""
+        return [label for label in self.labels if "[" not in label]
+
+    def parameter(self, label: str) -> Parameter:
+        """Return the parameter to which the label of an unknown belongs."""
+        return next(p for p in self.parameters if p.name == label.split("[")[0])
+
+    def series_of(self, channel: str, role: str | None = None) -> list[Series]:
+        """Return the series of a channel, by default of all trials; otherwise of the trials of one role."""
+        return [s for s in self.series if s.channel == channel and role in (None, s.role)]
+
+    def at_estimates(self) -> tuple[Parameter, ...]:
+        """Return the parameters with the estimates of shared parameters as start values."""
+        return tuple(replace(p, start=self.value(p.name)) for p in self.parameters)
+
+    def stderr(self, label: str) -> float | None:
+        """Return the standard error of an estimate; None if it has no standard error."""
+        if label not in self.labels:
+            return None
+        index = self.labels.index(label)
+        variance = float(self.covariance[index, index])
+        return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
+
+    def value(self, name: str, trial: str | None = None) -> float:
+        """Return the value of a parameter, estimated or fixed; in one trial for a per-trial parameter."""
+        for label in (f"{name}[{trial}]", name):
+            if label in self.labels:
+                return float(self.estimate[self.labels.index(label)])
+            if label in self.start_states:
+                return self.start_states[label]
+        return next(p.start for p in self.parameters if p.name == name)
+
+    def values(self, trial: str) -> Array:
+        """Return the values of all parameters in one trial, in the order of the model."""
+        return np.array([self.value(p.name, trial) for p in self.parameters])
+
+
+# ---------------------------------------------------------------- fit
+
+
 @dataclass(frozen=True)
 class _Task:
-    """Model, trials and settings of one fit."""
+    """Model, trials and settings of one fit.
+
+    The search begins at ``begin`` with the weights of the fit ``near``, if they are given. Without a
+    ``budget`` of iterations, the fit is evaluated at its start.
+    """
 
     model: Model
     trials: tuple[Trial, ...]
     parameters: tuple[Parameter, ...]
     jobs: int
     progress: Progress = silent
+    begin: Array | None = None
+    near: FitResult | None = None
+    budget: int | None = UNFINISHED_ITERATIONS
 
 
 def fit(
@@ -123,10 +266,14 @@ def fit(
     the covariance is enlarged to include their differences. A parameter counts as free in the covariance if
     noise alone can explain that it is at its bound.
     """
-    threads = jobs or os.cpu_count() or 1
-    task = _Task(model, tuple(trials), tuple(parameters or model.parameters), threads, progress)
-    result = _refined(task, begin, unfinished)
-    return check_by_restarts(result, jobs=threads) if tested and result.converged else result
+    threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
+    task = _Task(model, tuple(trials), parameters, threads, progress, begin)
+    if not unfinished:
+        task = replace(task, budget=MAX_ITERATIONS)
+    result = _refined(task)
+    if tested and result.converged:
+        return check_by_restarts(result, jobs=threads)
+    return result
 
 
 def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
@@ -151,8 +298,8 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
             if near.point is None or count == MAX_RESTARTS:
                 settled = near.point is None
                 break
-            task = _Task(result.model, result.trials, result.parameters, jobs)
-            again = _refined(task, near.point, True, near=result)
+            task = _Task(result.model, result.trials, result.parameters, jobs, begin=near.point, near=result)
+            again = _refined(task)
             spent += again.evaluations
             gain = _objective(result) - _objective(again)
             if not gain > 0.0:
@@ -178,18 +325,14 @@ def _objective(result: FitResult) -> float:
     return result.samples * math.log(max(result.cost, 1e-300))
 
 
-def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult | None = None) -> FitResult:
-    """Fit, and halve the integration step until the simulated samples no longer change.
-
-    The initial weights are those of the fit ``near``, if it is given.
-    """
+def _refined(task: _Task) -> FitResult:
+    """Fit, and halve the integration step until the simulated samples no longer change."""
     spent = 0
-    budget = UNFINISHED_ITERATIONS if unfinished else MAX_ITERATIONS
     for _ in range(MAX_REFINEMENTS):
-        result = _fit_once(task, begin, budget=budget, near=near)
+        result = _fit_once(task)
         spent += result.evaluations
         result = replace(result, evaluations=spent)
-        if not (result.converged or result.interrupted or unfinished):
+        if task.budget == MAX_ITERATIONS and not (result.converged or result.interrupted):
             raise NoTrustworthyResult(
                 f"the fit did not converge: {result.message}",
                 hint="check units and trial settings, or hold a parameter with --fix",
@@ -199,9 +342,9 @@ def _refined(task: _Task, begin: Array | None, unfinished: bool, near: FitResult
             return result
         spent += len(result.trials)
         result = replace(result, step_error=_step_error(result, finer), evaluations=spent)
-        if not result.converged or result.step_error <= STEP_ERROR:
+        if not result.converged or result.step_error <= STEP_ERROR or task.budget is None:
             return result
-        task, begin, near = replace(task, model=finer), result.estimate, result
+        task = replace(task, model=finer, begin=result.estimate, near=result)
     return result
 
 
@@ -228,52 +371,24 @@ def at(
     NoTrustworthyResult
         If the model cannot be simulated at the point, or if there are fewer samples than unknowns.
     """
-    task = _Task(model, tuple(trials), tuple(parameters or model.parameters), jobs or os.cpu_count() or 1)
-    result = _fit_once(task, point)
-    finer = model.refined()
-    if finer is None:
-        return result
-    return replace(result, step_error=_step_error(result, finer))
+    threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
+    return _refined(_Task(model, tuple(trials), parameters, threads, begin=point, budget=None))
 
 
 def _step_error(result: FitResult, finer: Model) -> float:
     """Return the largest change of a simulated sample if the step is halved, in noise deviations."""
-    worst = 0.0
-    for trial in result.trials:
-        fine = finer.simulate(result.values(trial.id), trial)
-        for s in (s for s in result.series if s.trial == trial.id):
-            change = np.abs(fine[s.channel] - s.simulated) / s.sd
-            worst = max(worst, float(np.max(change[np.isfinite(change)], initial=0.0)))
-    return worst
+    fine = {t.id: finer.simulate(result.values(t.id), t) for t in result.trials}
+    changes = [np.abs(fine[s.trial][s.channel] - s.simulated) / s.sd for s in result.series]
+    return max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in changes), default=0.0)
 
 
 # the matrices are small, so that threads of BLAS would only slow down the simulations
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _fit_once(
-    task: _Task, begin: Array | None, *, budget: int | None = None, near: FitResult | None = None
-) -> FitResult:
-    """Fit with one integration step; without a budget of iterations, evaluate the fit at the start."""
-    fitted = [t for t in task.trials if t.role == "fit"]
-    if not fitted:
-        raise NoTrustworthyResult("no trial has the role 'fit'")
-    problem = Problem(task.model, task.parameters, fitted, jobs=task.jobs)
-    start = problem.start if begin is None else np.clip(begin, problem.lower, problem.upper)
-    samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
-    if samples <= len(start):
-        raise NoTrustworthyResult(
-            f"{samples} samples cannot determine {len(start)} unknowns",
-            hint="give longer logs or more trials, or fix some parameters",
-        )
-    search = _Search(problem, start, near)
-    if budget is None:
-        search.stay()
-    else:
-        search.run(budget, task.progress)
-    if not np.isfinite(search.theta).all():
-        raise NoTrustworthyResult(
-            f"the fit did not converge: {search.message}", hint="check units and trial settings"
-        )
-    _insist_unbroken(problem, search.theta)
+def _fit_once(task: _Task) -> FitResult:
+    """Fit with one integration step."""
+    search = _Search(task)
+    search.run()
+    search.insist_unbroken()
     if search.message == STALLED:
         warn(
             "SWM026",
@@ -282,20 +397,33 @@ def _fit_once(
             f"{MIN_DECREASE:.0e} of their sum",
         )
     search.estimate_noise()
-    result = _result(search, task)
-    if search.interrupted or budget is None:
+    result = _result(search)
+    reason = None
+    if not search.interrupted:
+        reason = _unfinished(search, result)
+    if reason is None:
         return result
-    reason = _unfinished(search, result)
-    return result if reason is None else replace(result, converged=False, message=reason)
+    return replace(result, converged=False, message=reason)
 
 
 class _Search:
     """A search for the minimum, repeated with the weights of the estimated noise until they converge."""
 
-    def __init__(self, problem: Problem, theta: Array, near: FitResult | None) -> None:
-        self.problem = problem
-        self.theta = theta
-        self.near = near
+    def __init__(self, task: _Task) -> None:
+        fitted = [t for t in task.trials if t.role == "fit"]
+        if not fitted:
+            raise NoTrustworthyResult("no trial has the role 'fit'")
+        self.task = task
+        self.problem = problem = Problem(task.model, task.parameters, fitted, jobs=task.jobs)
+        self.theta = problem.start
+        if task.begin is not None:
+            self.theta = np.clip(task.begin, problem.lower, problem.upper)
+        self.samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
+        if self.samples <= len(self.theta):
+            raise NoTrustworthyResult(
+                f"{self.samples} samples cannot determine {len(self.theta)} unknowns",
+                hint="give longer logs or more trials, or fix some parameters",
+            )
         self.noise: dict[str, tuple[float, float]] = {}
         self.patience = Patience()
         self.converged = self.interrupted = False
@@ -303,22 +431,24 @@ class _Search:
         self.iterations = 0
         # with one channel of constant error all weights stay equal, so that one search is enough
         self.equal = len({c for names in problem.channels for c in names}) == 1 and not any(
-            t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in problem.trials
+            t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in fitted
         )
 
-    def run(self, budget: int, progress: Progress) -> None:
+    def run(self) -> None:
         """Search until the weights converge or the user interrupts the search."""
-        rounds = 1 if self.equal else MAX_NOISE_ITERATIONS
-        known = self.near is not None and not self.equal
-        if self.near is not None and known:
-            set_weights(self.problem, self.near)
+        rounds, first = MAX_NOISE_ITERATIONS, 1
+        if self.equal:
+            rounds = 1
+        elif self.task.near is None:
+            uncertainty.weigh_first(self.problem)
         else:
-            noise_model.weigh_first(self.problem, self.equal)
+            first = 0
+            set_weights(self.problem, self.task.near)
         try:
-            with progress("fitting", total=rounds) as step:
+            with self.task.progress("fitting", total=rounds) as step:
                 for k in range(rounds):
-                    last = k == rounds - 1 or ((k > 0 or known) and self._reweigh() < WEIGHT_RTOL)
-                    self._solve(last, budget, lambda text: show(step, text))
+                    last = k == rounds - 1 or (k >= first and self._reweigh() < WEIGHT_RTOL)
+                    self._solve(last, lambda text: show(step, text))
                     step()
                     if last:
                         break
@@ -328,71 +458,78 @@ class _Search:
             self.interrupted, self.converged = True, False
             self.message = f"interrupted after {self.iterations} iterations"
 
-    def stay(self) -> None:
-        """Use the start as the end point of the search, and iterate the weights at this point."""
-        noise_model.weigh_first(self.problem, self.equal)
-        for _ in range(MAX_NOISE_ITERATIONS):
-            if self.equal or self._reweigh() < WEIGHT_RTOL:
-                break
-        self.converged, self.message = True, "no search: the point was given"
+    def insist_unbroken(self) -> None:
+        """Raise an error if a trial cannot be simulated at the current point."""
+        broken = self.problem.broken(self.theta)
+        if broken:
+            raise NoTrustworthyResult(
+                f"the simulation breaks down at the best point found, in {', '.join(broken)}",
+                hint="check units and trial settings, or start from other values",
+            )
 
     def _reweigh(self) -> float:
-        """Estimate the noise at the current point, and return the largest relative change of a weight."""
-        _insist_unbroken(self.problem, self.theta)
-        before = noise_model.weights(self.problem)
+        """Estimate the noise at the current point, and return the largest relative change of a weight.
+
+        A factor that is common to all weights does not count as a change.
+        """
+        self.insist_unbroken()
+        trials = range(len(self.problem.trials))
+        before = np.concatenate([self.problem.sample_weights(k) for k in trials])
         self.estimate_noise()
-        return noise_model.largest_change(self.problem, before)
+        change = np.concatenate([self.problem.sample_weights(k) for k in trials]) / before
+        return float(np.max(np.abs(change / np.median(change) - 1.0), initial=0.0))
 
     def estimate_noise(self) -> None:
         """Estimate the noise at the current point, and set the weights that follow from it."""
-        self.noise = noise_model.estimate(self.problem, self.theta, self.noise)
+        self.noise = uncertainty.estimate(self.problem, self.theta, self.noise)
 
     def _noise_limits(self) -> Patience:
         """Return the rule that ends a search if noise is larger than the effect of its steps."""
         problem, theta = self.problem, self.theta
-        _insist_unbroken(problem, theta)
+        self.insist_unbroken()
         residuals, rows = _linearised(problem, theta)
-        found = sandwich(problem, rows, residuals, noise_model.autoregressions(problem, residuals))
+        found = sandwich(problem, rows, residuals, uncertainty.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
         # unknowns of single trials (start states) are no result of the fit and may still change
         known = shared & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
         return Patience(found.gain, np.where(known, NEGLIGIBLE_MOVE * errors, math.inf))
 
-    def _solve(self, last: bool, budget: int, tell: Callable[[str], None]) -> None:
+    def _solve(self, last: bool, tell: Callable[[str], None]) -> None:
         """Search with the current weights."""
-        done = self.iterations
-        patience = Patience()
-        if last and (done or self.near is not None):
-            patience = self._noise_limits()
-        self.patience = patience
+        if self.task.budget is None:
+            self.converged, self.message = True, "no search: the point was given"
+            return
+        done, tolerance = self.iterations, COARSE_RTOL
+        self.patience = patience = Patience()
+        if last:
+            tolerance = FINE_RTOL
+            if done or self.task.near is not None:
+                self.patience = patience = self._noise_limits()
 
         def watch(x: Array, cost: float, iteration: int) -> str | None:
             self.theta, self.iterations, self.message = x, done + iteration, "searching"
             tell(f"iteration {self.iterations}, cost {cost:.5g}")
             return patience(x, cost, iteration)
 
-        solution = self.problem.solve(
-            self.theta,
-            tolerance=FINE_RTOL if last else COARSE_RTOL,
-            max_iterations=max(budget - done, 1),
-            watch=watch,
-        )
-        self.theta, self.iterations = solution.x, done + solution.iterations
-        self.converged, self.message = solution.success, solution.message
+        budget = max(self.task.budget - done, 1)
+        found = self.problem.solve(self.theta, tolerance=tolerance, max_iterations=budget, watch=watch)
+        self.theta, self.iterations = found.x, done + found.iterations
+        self.converged, self.message = found.success, found.message
 
 
 def _unfinished(search: _Search, result: FitResult) -> str | None:
     """Return the reason why a search did not end at a minimum to within noise; None if it did."""
-    moving = {}
+    if search.converged and search.message != STALLED:
+        return None
     lowered, moved = search.patience.last(STRIDE)
-    if not search.converged or search.message == STALLED:
-        for label, move in zip(result.labels, moved, strict=False):
-            error = result.stderr(label)
-            if "[" not in label and result.status[label] == "estimated" and error:
-                moving[label] = abs(float(move)) / error
-    worst = max(moving, key=lambda label: moving[label], default=None)
-    still = worst is not None and moving[worst] > STRIDE * NEGLIGIBLE_MOVE
+    moves = {"": 0.0}
+    for label, move in zip(result.labels, moved, strict=False):
+        error = result.stderr(label)
+        if "[" not in label and result.status[label] == "estimated" and error:
+            moves[label] = abs(float(move)) / error
+    worst = max(moves, key=lambda label: moves[label])
+    still = moves[worst] > STRIDE * NEGLIGIBLE_MOVE
     if search.converged and not still:
         return None
     if search.message == KINKED:
@@ -401,22 +538,12 @@ def _unfinished(search: _Search, result: FitResult) -> str | None:
         said = f"a flat valley: after {search.iterations} iterations steps hardly lower the cost"
     else:
         said = f"after {search.iterations} iterations steps still lower the cost"
-    if still and worst is not None and math.isfinite(moving[worst]):
-        said += f", and the last {STRIDE} moved {worst} by {moving[worst]:.2g} standard errors"
+    if still and math.isfinite(moves[worst]):
+        said += f", and the last {STRIDE} moved {worst} by {moves[worst]:.2g} standard errors"
     bound = [label for label in result.shared if result.status[label] == "at-bound"]
     if bound:
         said += f"; {', '.join(bound)} at a bound"
     return said
-
-
-def _insist_unbroken(problem: Problem, theta: Array) -> None:
-    """Raise an error if a trial cannot be simulated at the given point."""
-    broken = problem.broken(theta)
-    if broken:
-        raise NoTrustworthyResult(
-            f"the simulation breaks down at the best point found, in {', '.join(broken)}",
-            hint="check units and trial settings, or start from other values",
-        )
 
 
 def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], list[Array]]:
@@ -425,19 +552,17 @@ def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tup
     return residuals, [j * problem.scale for j in problem.trial_jacobians(theta, central=central)]
 
 
-def _result(search: _Search, task: _Task) -> FitResult:
+def _result(search: _Search) -> FitResult:
     """Return the estimates, their covariance and their status at the end of a search."""
-    problem, theta = search.problem, search.theta
-    samples = sum(int(mask.sum()) for masks in problem.masks for mask in masks)
+    problem, theta, samples, task = search.problem, search.theta, search.samples, search.task
     residuals, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
-    autoregressions = noise_model.autoregressions(problem, residuals)
+    autoregressions = uncertainty.autoregressions(problem, residuals)
     margin = 1e-6 * np.maximum(problem.scale, np.abs(theta))
     outward = np.where(theta - problem.lower < margin, -1.0, 0.0)
     outward[problem.upper - theta < margin] = 1.0
     free, found = _free_in_noise(problem, rows, residuals, autoregressions, outward)
-    covariance = np.full((len(theta), len(theta)), np.nan)
+    covariance, null = np.full((len(theta), len(theta)), np.nan), np.zeros(len(theta), dtype=bool)
     root = np.full((int(free.sum()), len(theta)), np.nan)
-    null = np.zeros(len(theta), dtype=bool)
     scatter, scatter_p = 1.0, 1.0
     if found is not None:
         scale = problem.scale[free]
@@ -451,8 +576,7 @@ def _result(search: _Search, task: _Task) -> FitResult:
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = ~null & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
     held = (outward != 0) & (known | ~free)
-    status = dict(zip(problem.labels, np.where(known, "estimated", "unidentifiable").tolist(), strict=True))
-    status.update({label: "at-bound" for label, h in zip(problem.labels, held, strict=True) if h})
+    status = np.where(held, "at-bound", np.where(known, "estimated", "unidentifiable"))
     covariance[held] = covariance[:, held] = np.nan
     result = FitResult(
         model=problem.model,
@@ -461,10 +585,10 @@ def _result(search: _Search, task: _Task) -> FitResult:
         labels=problem.labels,
         estimate=theta,
         covariance=covariance,
-        status=status,
+        status=dict(zip(problem.labels, status.tolist(), strict=True)),
         series=[],
         noise={
-            c: Noise(noise_model.value_sd(problem, c, v), t, autoregressions[c])
+            c: Noise(uncertainty.value_sd(problem, c, v), t, autoregressions[c])
             for c, (v, t) in search.noise.items()
         },
         scatter=scatter,
@@ -507,11 +631,9 @@ def _free_in_noise(
 
 def _cost(problem: Problem, residuals: list[Array]) -> float:
     """Return :attr:`FitResult.cost` of residuals, with the weights of the final noise model."""
-    total, count = 0.0, 0
-    for k, values in enumerate(residuals):
-        total += float(np.sum(2 * np.log(problem.at_samples(k, problem.sd[k])) + values**2))
-        count += len(values)
-    return float(np.exp(min(total / max(count, 1) - 1.0, 700.0)))
+    logs = [2 * np.log(problem.at_samples(k, problem.sd[k])) for k in range(len(residuals))]
+    mean = float(np.mean(np.concatenate(logs) + np.concatenate(residuals) ** 2))
+    return float(np.exp(min(mean - 1.0, 700.0)))
 
 
 def _series(problem: Problem, result: FitResult) -> list[Series]:
@@ -526,10 +648,8 @@ def _series(problem: Problem, result: FitResult) -> list[Series]:
     for trial in result.trials:
         simulated = fitted.get(trial.id) or problem.model.simulate(result.values(trial.id), trial)
         for channel in (c.name for c in problem.model.channels if c.name in trial.measured):
-            sd = sds.get((trial.id, channel))
-            if sd is None:
-                size = result.noise[channel].value_sd if channel in result.noise else np.nan
-                sd = np.full(len(trial.time_s), size)
+            known = np.full(len(trial.time_s), getattr(result.noise.get(channel), "value_sd", math.nan))
+            sd = sds.get((trial.id, channel), known)
             measured = trial.measured[channel]
             series.append(
                 Series(trial.id, trial.role, channel, trial.time_s, measured, simulated[channel], sd)
@@ -550,10 +670,9 @@ N_PAIRS, PAIR_DISTANCE = 3, 2.0
 #: Minimum deviation of the mean cost of a pair from its quadratic prediction, as a fraction of the
 #: prediction, that shows a non-smooth cost.
 KINK_SHARE = 0.5
-#: Distances from the estimates at which short searches start, in standard errors under white noise. The first
-#: tuple is for a smooth cost, the second for a non-smooth cost.
-SMOOTH_DISTANCES = (10.0,)
-KINK_DISTANCES = (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)
+#: Distances from the estimates at which short searches start, in standard errors under white noise. The key
+#: is whether the cost is non-smooth.
+DISTANCES = {False: (10.0,), True: (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)}
 #: Number of iterations of a short search. If the cost is non-smooth, a second search starts from the two best
 #: end points with the second number.
 SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
@@ -607,18 +726,12 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
         pair = [np.clip(theta + sign * step, problem.lower, problem.upper) for sign in (1.0, -1.0)]
         costs = [_squares(problem, point) for point in pair]
         ends += list(zip(costs, pair, strict=True))
-        inside = (np.allclose(point, theta + sign * step) for point, sign in zip(pair, (1, -1), strict=True))
-        if all(inside) and not rough:
-            predicted = float(np.sum((rows @ step) ** 2))
-            off = 0.5 * sum(costs) - here - predicted
-            rough = abs(off) > KINK_SHARE * max(predicted, variance) and not _smooth(
-                problem, theta, rows, step, off
-            )
-    distances = KINK_DISTANCES if rough else SMOOTH_DISTANCES
-    starts = [
-        np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
-        for far in distances
-    ]
+        if not rough and np.allclose(pair, (theta + step, theta - step)):
+            rough = not _smooth(problem, theta, rows, step, KINK_SHARE * variance)
+        starts = [
+            np.clip(theta + far * steps @ _unit(rng, len(theta)), problem.lower, problem.upper)
+            for far in DISTANCES[rough]
+        ]
     starts += _inside(problem, result, theta, rough)
     tolerance = 0.1 * material / max(here, 1e-300)
     if rough:
@@ -654,21 +767,23 @@ def set_weights(problem: Problem, result: FitResult) -> None:
         problem.sd[k] = [known[trial.id, channel].sd for channel in problem.channels[k]]
 
 
-def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, off: float) -> bool:
-    """Return whether the deviation from the quadratic prediction falls with the fourth power of the step.
+def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, allowed: float) -> bool:
+    """Return whether the cost is smooth along a step.
 
-    It does so for a smooth cost. With a kink it falls with the step, and with a piecewise constant cost it
-    falls with the square of the step.
+    The mean cost of two opposite points is compared with its quadratic prediction. If it deviates by more
+    than ``allowed`` and :data:`KINK_SHARE` of the prediction, nearer points are compared. The deviation falls
+    with the fourth power of the step if the cost is smooth. With a kink it falls with the step, and with a
+    piecewise constant cost it falls with the square of the step.
     """
-    here = _squares(problem, theta)
-    for _ in range(2):
-        step = step / 4.0
-        predicted = float(np.sum((rows @ step) ** 2))
-        nearer = 0.5 * (_squares(problem, theta + step) + _squares(problem, theta - step)) - here - predicted
+    before = math.nan
+    for nearer in (1.0, 4.0, 16.0):
+        ends = [_squares(problem, theta + sign * step / nearer) for sign in (1.0, -1.0)]
+        predicted = float(np.sum((rows @ (step / nearer)) ** 2))
+        off = abs(0.5 * sum(ends) - _squares(problem, theta) - predicted)
         # at a quarter of the distance, 1/256 of the deviation remains if smooth, 1/16 if piecewise constant
-        if abs(nearer) < 1.0 / 32.0 * abs(off):
+        if off < before / 32.0 or (nearer == 1.0 and off <= max(KINK_SHARE * predicted, allowed)):
             return True
-        off = nearer
+        before = off
     return False
 
 
@@ -715,25 +830,21 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
     A parameter at a bound is moved away from the bound. A parameter with a non-smooth effect is set to
     several values. Parameters of single trials are included only if the cost is not smooth.
     """
-    kinked = {p.name for p in result.parameters if p.kinked}
     found = []
-    margin = 1e-3 * problem.scale
     for j, label in enumerate(problem.labels):
-        name, per_trial = label.split("[")[0], "[" in label
-        values: list[float] = []
-        if name in kinked and not per_trial:
-            values = [size * problem.scale[j] for size in SCALES] + [
-                f * theta[j] for f in FACTORS if theta[j]
-            ]
-        elif theta[j] - problem.lower[j] < margin[j]:
-            values = [problem.lower[j] + INSIDE * problem.scale[j]]
-        elif problem.upper[j] - theta[j] < margin[j]:
-            values = [problem.upper[j] - INSIDE * problem.scale[j]]
+        per_trial = "[" in label
         if per_trial and not rough:
             continue
+        lower, upper, scale, values = problem.lower[j], problem.upper[j], problem.scale[j], []
+        if result.parameter(label).kinked and not per_trial:
+            values = [size * scale for size in SCALES] + [f * theta[j] for f in FACTORS if theta[j]]
+        elif theta[j] - lower < 1e-3 * scale:
+            values = [lower + INSIDE * scale]
+        elif upper - theta[j] < 1e-3 * scale:
+            values = [upper - INSIDE * scale]
         for value in values:
             point = theta.copy()
-            point[j] = np.clip(value, problem.lower[j], problem.upper[j])
+            point[j] = np.clip(value, lower, upper)
             found.append(point)
     return found
 
@@ -784,15 +895,13 @@ def estimate_start(
 def with_held_out(result: FitResult) -> FitResult:
     """Return the result with each validation trial simulated from its own estimated start state."""
     waiting = [t for t in result.trials if t.role == "validate"]
-    if not any(p.free and p.per_trial for p in result.parameters):
-        return result
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
     found: dict[str, float] = {}
     for trial in waiting:
-        found.update(estimate_start(result.model, result.at_estimates(), trial, sd))
+        found |= estimate_start(result.model, result.at_estimates(), trial, sd)
+    if not found:
+        return result
     result = replace(result, start_states=found)
-    simulated = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
-    series = [
-        replace(s, simulated=simulated.get(s.trial, {}).get(s.channel, s.simulated)) for s in result.series
-    ]
+    shown = {t.id: result.model.simulate(result.values(t.id), t) for t in waiting}
+    series = [replace(s, simulated=shown.get(s.trial, {}).get(s.channel, s.simulated)) for s in result.series]
     return replace(result, series=series)

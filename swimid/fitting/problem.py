@@ -95,29 +95,27 @@ class Problem:
             [c.name for c in model.channels if c.name in t.measured and np.isfinite(t.measured[c.name]).any()]
             for t in self.trials
         ]
-        self.slots: list[tuple[int, int | None]] = []
-        self.labels: list[str] = []
-        for index, parameter in enumerate(self.parameters):
-            if parameter.free and not parameter.per_trial:
-                self.slots.append((index, None))
-                self.labels.append(parameter.name)
-            elif parameter.free:
-                owners = [k for k, t in enumerate(self.trials) if parameter.name not in t.held]
-                self.slots += [(index, k) for k in owners]
-                self.labels += [f"{parameter.name}[{self.trials[k].id}]" for k in owners]
+        unknowns: list[tuple[int, int | None, str, float]] = []
+        for index, p in enumerate(self.parameters):
+            if p.free and not p.per_trial:
+                unknowns.append((index, None, p.name, p.start))
+            for k, t in enumerate(self.trials):
+                if p.free and p.per_trial and p.name not in t.held:
+                    # the log of a trial may suggest a better start value than that of the parameter
+                    unknowns.append((index, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)))
+        self.slots = [(index, k) for index, k, _, _ in unknowns]
+        self.labels = [label for _, _, label, _ in unknowns]
+        indices = np.array([index for index, _ in self.slots], dtype=int)
         self.taken: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
         for k in range(len(self.trials)):
-            numbers = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
-            taken = [self.slots[j][0] for j in numbers]
-            self.taken.append((np.array(taken, dtype=int), np.array(numbers, dtype=int)))
-        of_trials = list(zip(self.trials, self.channels, strict=True))
-        self.masks = [[np.isfinite(t.measured[c]) for c in names] for t, names in of_trials]
-        complete = [all(mask.all() for mask in masks) for masks in self.masks]
-        self._kept = [
-            slice(None) if whole else np.concatenate(masks)
-            for whole, masks in zip(complete, self.masks, strict=True)
-        ]
-        self.sd = [[np.ones(len(t.time_s)) for _ in names] for t, names in of_trials]
+            owned = [j for j, (_, owner) in enumerate(self.slots) if owner in (None, k)]
+            self.taken.append((indices[owned], np.array(owned, dtype=int)))
+        self.masks, self.sd, self._kept = [], [], []
+        for t, names in zip(self.trials, self.channels, strict=True):
+            masks = [np.isfinite(t.measured[c]) for c in names]
+            self.masks.append(masks)
+            self.sd.append([np.ones(len(t.time_s)) for _ in names])
+            self._kept.append(slice(None) if all(mask.all() for mask in masks) else np.concatenate(masks))
         self._values = np.array([p.start for p in self.parameters])
         own = [self.parameters[i] for i, _ in self.slots]
         self.lower, self.upper, self.scale, mean = (
@@ -125,12 +123,15 @@ class Problem:
         )
         self.prior = mean, np.zeros((0, len(own)))
         self.whiten: Callable[[int, Array], Array] = lambda k, rows: rows
-        # the log of a trial may suggest a better start value than that of the parameter
-        known = [{} if owner is None else self.trials[owner].starts for _, owner in self.slots]
-        starts = [float(found.get(p.name, p.start)) for p, found in zip(own, known, strict=True)]
-        self.start = np.clip(np.array(starts), self.lower, self.upper)
+        starts = np.array([start for _, _, _, start in unknowns], dtype=float)
+        self.start = np.clip(starts, self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
-        self._samples = [len(values) for values in self._measured]
+        ends = np.cumsum([len(values) for values in self._measured])
+        # for each trial the rows of its residuals, and the columns of its unknowns
+        self._blocks = [
+            (slice(end - len(values), end), numbers)
+            for end, values, (_, numbers) in zip(ends, self._measured, self.taken, strict=True)
+        ]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
         self._held: dict[str, list[Array]] = {}
@@ -198,21 +199,12 @@ class Problem:
     def jacobian(self, theta: Array) -> Array:
         """Return the derivatives of :meth:`residuals`, shape (n, p)."""
         _, root = self.prior
-        blocks = self._blocks()
-        count = sum(self._samples)
+        count = sum(len(values) for values in self._measured)
         found = np.zeros((count + len(root), len(theta)))
         found[count:] = root
         for k, rows in enumerate(self.own_jacobians(theta)):
-            found[blocks[k]] = self.whiten(k, rows)
+            found[self._blocks[k]] = self.whiten(k, rows)
         return found
-
-    def _blocks(self) -> list[tuple[slice, NDArray[np.intp]]]:
-        """Return for each trial the rows of its residuals and the columns of its unknowns."""
-        ends = np.cumsum(self._samples).tolist()
-        return [
-            (slice(end - n, end), numbers)
-            for end, n, (_, numbers) in zip(ends, self._samples, self.taken, strict=True)
-        ]
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
         """Return the derivatives of each trial's residuals by all unknowns, shape (n_k, p) each.
@@ -221,11 +213,10 @@ class Problem:
         cost twice as much. Derivatives at an earlier point are used again if the point is within :attr:`near`
         of it.
         """
-        found = []
-        for k, rows in enumerate(self.own_jacobians(theta, central=central)):
-            whole = np.zeros((len(rows), len(theta)))
-            whole[:, self.taken[k][1]] = rows
-            found.append(whole)
+        own = self.own_jacobians(theta, central=central)
+        found = [np.zeros((len(rows), len(theta))) for rows in own]
+        for whole, rows, (_, numbers) in zip(found, own, self.taken, strict=True):
+            whole[:, numbers] = rows
         return found
 
     def own_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
@@ -247,13 +238,7 @@ class Problem:
             label: [r[:, j] / w for r, w in zip(rows, weights, strict=True)] for j, label in enumerate(labels)
         }
 
-    def solve(
-        self,
-        theta: Array,
-        *,
-        secant: bool = False,
-        **settings: Any,
-    ) -> Solution:
+    def solve(self, theta: Array, *, secant: bool = False, **settings: Any) -> Solution:
         """Minimise the sum of squared residuals inside the bounds, from ``theta`` on.
 
         The ``settings`` are those of :func:`minimise`.
@@ -263,18 +248,18 @@ class Problem:
         secant : bool
             Whether to update the Jacobian from step to step by the secant method, for each trial separately.
         """
-        blocks = self._blocks()
 
         def update(rows: Array, off: Array, step: Array, weights: Array) -> Array:
-            for part, columns in blocks:
+            for part, columns in self._blocks:
                 along = step[columns] * weights[columns]
                 length = float(along @ step[columns])
                 if length > 0:
                     rows[part, columns] += np.outer(off[part], along / length)
             return rows
 
-        updated = update if secant else None
-        return minimise(self.residuals, self.jacobian, theta, self.box, secant=updated, **settings)
+        if secant:
+            settings["secant"] = update
+        return minimise(self.residuals, self.jacobian, theta, self.box, **settings)
 
     def sample_weights(self, k: int) -> Array:
         """Return the factors from errors to weighted residuals of the samples of a trial, shape (n_k,)."""
@@ -291,13 +276,12 @@ class Problem:
 
     def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
         """Join one series for each channel of a trial, without missing samples, shape (n_k,)."""
-        return np.concatenate(parts)[self._kept[k]] if parts else np.empty(0)
+        return np.concatenate([np.empty(0), *parts])[self._kept[k]]
 
     def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:
         """Split rows of a trial by channel, and return name, mask of samples and rows of each channel."""
         ends = np.cumsum([int(mask.sum()) for mask in self.masks[k]])
-        parts = np.split(rows[: ends[-1]], ends[:-1]) if len(ends) else []
-        return list(zip(self.channels[k], self.masks[k], parts, strict=True))
+        return list(zip(self.channels[k], self.masks[k], np.split(rows, ends)[:-1], strict=True))
 
     def series(self, residuals: Sequence[Array]) -> dict[str, list[Array]]:
         """Return the residuals by channel, one series for each trial that has it; NaN for missing samples."""
@@ -317,19 +301,17 @@ class Problem:
                 return known
         size = np.maximum(np.abs(theta), self.scale)
         here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
-        steps = (1e-5 if central else 1e-6) * size
+        steps = (1e-6, 1e-5)[central] * size
         # use a backward difference if a forward step would exceed the upper bound
         steps = np.where(theta + steps > self.upper, -steps, steps)
         both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
+        ahead, back = (theta + sign * np.diag(steps) for sign in (1, -1))
         points: list[tuple[Array, int]] = []
         # order the simulations by trial, so that simulations of one trial can share the computed motion of
         # its drive
         for k, (_, numbers) in enumerate(self.taken):
             for j in (j for j in numbers if self.labels[j] not in self._held):
-                for sign in (1, -1)[: 1 + both[j]]:
-                    moved = theta.copy()
-                    moved[j] += sign * steps[j]
-                    points.append((moved, k))
+                points += [(moved[j], k) for moved in (ahead, back)[: 1 + both[j]]]
         moves = iter(self.simulated(points))
         width = (theta + steps) - np.where(both, theta - steps, theta)
         slopes = []
@@ -340,9 +322,9 @@ class Problem:
                     if self.labels[j] in self._held:
                         column[:] = self._held[self.labels[j]][k]
                         continue
-                    ahead = self.stacked(k, next(moves))
-                    back = self.stacked(k, next(moves)) if both[j] else here[k]
-                    column[:] = (ahead - back) / width[j]
+                    column[:] = self.stacked(k, next(moves))
+                    column -= self.stacked(k, next(moves)) if both[j] else here[k]
+                    column /= width[j]
             columns[~np.isfinite(columns)] = 0.0
             slopes.append(np.ascontiguousarray(columns.T))
         self._slopes = (theta.copy(), central, slopes)
@@ -350,15 +332,14 @@ class Problem:
 
     def _near(self, theta: Array, where: Array, slopes: list[Array]) -> bool:
         """Return whether two points differ by less than :attr:`near` standard errors."""
-        moved, left, samples = 0.0, 0.0, 0
+        moved = left = 0.0
         for k, rows in enumerate(slopes):
             change = rows @ (theta - where)[self.taken[k][1]] * self.sample_weights(k)
             residuals = self.trial_residuals(theta, k)
             moved += float(change @ change)
             left += float(residuals @ residuals)
-            samples += len(residuals)
         # a step of one standard error in any direction changes the cost by the variance of the residuals
-        return moved * samples <= self.near**2 * left
+        return moved * sum(map(len, slopes)) <= self.near**2 * left
 
     def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
         """Simulate pairs of unknowns and trial index, and return the measured channels of each."""
@@ -480,90 +461,70 @@ def minimise(
     x = np.clip(np.asarray(start, dtype=float), lower, upper)
     r = residuals(x)
     cost = float(r @ r)
-    if len(x) == 0:
-        return Solution(x, cost, True, "nothing to estimate", 0)
     if not np.isfinite(cost):
         return Solution(x, cost, False, "the model cannot be simulated at the starting values", 0)
-    attempt = partial(_attempt, residuals, box)
     tell = watch or (lambda x, cost, iteration: None)
     tell(x, cost, 0)
-    damping, growth = 1e-3, 2.0
-    iteration = 0
-    while iteration < max_iterations:
-        rows, age, renew = jacobian(x) * scale, 0, False
-        while not renew and iteration < max_iterations:
-            iteration += 1
-            gradient, normal = _products(rows, r)
-            blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-            free = ~blocked
-            size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-            # cosine of the angle between the residuals and each column of the Jacobian
-            slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
-            if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
-                return Solution(x, cost, True, "the gradient vanishes", iteration)
-            renew = True
-            for _ in range(40):
-                weight, low, high = damping * size**2, (lower - x) / scale, (upper - x) / scale
-                taken = _step(normal, gradient, weight, low, high, blocked)
-                predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
-                tried = attempt(x, taken)
-                short = cost - tried.cost < MIN_AGREEMENT * predicted and np.isfinite(tried.cost)
-                if secant is not None and short:
-                    bent = partial(
-                        _step, normal, damping=weight, low=low - taken, high=high - taken, blocked=blocked
-                    )
-                    tried = _corrected(tried, bent, attempt, x, r, rows, size)
-                small = bool(np.all(np.abs(tried.step) <= tolerance * (np.abs(x / scale) + tolerance)))
-                if tried.cost < cost:
-                    lowered, off = cost - tried.cost, tried.residuals - r - rows @ tried.step
-                    gain = lowered / predicted if predicted > 0 else 0.0
-                    damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
-                    growth = 2.0
-                    still = small or (lowered <= tolerance * cost and predicted <= 10 * tolerance * cost)
-                    x, r, cost = tried.x, tried.residuals, tried.cost
-                    reason = tell(x, cost, iteration)
-                    # end only with new derivatives: a secant update may be the reason for a small step
-                    if still and not age:
-                        return Solution(x, cost, True, STILL, iteration)
-                    if reason is not None:
-                        return Solution(x, cost, True, reason, iteration)
-                    faithful = gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still
-                    if secant is not None and faithful:
-                        rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
-                    break
-                if age:
-                    # compute new derivatives: the secant updates may be the reason why the cost does not fall
-                    break
-                if small or abs(predicted) <= 1e-3 * tolerance * cost:
-                    return Solution(x, cost, True, STUCK, iteration)
-                damping *= growth
-                growth *= 2.0
-            else:
-                return Solution(x, cost, False, KINKED, iteration)
+    attempt = partial(_attempt, residuals, box)
+    damping, growth, age, renew = 1e-3, 2.0, 0, True
+    for iteration in range(1, max_iterations + 1):
+        if renew:
+            rows, age = jacobian(x) * scale, 0
+        renew = True
+        gradient, normal = _products(rows, r)
+        blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+        free = ~blocked
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        # cosine of the angle between the residuals and each column of the Jacobian
+        slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
+        if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
+            return Solution(x, cost, True, "the gradient vanishes", iteration)
+        for _ in range(40):
+            solve = partial(_step, normal, damping=damping * size**2, blocked=blocked)
+            low, high = (lower - x) / scale, (upper - x) / scale
+            taken = solve(gradient, low=low, high=high)
+            predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
+            tried = attempt(x, taken)
+            short = cost - tried.cost < MIN_AGREEMENT * predicted and np.isfinite(tried.cost)
+            if secant is not None and short:
+                # correct the step for curvature if the correction is short and lowers the cost
+                bend = rows.T @ (tried.residuals - r - rows @ taken)
+                bent = solve(bend, low=low - taken, high=high - taken)
+                if np.linalg.norm(bent * size) <= MAX_CORRECTION * np.linalg.norm(taken * size):
+                    tried = min(tried, attempt(x, taken + bent), key=lambda t: t.cost)
+            small = bool(np.all(np.abs(tried.step) <= tolerance * (np.abs(x / scale) + tolerance)))
+            if tried.cost < cost:
+                lowered, off = cost - tried.cost, tried.residuals - r - rows @ tried.step
+                gain = lowered / predicted if predicted > 0 else 0.0
+                damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
+                growth = 2.0
+                still = small or (lowered <= tolerance * cost and predicted <= 10 * tolerance * cost)
+                x, r, cost = tried.x, tried.residuals, tried.cost
+                reason = tell(x, cost, iteration)
+                # end only with new derivatives: a secant update may be the reason for a small step
+                if still and not age:
+                    reason = STILL
+                if reason is not None:
+                    return Solution(x, cost, True, reason, iteration)
+                if secant and gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still:
+                    rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
+                break
+            if age:
+                # compute new derivatives: the secant updates may be the reason why the cost does not fall
+                break
+            if small or abs(predicted) <= 1e-3 * tolerance * cost:
+                return Solution(x, cost, True, STUCK, iteration)
+            damping *= growth
+            growth *= 2.0
+        else:
+            return Solution(x, cost, False, KINKED, iteration)
     return Solution(x, cost, False, f"not converged after {max_iterations} iterations", max_iterations)
 
 
 def _attempt(residuals: Callable[[Array], Array], box: Box, x: Array, step: Array) -> _Tried:
     there = np.clip(x + step * box.scale, box.lower, box.upper)
     r = residuals(there)
-    cost = float(r @ r)
-    return _Tried(step, there, r, cost if np.isfinite(cost) else math.inf)
-
-
-def _corrected(
-    tried: _Tried,
-    solve: Callable[[Array], Array],
-    attempt: Callable[[Array, Array], _Tried],
-    x: Array,
-    r: Array,
-    rows: Array,
-    size: Array,
-) -> _Tried:
-    """Return a step corrected for curvature if the correction is short and lowers the cost; else the step."""
-    bent = solve(rows.T @ (tried.residuals - r - rows @ tried.step))
-    if np.linalg.norm(bent * size) > MAX_CORRECTION * np.linalg.norm(tried.step * size):
-        return tried
-    return min(tried, attempt(x, tried.step + bent), key=lambda t: t.cost)
+    return _Tried(step, there, r, float(np.nan_to_num(r @ r, nan=math.inf, posinf=math.inf)))
 
 
 def _products(rows: Array, r: Array) -> tuple[Array, Array]:

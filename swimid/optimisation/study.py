@@ -21,8 +21,7 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance, yamlio
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
-from swimid.fitting.drives import SwimInput
-from swimid.fitting.model import Array
+from swimid.fitting.model import Array, SwimInput
 from swimid.fitting.problem import map_in_threads
 from swimid.notices import Notice, Progress, silent
 from swimid.optimisation.options import GaitOptions

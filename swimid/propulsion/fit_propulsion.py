@@ -14,10 +14,10 @@ import numpy as np
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.covariance import UNIDENTIFIABLE
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Trial, chosen
+from swimid.fitting.output_error import FitResult
+from swimid.fitting.uncertainty import UNIDENTIFIABLE
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
@@ -195,7 +195,7 @@ def _fit_surge(
     }
     robot = experiment.robot.name
     file = fit_common.parameter_file(result, robot=robot, provenance={}, derived=derived, settings=settings)
-    checks = [*fit_common.checks(result, file), fit_common.beat_check(beats), *exponent_checks]
+    checks = [*fit_common.checks(result), fit_common.beat_check(beats), *exponent_checks]
     state = "estimated"
     if not any(label.startswith("initial_speed[") for label in result.labels):
         state = "held"
@@ -278,7 +278,7 @@ def _fit_recoil_law(
         "figures": [_speed_figure(experiment, result, points, left_out), _residual_figure(result)],
         "methods": methods,
     }
-    return file, [*fit_common.checks(result, file), departed, *exponent_checks], shown
+    return file, [*fit_common.checks(result), departed, *exponent_checks], shown
 
 
 # ------------------------------------------------------------ checks of the law

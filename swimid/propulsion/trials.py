@@ -16,9 +16,8 @@ from scipy.integrate import cumulative_trapezoid
 from swimid.errors import InputError, file_errors, suggestion
 from swimid.files import tabular
 from swimid.files.provenance import Held
-from swimid.fitting.drives import CruiseInput, SurgeInput
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, CruiseInput, SurgeInput, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import find_beat, stated_against_found
 from swimid.logs.log import FREQUENCY_RTOL, Log

@@ -41,11 +41,10 @@ from scipy import optimize, special
 from swimid.errors import NoTrustworthyResult
 from swimid.files import provenance
 from swimid.fitting import fit_common, output_error
-from swimid.fitting.covariance import HETEROGENEITY, UNIDENTIFIABLE
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Parameter, Trial, chosen
-from swimid.fitting.noise import SIGNIFICANCE, fit_autoregression
+from swimid.fitting.output_error import FitResult
+from swimid.fitting.uncertainty import HETEROGENEITY, SIGNIFICANCE, UNIDENTIFIABLE, fit_autoregression
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
@@ -166,7 +165,7 @@ def fit_drag(
             derived=derive(experiment, result),
             settings=facts,
         )
-        checks = [*fit_common.checks(result, file), *possible_checks(experiment, result), *checks]
+        checks = [*fit_common.checks(result), *possible_checks(experiment, result), *checks]
     if result.shared and all(result.status[label] != "estimated" for label in result.shared):
         raise NoTrustworthyResult(
             f"none of {', '.join(result.shared)} can be identified from these trials",
@@ -526,10 +525,10 @@ def _friction_check(plain: FitResult) -> list[ev.Check]:
     if p_value >= HETEROGENEITY:
         return []
     pulls = {t.id: t.rig.pull for t in plain.trials}
-    trend = between_trials.estimate_trend(own, np.array([pulls[name] for name in own.trials]))
-    follows = trend.p_value < TREND_P
+    trend_p = between_trials.compute_trend_p(own, np.array([pulls[name] for name in own.trials]))
+    follows = trend_p < TREND_P
     if follows:
-        code, how, p_value = "SWM070", "follows the pulling mass", trend.p_value
+        code, how, p_value = "SWM070", "follows the pulling mass", trend_p
     value, limit = f"{how} ({ev.p_text(p_value)})", f"p ≥ {HETEROGENEITY:g}; for a trend p ≥ {TREND_P:g}"
     text = "standard errors do not allow for it: find the cause with swimid diagnose TRIALS --params FILE"
     check = (code, "same friction in all trials", value, False, limit, text, f"the pulley friction {value}")

@@ -22,7 +22,6 @@ from typing import Any
 import numba
 import numpy as np
 
-from swimid.fitting.drives import RigInput
 from swimid.fitting.model import (
     MOST_FORCES,
     NONE,
@@ -32,6 +31,7 @@ from swimid.fitting.model import (
     Model,
     Parameter,
     Rig,
+    RigInput,
     Scales,
     Trial,
     no_force,

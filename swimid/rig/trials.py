@@ -12,9 +12,8 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.files.provenance import Input
-from swimid.fitting.drives import RigInput
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
-from swimid.fitting.model import Array, Trial, chosen
+from swimid.fitting.model import Array, RigInput, Trial, chosen
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
 from swimid.logs.sampling import step_of

@@ -19,8 +19,8 @@ from swimid.blackbox.model import ArxModel
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files.provenance import Input
 from swimid.fitting import drives
-from swimid.fitting.drives import CruiseInput, Cycle, RigInput, SwimInput
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.drives import Cycle
+from swimid.fitting.model import Array, CruiseInput, RigInput, SwimInput, Trial
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
 from swimid.logs.beat import find_beat

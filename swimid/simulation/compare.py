@@ -15,7 +15,7 @@ import numpy as np
 
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.fitting import metrics, mistakes
+from swimid.fitting import fit_common, mistakes
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Trial
 from swimid.logs import kinematics
@@ -398,7 +398,7 @@ def _checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
     fitted : iterable of str
         Channels that the parameters were fitted to.
     """
-    graded = metrics.error_checks(file.channels, fitted=fitted)
+    graded = fit_common.score_checks(file.channels, fitted=fitted)
     share = _speed_share(file)
     if share is not None:
         text = "root-mean-square difference over the trials, over the root mean square measured"
@@ -407,8 +407,8 @@ def _checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
 
 
 def _speed_check(name: str, share: float, text: str) -> ev.Check:
-    limits = (metrics.GOOD_SPEED, metrics.USABLE_SPEED)
-    return metrics.share_check(name, share, *limits, "measured", text)
+    limits = (fit_common.GOOD_SPEED, fit_common.USABLE_SPEED)
+    return fit_common.share_check(name, share, *limits, "measured", text)
 
 
 def _cruise_checks(file: ComparisonFile) -> list[ev.Check]:

@@ -13,7 +13,7 @@ from pydantic import Field
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import yamlio
 from swimid.files.yamlio import Number
-from swimid.fitting import metrics, mistakes, output_error
+from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs import kinematics
@@ -167,7 +167,7 @@ class Compared(NamedTuple):
 
     trial: Trial
     pairs: dict[str, Pair]
-    #: ``pairs`` with positions along and across the mean heading (:func:`swimid.fitting.metrics.own_axes`).
+    #: ``pairs`` with positions along and across the mean heading (:func:`own_axes` of ``fit_common``).
     own: dict[str, Pair]
     record: TrialComparison
 
@@ -219,11 +219,11 @@ def compare_trial(
     speed = None
     if body is not None and frequency is not None:
         speed = mean_speed(trial, pairs, body, frequency)
-    measured, simulated = metrics.own_axes(
+    measured, simulated = fit_common.own_axes(
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
     )
     own = {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
-    placed, drive = metrics.pose_channels(model), {}
+    placed, drive = fit_common.pose_channels(model), {}
     if trial.swim.beat is not None:
         drive = cases.drive_block(trial)
     record = TrialComparison(
@@ -387,7 +387,7 @@ def _velocity_pairs(
 
 
 def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: bool = False) -> ChannelScore:
-    """Return the errors of a channel over all its parts; see :func:`swimid.fitting.metrics.score_trials`."""
+    """Return the errors of a channel over all its parts; see :func:`.score_trials`."""
     series = [(p.measured, p.simulated) for p in parts]
     middle = [0.0] * len(series)
     if own_motion:  # peaks of a pose are about the mean of the trial
@@ -395,15 +395,15 @@ def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: 
     measured, simulated = (
         np.concatenate([pair[side] - m for pair, m in zip(series, middle, strict=True)]) for side in (0, 1)
     )
-    peak, relative = metrics.peak_error(measured, simulated)
+    peak, relative = fit_common.peak_error(measured, simulated)
     phase = None
     if frequency_hz is not None:
         (p,) = parts
-        phase = metrics.phase_error(p.measured, p.simulated, p.time_s, frequency_hz=frequency_hz)
+        phase = fit_common.phase_error(p.measured, p.simulated, p.time_s, frequency_hz=frequency_hz)
     return ChannelScore(
         unit=parts[0].channel.unit,
         source=parts[0].source,
-        **vars(metrics.score_trials(series, own_motion=own_motion)),
+        **vars(fit_common.score_trials(series, own_motion=own_motion)),
         peak_error=peak,
         peak_error_normalised=relative,
         phase_error_rad=phase,
@@ -412,7 +412,7 @@ def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: 
 
 def pool(done: Sequence[Compared], model: Model) -> dict[str, ChannelScore]:
     """Return the errors of each channel of a model over all trials that have it, by channel."""
-    pose = metrics.pose_channels(model)
+    pose = fit_common.pose_channels(model)
     parts = {c.name: [one.own[c.name] for one in done if c.name in one.own] for c in model.channels}
     return {name: _score(pairs, own_motion=name in pose) for name, pairs in parts.items() if pairs}
 
@@ -479,5 +479,5 @@ def _cruise(applied: Applied, trial: Trial, values: Array, pairs: Mapping[str, P
     early, late = (mean_speed(trial, pairs, body, drive.frequency_hz, part) for part in parts)
     steady = False
     if early is not None and late is not None:
-        steady = abs(late.measured - early.measured) <= metrics.GOOD_SPEED * abs(late.measured)
+        steady = abs(late.measured - early.measured) <= fit_common.GOOD_SPEED * abs(late.measured)
     return Cruise(settled=settled.speed_m_s, steady=steady)

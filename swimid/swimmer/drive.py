@@ -17,8 +17,8 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.optimize import minimize_scalar
 
 from swimid.fitting import drives
-from swimid.fitting.drives import Array, Motion, SwimInput
-from swimid.fitting.model import NONE, Hooks, Trial
+from swimid.fitting.drives import Array, Motion
+from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.swimmer.planar.engine import sampled
 from swimid.swimmer.tree import Axis, Polynomial, given
 

@@ -14,10 +14,10 @@ import numpy as np
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
-from swimid.fitting import fit_common, metrics, mistakes, output_error
+from swimid.fitting import fit_common, mistakes, output_error
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.metrics import FitResult
 from swimid.fitting.model import Array, Model, Parameter, Tied, Trial, groups_by_prefix
+from swimid.fitting.output_error import FitResult
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent
@@ -149,7 +149,7 @@ def fit_graybox(
         result = output_error.with_held_out(search.result)
         file = _parameter_file(experiment, result, origin, output, trials, options)
         checks = [
-            *fit_common.checks(result, file),
+            *fit_common.checks(result),
             *fit_common.error_checks(result),
             fit_common.beat_check(experiment.facts["beats"]),
         ]
@@ -589,8 +589,8 @@ def _error_rows(result: FitResult) -> list[list[str]]:
     for s in result.series:
         unit, role = units[s.channel], {"validate": "held out"}.get(s.role, "fit")
         score = fit_common.scores(result, s.role, [s.trial])[s.channel]
-        warped = metrics.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
-        peak = metrics.peak_error(s.measured, s.simulated)[1]
+        warped = fit_common.dtw_distance(s.measured, s.simulated, band=max(1, len(s.measured) // 20))
+        peak = fit_common.peak_error(s.measured, s.simulated)[1]
         shares = numbers.percent(score.nrmse), numbers.percent(score.vaf, 4), numbers.percent(peak)
         errors = [numbers.number(error, 3, unit) for error in (score.rmse, warped)]
         rows.append([s.trial, role, s.channel, errors[0], *shares, errors[1]])

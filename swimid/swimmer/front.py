@@ -23,10 +23,10 @@ from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageErr
 from swimid.files import atomic
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, global_search, output_error
-from swimid.fitting.fit_common import Experiment
+from swimid.fitting.fit_common import Experiment, dtw_distance
 from swimid.fitting.global_search import Front
-from swimid.fitting.metrics import FitResult, Series, dtw_distance
 from swimid.fitting.model import Array, Model, Parameter, Trial
+from swimid.fitting.output_error import FitResult, Series
 from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent, warn
 from swimid.results import evidence as ev

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from swimid.fitting.drives import SwimInput
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
 from swimid.notices import Progress, silent
 from swimid.robots.file import Robot
@@ -23,6 +22,7 @@ from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.files.atomic import Checkpoint
+    from swimid.fitting.model import SwimInput
     from swimid.swimmer.steady import Cruise, SteadySwimming
 
 #: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the

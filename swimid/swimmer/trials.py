@@ -13,10 +13,10 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.fitting import drives, metrics
-from swimid.fitting.drives import Cycle, SwimInput
+from swimid.fitting import drives, fit_common
+from swimid.fitting.drives import Cycle
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log
-from swimid.fitting.model import Array, Trial
+from swimid.fitting.model import Array, SwimInput, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.beat import (
     LARGEST_SLIP,
@@ -489,7 +489,7 @@ def _beat_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
     Trends and the direction of the path are removed, because they do not belong to the beat.
     """
     total = 0.0
-    measured, simulated = metrics.own_axes(trial.measured, simulated)
+    measured, simulated = fit_common.own_axes(trial.measured, simulated)
     for name, values in measured.items():
         known = np.isfinite(values)
         time = trial.time_s[known]

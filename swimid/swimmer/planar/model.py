@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.fitting.drives import Beat, SwimInput
-from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, Trial
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
 from swimid.notices import Progress, silent
 from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
