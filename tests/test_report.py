@@ -582,6 +582,39 @@ def test_a_null_or_an_empty_list_is_a_dash() -> None:
     assert found == expected
 
 
+def test_fits_of_one_model_stand_side_by_side(tmp_path: Path) -> None:
+    """One table and one figure with the estimates of each file; the fits themselves are folded."""
+    days = [cases.drag(tmp_path, f"day{k}.yaml") for k in (1, 2)]
+    quietly(inputs=days, output=tmp_path / "r.html")
+    words = outline(tmp_path / "r.html").words
+    assert "2 fits of" in words
+    assert "parameter day1 day2 drag_coefficient 0.705 ± 0.033 0.705 ± 0.033" in words
+    text = (tmp_path / "r.html").read_text()
+    assert text.index("side by side</h2>") < text.index("<summary>Drag and added mass")
+
+
+def test_a_parameter_that_is_not_identified_is_no_number_side_by_side(tmp_path: Path) -> None:
+    first, second = (cases.drag(tmp_path, f"day{k}.yaml") for k in (1, 2))
+    file = parameters.read(second)
+    unknown = file.parameters["added_mass"].model_copy(update={"status": "unidentifiable"})
+    file.model_copy(update={"parameters": {**file.parameters, "added_mass": unknown}}).write(second)
+    quietly(inputs=[first, second], output=tmp_path / "r.html")
+    assert "added_mass 0.685 ± 0.037 kg – pulley" in outline(tmp_path / "r.html").words
+
+
+def test_fits_with_other_parameters_or_units_are_not_compared(tmp_path: Path) -> None:
+    """A result that has no place in the table would be hidden, and an axis would have two units."""
+    path = cases.drag(tmp_path)
+    file = parameters.read(path)
+    other = {**file.parameters, "added_mass": file.parameters["added_mass"].model_copy(update={"unit": "g"})}
+    file.model_copy(update={"parameters": other}).write(tmp_path / "grams.yaml")
+    fewer = {name: e for name, e in file.parameters.items() if name != "added_mass"}
+    file.model_copy(update={"parameters": fewer}).write(tmp_path / "fewer.yaml")
+    inputs = [path, tmp_path / "grams.yaml", tmp_path / "fewer.yaml"]
+    quietly(inputs=inputs, output=tmp_path / "r.html")
+    assert "fits of" not in outline(tmp_path / "r.html").words
+
+
 def test_a_terminal_line_has_at_most_100_characters(tmp_path: Path) -> None:
     for path in (cases.drag(tmp_path), cases.arma(tmp_path)):
         assert max(map(len, load_result(path).summary().splitlines())) <= 100

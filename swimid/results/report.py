@@ -6,6 +6,7 @@ The page is HTML without scripts, or Markdown, from one template for each format
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,9 +22,10 @@ from swimid.files import atomic
 from swimid.files.provenance import sha256
 from swimid.notices import CODES, Progress, recorded, silent, warn
 from swimid.options import takes
-from swimid.results import drawing
+from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
 from swimid.results.options import Kind, ReportOptions
+from swimid.results.parameters import Fitted, value_text
 from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
@@ -38,6 +40,8 @@ CHECKS = {
 #: Maximum number of panels, and maximum number of tables, in the main part of a result. The first figure is
 #: always in the main part. Other figures and tables are folded.
 MAIN_PANELS, MAIN_TABLES = 3, 1
+#: Maximum number of parameters that are drawn when fits are compared.
+MAX_COMPARED = 6
 
 
 @takes(ReportOptions)
@@ -201,9 +205,13 @@ def render(
         levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
     )
     environment.filters.update(md=_markdown, code=_code)
+    groups = compared(results)
+    folded = [fit for fits, _ in groups for fit in fits]
+    shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]
+    shown += zip(contents, results, strict=True)
     sections = []
-    with progress("drawing", total=sum(len(content.figures) for content in contents)) as step:
-        for k, (result, content) in enumerate(zip(results, contents, strict=True), 1):
+    with progress("drawing", total=sum(len(content.figures) for content, _ in shown)) as step:
+        for k, (content, result) in enumerate(shown, 1):
             pictures = []
             for n, figure in enumerate(content.figures):
                 panels: list[str] = []
@@ -211,9 +219,12 @@ def render(
                     panels = drawing.for_page(figure, f"{k}-{n}-")
                 pictures.append((_explained(figure), panels))
                 step()
-            command = result.next_command(result.path.name)
-            section = {"anchor": f"r{k}", "kind": result.kind, "path": result.path, "next": command}
-            sections.append(section | _parts(content, pictures))
+            section = _parts(content, pictures) | {"anchor": f"r{k}", "folded": result in folded}
+            section |= {"kind": "Side by side", "path": None, "next": ""}
+            if result is not None:
+                command = result.next_command(result.path.name)
+                section |= {"kind": result.kind, "path": result.path, "next": command}
+            sections.append(section)
     return environment.get_template(template).render(
         title=title,
         version=swimid.__version__,
@@ -276,3 +287,43 @@ def _code(text: str) -> str:
     if len(fence) > 1:
         plain = f" {plain} "
     return f"{fence}{plain}{fence}"
+
+
+# ---------------------------------------------------------------- several fits of one model
+
+
+def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
+    """Return each group of two or more fits of one model, with a table and a figure of their parameters.
+
+    Fits are compared only if they have the same parameters in the same units.
+    """
+    groups: dict[Any, list[Fitted]] = {}
+    for result in results:
+        if isinstance(result, Fitted):
+            shared = frozenset((n, e.unit) for n, e in result.file.parameters.items() if "[" not in n)
+            groups.setdefault((result.file.model, shared), []).append(result)
+    return [(fits, _side_by_side(fits)) for fits in groups.values() if len(fits) > 1]
+
+
+def _side_by_side(fits: Sequence[Fitted]) -> ev.Evidence:
+    names = [fit.path.stem for fit in fits]
+    rows: list[list[Any]] = []
+    panels = []
+    for name, first in fits[0].file.parameters.items():
+        held = [fit.file.parameters.get(name, first) for fit in fits]
+        known = {k: e for k, e in enumerate(held) if e.status == "estimated"}
+        if "[" in name or not known:
+            continue
+        rows.append([name, *map(value_text, held)])
+        half = [numbers.Z95 * (e.stderr or math.nan) for e in known.values()]
+        points = ev.Trace(x=list(known), y=[e.value for e in known.values()], y_error=half, style="points")
+        label = f"{name} ({numbers.unit_text(first.unit) or '1'})"
+        panels.append(ev.panel("", label, [points], x_categories=names))
+    caption = "Estimates of each file; bars are 95 % intervals."
+    return ev.Evidence(
+        command="report",
+        title=f"{len(fits)} fits of {fits[0].file.model} side by side",
+        verdict=overall([fit.content() for fit in fits]),
+        tables=[ev.Table(id="compared", title="Parameters", columns=["parameter", *names], rows=rows)],
+        figures=[ev.panels("compared", "Estimates", caption, panels[:MAX_COMPARED])],
+    )
