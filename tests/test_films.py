@@ -15,7 +15,11 @@ from tests.generators import film_writer
 from tests.generators.disc_film import RED, YELLOW, Disc, Film
 
 MARKERS = [
-    {"name": "red", "hsv": {"hue_deg": [345, 15], "saturation": [0.45, 1], "value": [0.3, 1]}},
+    {
+        "name": "red",
+        "method": "colour",
+        "hsv": {"hue_deg": [345, 15], "saturation": [0.45, 1], "value": [0.3, 1]},
+    },
     {"name": "yellow", "hsv": {"hue_deg": [40, 75], "saturation": [0.4, 1], "value": [0.35, 1]}},
 ]
 SETUP = {"markers": MARKERS, "head": "red", "tail": "yellow", "scale": {"metres_per_pixel": 0.001}}
@@ -106,7 +110,8 @@ def test_a_film_that_repeats_every_other_picture_is_not_good(tmp_path):
     assert (np.abs(239 - true - 1000 * log.y_m) <= 1.96 * 1000 * log.y_sd_m).mean() > 0.9
 
 
-def test_a_grey_body_in_front_of_its_empty_scene_is_followed(tmp_path):
+@pytest.mark.parametrize("shade", [60, 20])
+def test_a_grey_body_in_front_of_its_empty_scene_is_followed(tmp_path, shade):
     """Centre, heading and direction of a rigid grey body without markers are within their bands."""
     rng = np.random.default_rng(4)
     scene = 170 + 90 * cv2.GaussianBlur(rng.normal(0, 1, SIZE[::-1]), (0, 0), 4)
@@ -125,7 +130,7 @@ def test_a_grey_body_in_front_of_its_empty_scene_is_followed(tmp_path):
             outline += 4 * (np.array([x[k], y[k]]) + 0.5) - 0.5
             cv2.fillPoly(mask, [np.round(64 * outline).astype(np.int32)], 255, shift=6)
             cover = cv2.resize(mask, SIZE, interpolation=cv2.INTER_AREA) / 255
-            image = (scene * (1 - cover) + 60 * cover)[..., None] + rng.normal(0, 3, (*SIZE[::-1], 3))
+            image = (scene * (1 - cover) + shade * cover)[..., None] + rng.normal(0, 3, (*SIZE[::-1], 3))
             yield np.clip(image, 0, 255).astype(np.uint8)
 
     film = film_writer.write(tmp_path / "body.mp4", frames(), size=SIZE, times=t, rate_hz=30, crf=16)

@@ -22,6 +22,7 @@ from swimid.notices import SwimidWarning
 from swimid.options import Options, Source, option, takes
 from swimid.results import parameters
 from swimid.swimmer.options import FitGrayboxOptions
+from swimid.tracking.options import Pick
 from tests.conftest import ROOT, Ran
 
 SPECS = list(found().values())
@@ -258,8 +259,14 @@ class TestWording:
                 "--drag belongs to a cruise experiment",
                 "drag belongs to a cruise experiment",
             ),
+            (
+                ["track", "setup", "v.mp4", "--background", "--marker", "a@1,2", "-o", "{out}"],
+                lambda: package.track_setup("v.mp4", background=True, picks=(Pick("a", 1, 2),)),
+                "--background and --marker contradict each other",
+                "background and picks contradict each other",
+            ),
         ],
-        ids=["rwls", "fit-propulsion"],
+        ids=["rwls", "fit-propulsion", "track setup"],
     )
     def test_errors(
         self,

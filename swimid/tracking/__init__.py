@@ -1,10 +1,11 @@
 """From a film to a log of poses: tracking of coloured markers, with the uncertainty of the poses.
 
 ``frames`` yields frames with their time stamps, and measures one marker by its colour in a small window.
-``tracker`` follows all markers through the film. ``pose`` converts pixels to metres, smooths them and
-computes the columns of the log. The command ``track_video`` writes the log, its evidence with the checks, and
-a film with the track drawn in. The command ``track_setup`` drafts a ``setup`` with markers that it finds or
-that are picked by hand. ``options`` contains the options of both commands.
+``tracker`` follows all markers through the film, and ``silhouette`` follows a whole body. ``pose`` converts
+pixels to metres, smooths them and computes the columns of the log. The command ``track_video`` writes the
+log, its evidence with the checks, and a film with the track drawn in. The command ``track_setup`` drafts a
+``setup`` with markers that it finds or that are picked by hand. ``options`` contains the options of both
+commands.
 
 Frames of reference
 -------------------

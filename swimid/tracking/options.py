@@ -120,7 +120,14 @@ class TrackSetupOptions(
         help="One pixel of a marker of any colour or shade; head first, then tail. "
         "Equal markers have one name.",
     )
+    background: bool = option(False, help="Follow a whole body by its difference from the empty scene.")
     frame: int = option(0, ge=0, help="Frame of the --marker pixels.")
     metres_per_pixel: float | None = option(None, gt=0, help="Scale: metres per pixel.")
     plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
     fps: float | None = _rate()
+
+    @model_validator(mode="after")
+    def _one_method(self) -> Self:
+        if self.background and self.picks:
+            raise UsageError("--background and --marker contradict each other: give one of them")
+        return self

@@ -736,9 +736,12 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         raw_angle[~measured] = np.nan
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
+        # both ends of a silhouette follow from one outline: its length does not show all errors of its
+        # direction
+        along = lasting if setup.markers[0].method == "background" else centroid[1]
         # the errors of partly hidden markers last as long as the markers are hidden
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
-        angle = _widened(angle, turn * centroid[1], off)
+        angle = _widened(angle, turn * along, off)
         # the smoothed heading is used, because the raw heading would add its noise to the path
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(clock, raw, weights, segments, min_sd=white, trusted=trusted)

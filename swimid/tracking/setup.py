@@ -50,7 +50,9 @@ class Marker(Document):
     """One kind of marker: colour, number and size in the picture."""
 
     name: Annotated[str, Field(max_length=40, pattern="^[A-Za-z][A-Za-z0-9_-]*$")]
-    hsv: HsvRange
+    #: ``background`` means the whole body, found by its difference from the empty scene; it needs no colour.
+    method: Literal["colour", "background"] = "colour"
+    hsv: HsvRange | None = None
     number: Annotated[int, Field(ge=1, le=20)] = 1
     area_px: _Area | None = None
     #: Position of each marker in the first frame (px of the picture), which defines the names of equal
@@ -61,7 +63,11 @@ class Marker(Document):
     at_m: _Point | None = None
 
     @model_validator(mode="after")
-    def _starts_fit(self) -> Marker:
+    def _keys_fit(self) -> Marker:
+        if self.method == "background" and (self.hsv is not None or self.number > 1):
+            raise ValueError(f"marker '{self.name}' has method: background; it takes no hsv, and number 1")
+        if self.method == "colour" and self.hsv is None:
+            raise ValueError(f"marker '{self.name}' needs hsv")
         if self.start_px is not None and len(self.start_px) != self.number:
             text = f"marker '{self.name}' has number {self.number} and {len(self.start_px)} start points"
             raise ValueError(text)
@@ -70,6 +76,8 @@ class Marker(Document):
     @property
     def names(self) -> list[str]:
         """Names of the single markers: the name, or name1, name2, ... if there are several."""
+        if self.method == "background":
+            return [self.name, f"{self.name}_rear"]
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
 
 
@@ -169,6 +177,8 @@ class Setup(Document):
                 raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")
         if self.tail is not None and self.head in (None, self.tail):
             raise ValueError(f"tail '{self.tail}' needs another marker as head")
+        if len(self.markers) > 1 and any(marker.method == "background" for marker in self.markers):
+            raise ValueError("a marker with method: background is the only marker of a setup")
         if self.head is None and len(self.markers) > 1:
             raise ValueError(f"say which marker is the head (and the tail); there are: {', '.join(names)}")
         if self.facing != "auto" and self.plane == "horizontal":

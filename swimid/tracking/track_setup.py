@@ -157,6 +157,8 @@ def track_setup(
         common["scale"] = {"metres_per_pixel": options.metres_per_pixel}
     if options.picks:
         run, rejected = _from_picks(video, options, common, progress)
+    elif options.background:
+        run, rejected = _from_background(video, common, progress)
     else:
         run, rejected = _from_film(video, common, progress)
     setup = run.setup
@@ -280,6 +282,24 @@ def _from_picks(
     return run, []
 
 
+def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
+    """Return a trial of the body that differs from the empty scene, and no rejected colours.
+
+    Raises
+    ------
+    NoTrustworthyResult
+        A body is found in less than :data:`swimid.tracking.frames.MIN_SHARE` of the frames.
+    """
+    run = _try(video, _setup([Marker(name="body", method="background")], common), progress)
+    if run.track.found[0].mean() < frames.MIN_SHARE:
+        hint = "the scene is the film's median: the body must leave its place for more than half of it"
+        raise NoTrustworthyResult(f"nothing in {video.name} differs from the empty scene", hint=hint)
+    low, high = np.percentile(run.track.area[0, run.track.found[0]], [2, 98])
+    area = (max(round(0.3 * low), 1), round(2.5 * high))
+    marker = Marker(name="body", method="background", area_px=area)
+    return replace(run, setup=_setup([marker], common)), []
+
+
 def _sheet(run: Run) -> NDArray[np.uint8]:
     """Return a contact sheet of frames with circled and named markers."""
     tiles, track = [], run.track
@@ -376,7 +396,8 @@ def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]
             f"no coloured marker moves in {samples.video.path.name}. "
             f"{frames.describe_colours(samples.frames[::6])}",
             hint="put a saturated sticker on the robot and keep the film in colour; pick a marker that "
-            "hardly moves, or is white, grey or black, by hand (--marker name@x,y)",
+            "hardly moves, or is white, grey or black, by hand (--marker name@x,y); follow a whole body with "
+            "--background",
         )
     judged = [_judge(samples, hsv, peak) for peak in _peaks(hsv, len(samples.frames))]
     passed = [c for c in judged if c.reason]
@@ -527,7 +548,7 @@ def pick_markers(
             patches.append((name, patch))
     found = [_marker(hsv, name, [mask for kind, mask in patches if kind == name], place) for name in kinds]
     for marker in found:
-        mine = ColourModel(marker.hsv).mask(hsv)
+        mine = ColourModel(marker.hsv or HsvRange()).mask(hsv)
         for other, mask in patches:
             if other != marker.name and np.mean(mine[mask > 0] > 0) > 0.5:
                 raise InputError(

@@ -23,7 +23,7 @@ from swimid.logs.log import runs
 from swimid.notices import Step, warn
 from swimid.tracking import frames, pose
 from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
-from swimid.tracking.setup import Box, Marker, Setup
+from swimid.tracking.setup import Box, HsvRange, Marker, Setup
 
 #: Number of frames stored for the report.
 REPORT_FRAMES = 6
@@ -277,7 +277,7 @@ class Follower:
         self.groups = [
             Group(
                 marker=marker,
-                model=ColourModel(marker.hsv),
+                model=ColourModel(marker.hsv or HsvRange()),
                 area_px=marker.area_px or (12.0, 0.05 * width * height),
                 targets=[Target(name) for name in marker.names],
             )
@@ -661,7 +661,13 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
         pose.camera_matrix(setup.camera, video.width, video.height, file)
-    follower = Follower(setup, video.width, video.height)
+    follower: Follower | Silhouette
+    if setup.markers[0].method == "background":
+        from swimid.tracking.silhouette import Silhouette
+
+        follower = Silhouette(setup, video.width, video.height, path)
+    else:
+        follower = Follower(setup, video.width, video.height)
     keeper, last = frames.FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
     for index, (time, frame) in enumerate(video.frames()):
         if not time > last:

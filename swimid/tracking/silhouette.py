@@ -1,0 +1,127 @@
+"""Tracking of a body without markers: centre and main axis of its silhouette in front of the empty scene."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from swimid.tracking.frames import (
+    NOT_SEEN,
+    WINDOW,
+    Frame,
+    FrameKeeper,
+    RawTrack,
+    Row,
+    Video,
+    largest_channel,
+    reduced,
+)
+from swimid.tracking.setup import Setup
+
+#: Number of frames whose median is the empty scene, and width to which all frames are reduced, px.
+SCENE_FRAMES, WIDTH = 41, 960
+#: Minimum difference of the body from the empty scene: in grey levels, and relative to the median difference
+#: in the frame.
+MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
+#: Default minimum and maximum area of the body, as fractions of the picture.
+AREA_SHARES = (5e-4, 0.5)
+_KERNEL = np.ones((5, 5), np.uint8)
+
+
+def empty_scene(path: Path) -> Frame:
+    """Return the median of frames spread over a film, in which moving objects are absent."""
+    video = Video(path)
+    keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
+    for index, (_, frame) in enumerate(video.frames()):
+        keeper.take(index, frame)
+    middle = len(keeper.kept) // 2
+    return np.asarray(np.partition(np.stack(list(keeper.kept.values())), middle, axis=0)[middle])
+
+
+class Silhouette:
+    """Follow the largest object that differs from the empty scene, frame by frame.
+
+    Two points represent the object: the centre of the silhouette, and a rear point on the main axis. The
+    distance of the rear point is the half-axis of the ellipse with the same second moments.
+
+    Parameters
+    ----------
+    setup : Setup
+        Setup with a single marker of ``method: background``.
+    width, height : int
+        Size of the picture, px.
+    path : path
+        Film, from which the empty scene is computed.
+    """
+
+    def __init__(self, setup: Setup, width: int, height: int, path: Path) -> None:
+        scene = empty_scene(path)
+        self._setup, self._scene = setup, cv2.blur(scene, (3, 3))
+        self._factor = width / scene.shape[1]
+        area_px = setup.markers[0].area_px or width * height * np.array(AREA_SHARES)
+        self._low, self._high = np.array(area_px) / self._factor**2
+        self._axis = np.array([1.0, 0.0])
+        self._times: list[float] = []
+        self._rows: list[tuple[Row, Row]] = []
+        self._allowed = np.full(scene.shape[:2], 255, np.uint8)
+        for box in setup.ignore_px:
+            left, top, right, bottom = (max(round(side / self._factor), 0) for side in box)
+            self._allowed[top:bottom, left:right] = 0
+
+    def step(self, time: float, frame: Frame) -> None:
+        """Find the body in the next frame."""
+        self._times.append(time)
+        self._rows.append(self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))))
+
+    def _measure(self, small: Frame) -> tuple[Row, Row]:
+        """Return the detections of the centre and of the rear point in a reduced frame."""
+        difference = largest_channel(cv2.absdiff(small, self._scene))
+        noise = float(np.median(difference))
+        limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
+        mask = np.where(difference > limit, self._allowed, 0).astype(np.uint8)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+        sizes = np.where((stats[:, 4] >= self._low) & (stats[:, 4] <= self._high), stats[:, 4], 0)
+        sizes[0] = 0
+        label = int(np.argmax(sizes))
+        if not sizes[label]:
+            return NOT_SEEN[:6], NOT_SEEN[:6]
+        left, top, width, height = stats[label, :4]
+        right, bottom = left + width, top + height
+        at_edge = min(left, top) == 0 or right == mask.shape[1] or bottom == mask.shape[0]
+        x0, y0 = max(left - 3, 0), max(top - 3, 0)
+        difference = difference[y0 : bottom + 3, x0 : right + 3]
+        body = np.where(labels[y0 : bottom + 3, x0 : right + 3] == label, 255, 0).astype(np.uint8)
+        core = cv2.erode(body, _KERNEL)
+        contrast = float(np.median(difference[(core if core.any() else body) > 0]))
+        # Pixels of the rim are weighted by their difference from the scene. The inside has weight 1, also in
+        # the holes that reflections leave.
+        weight = np.clip(difference / (contrast / 2) - 0.5, 0, 1) * (cv2.dilate(body, _KERNEL) > 0)
+        outlines, _ = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        m = cv2.moments(cv2.drawContours(weight, outlines, -1, 1.0, cv2.FILLED))
+        spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
+        variances, axes = np.linalg.eigh(spread)
+        self._axis = axes[:, 1] * math.copysign(1, axes[:, 1] @ self._axis)
+        middle = np.array([x0 + m["m10"] / m["m00"], y0 + m["m01"] / m["m00"]])
+        centre = self._factor * (middle + 0.5) - 0.5
+        rear = centre - self._factor * 2 * math.sqrt(variances[1]) * self._axis
+        confidence = contrast / (contrast + 2 * noise + 6.0)
+        rest = (self._factor**2 * m["m00"], confidence, WINDOW, at_edge)
+        return (*centre, *rest), (*rear, *rest)
+
+    def track(self) -> RawTrack:
+        """Return the track so far.
+
+        The direction of the main axis is chosen so that most steps agree with ``swims`` in the setup.
+        """
+        table = np.array(self._rows, dtype=float).transpose(1, 0, 2)
+        track = RawTrack.of_table(self._times, self._setup.marker_names, table)
+        if not track.found.any():
+            return track
+        ahead = track.head_first(*track.names)
+        if ahead is not None and (ahead < 0.5) == (self._setup.swims == "head-first"):
+            for values in (track.x, track.y):
+                values[1] = 2 * values[0] - values[1]
+        return track
