@@ -19,7 +19,7 @@ from swimid.logs.options import PlotOptions
 from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import recorded, warn
 from swimid.options import takes
-from swimid.results import drawing, numbers
+from swimid.results import numbers
 from swimid.results import evidence as ev
 from swimid.results.evidence import MAX_POINTS, Evidence, Figure, Mark, Panel, Span, Trace, Verdict, thinned
 from swimid.results.result import Result
@@ -46,6 +46,8 @@ class Drawn(Result):
         """
         path = _picture(Path(path))
         assert self.evidence is not None
+        from swimid.results import drawing
+
         drawing.write(path, self.evidence.figures, title=self.evidence.title)
         return replace(self, outputs=(*self.outputs, path))
 
