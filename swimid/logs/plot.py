@@ -19,8 +19,8 @@ from swimid.logs.options import PlotOptions
 from swimid.logs.sampling import longest_even, pauses
 from swimid.notices import recorded, warn
 from swimid.options import takes
-from swimid.results import numbers
 from swimid.results import evidence as ev
+from swimid.results import numbers
 from swimid.results.evidence import MAX_POINTS, Evidence, Figure, Mark, Panel, Span, Trace, Verdict, thinned
 from swimid.results.result import Result
 
