@@ -545,7 +545,7 @@ class TestWrongModels:
             gap_trials.write(folder, "tfish", acts, settings=TWELVE, scatter=0.0, seed=7)
             experiment = swimmer_trials.load(folder / "trials.yaml")
             counted.clear()
-            result = output_error.fit(experiment.model, experiment.trials, unfinished=True)
+            result = output_error.fit(experiment.model, experiment.trials, max_iterations=75)
             # every simulation that the fit took is counted, those of restarts and tests as well
             assert result.evaluations == len(counted)
             spent[name] = len(counted)
@@ -554,12 +554,9 @@ class TestWrongModels:
                 assert result.value("c_Ia") == pytest.approx(swimmer.TFISH["c_Ia"], rel=0.2)
         assert spent["wrong"] < 3 * spent["right"]
 
-    def test_an_unfinished_result_is_written(
-        self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(output_error, "UNFINISHED_ITERATIONS", 3)
+    def test_an_unfinished_result_is_written(self, swimid: Swimid, tmp_path: Path) -> None:
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
-        ran = swimid("fit-graybox", trials, "-o", out)
+        ran = swimid("fit-graybox", trials, "--max-iterations", "3", "-o", out)
         assert ran.status == 4
         assert "did not converge: after" in ran.err
         assert f"the result so far is in {out}, marked so" in ran.err
@@ -572,23 +569,16 @@ class TestWrongModels:
         assert shown.verdict.level == "bad"
         assert next(c for c in shown.checks if c.name == "converged").text.startswith("after")
 
-    def test_an_unfinished_result_of_several_starts_is_written(
-        self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(output_error, "UNFINISHED_ITERATIONS", 3)
-        monkeypatch.setattr(output_error, "MAX_ITERATIONS", 3)
+    def test_an_unfinished_result_of_several_starts_is_written(self, swimid: Swimid, tmp_path: Path) -> None:
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
-        ran = swimid("fit-graybox", trials, "--starts", "2", "-o", out)
+        ran = swimid("fit-graybox", trials, "--starts", "2", "--max-iterations", "3", "-o", out)
         assert ran.status == 4
         assert out.exists()
         assert "did not converge" in ran.err
 
-    def test_bounds_that_stopped_the_fit_are_named(
-        self, swimid: Swimid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(output_error, "UNFINISHED_ITERATIONS", 6)
-        trials = _write(tmp_path, _runs(), RATES)
-        ran = swimid("fit-graybox", trials, "--bounds", "c_d4=0,3", "-o", tmp_path / "fit.yaml")
+    def test_bounds_that_stopped_the_fit_are_named(self, swimid: Swimid, tmp_path: Path) -> None:
+        trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
+        ran = swimid("fit-graybox", trials, "--bounds", "c_d4=0,3", "--max-iterations", "6", "-o", out)
         assert ran.status == 4
         assert "c_d4 at a bound" in ran.err
 

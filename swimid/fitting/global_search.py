@@ -15,7 +15,7 @@ from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.output_error import FitResult
+from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult
 from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent
 
@@ -44,6 +44,7 @@ def multistart(
     seed: int = 0,
     begins: Sequence[Array] | None = None,
     jobs: int | None = None,
+    max_iterations: int = UNFINISHED_ITERATIONS,
     first: FitResult | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
@@ -51,7 +52,7 @@ def multistart(
 
     Parameters
     ----------
-    model, trials, parameters, jobs
+    model, trials, parameters, jobs, max_iterations
         As in :func:`swimid.fitting.output_error.fit`.
     starts : int
         Number of starting points. The first ones are ``begins``. The others are uniform random samples of
@@ -89,7 +90,7 @@ def multistart(
             try:
                 found = {0: first}.get(k) or output_error.fit(
                     model, trials, parameters=parameters,
-                    jobs=jobs, begin=begin, tested=False, unfinished=True,
+                    jobs=jobs, begin=begin, tested=False, max_iterations=max_iterations,
                 )  # fmt: skip
             except KeyboardInterrupt:
                 if not results:

@@ -204,6 +204,7 @@ class _Task:
     begin: Array | None = None
     near: FitResult | None = None
     budget: int | None = UNFINISHED_ITERATIONS
+    must_converge: bool = False
 
 
 def fit(
@@ -215,7 +216,7 @@ def fit(
     jobs: int | None = None,
     begin: Array | None = None,
     tested: bool = True,
-    unfinished: bool = False,
+    max_iterations: int | None = None,
 ) -> FitResult:
     """Estimate the free parameters of a model from all fit trials at once.
 
@@ -237,9 +238,9 @@ def fit(
     tested : bool
         Whether to compare the estimates with points and short searches around them, and to search again from
         a better point (:func:`search_around`).
-    unfinished : bool
-        Whether to return a result that is marked as not converged if the search does not converge within
-        :data:`UNFINISHED_ITERATIONS`. Otherwise this raises an error.
+    max_iterations : int, optional
+        Number of iterations after which a search returns a result that is marked as not converged. By default
+        a search that does not converge within :data:`MAX_ITERATIONS` raises an error.
 
     Returns
     -------
@@ -268,8 +269,10 @@ def fit(
     """
     threads, parameters = jobs or os.cpu_count() or 1, tuple(parameters or model.parameters)
     task = _Task(model, tuple(trials), parameters, threads, progress, begin)
-    if not unfinished:
-        task = replace(task, budget=MAX_ITERATIONS)
+    if max_iterations is None:
+        task = replace(task, budget=MAX_ITERATIONS, must_converge=True)
+    else:
+        task = replace(task, budget=max_iterations)
     result = _refined(task)
     if tested and result.converged:
         return check_by_restarts(result, jobs=threads)
@@ -332,7 +335,7 @@ def _refined(task: _Task) -> FitResult:
         result = _fit_once(task)
         spent += result.evaluations
         result = replace(result, evaluations=spent)
-        if task.budget == MAX_ITERATIONS and not (result.converged or result.interrupted):
+        if task.must_converge and not (result.converged or result.interrupted):
             raise NoTrustworthyResult(
                 f"the fit did not converge: {result.message}",
                 hint="check units and trial settings, or hold a parameter with --fix",

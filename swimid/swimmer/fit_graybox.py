@@ -257,13 +257,17 @@ def _least_squares(
 
     There are several if the user states so, or if the first fit was quick or has a bad result.
     """
-    settings: dict[str, Any] = {"parameters": parameters, "jobs": options.jobs}
+    settings: dict[str, Any] = {
+        "parameters": parameters,
+        "jobs": options.jobs,
+        "max_iterations": options.max_iterations,
+    }
     begin, starts = None, options.starts or 1
     if begins is not None:
         begin, starts = begins[0], max(starts, len(begins))
     first: FitResult | None = None
     if starts == 1:
-        first = output_error.fit(model, trials, begin=begin, unfinished=True, progress=progress, **settings)
+        first = output_error.fit(model, trials, begin=begin, progress=progress, **settings)
         if options.starts is not None or first.interrupted or not _deserves_starts(first):
             return _Search(first)
         starts = DEFAULT_STARTS
@@ -400,7 +404,7 @@ def _explain(
                     fit = output_error.with_held_out(
                         output_error.fit(
                             model, changed, parameters=result.parameters,
-                            jobs=options.jobs, tested=False, unfinished=True,
+                            jobs=options.jobs, tested=False, max_iterations=options.max_iterations,
                         )
                     )  # fmt: skip
                     after = {names[t.id]: _misfits(fit, t) for t in fit.trials}

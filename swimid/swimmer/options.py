@@ -89,6 +89,11 @@ class FitGrayboxOptions(
         ge=1,
         help="Number of starts within the bounds. Default: 1, or 4 if a fit is quick or its result bad.",
     )
+    max_iterations: int = option(
+        75,
+        ge=1,
+        help="Iterations after which a search that has not converged ends. Its result is written and marked.",
+    )
     seed: int = option(0, help="Seed of the random starts and of the front.")
     readings: Mapping[str, str] = readings()
     dt: float = step("max_step_s")
