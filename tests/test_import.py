@@ -226,6 +226,15 @@ def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None
     assert np.array_equal(found.time_s, np.arange(20) * 1_000_001 * 1e-9)
 
 
+def test_a_rate_in_place_of_a_time_column(tmp_path: Path) -> None:
+    _mat(tmp_path / "a.mat")
+    column = '{source: "run.pose[1]", target: x_m, unit: mm}'
+    text = f"format: swimid-mapping/1\ntime: {{rate_hz: fs}}\ncolumns: [{column}]\n"
+    (tmp_path / "m.yaml").write_text(text)
+    found = mapping.apply(mapping.of(tmp_path / "m.yaml"), tmp_path / "a.mat")
+    assert np.allclose(found.time_s, np.arange(N) / 50)
+
+
 def test_rows_out_of_order_are_sorted_and_reported(swimid: Run, tmp_path: Path) -> None:
     rows = [[k / 10, float(k)] for k in range(200)]
     rows[50], rows[51] = rows[51], rows[50]  # a late packet
