@@ -185,6 +185,30 @@ def test_the_header_of_marker_trajectories_states_the_unit(
     assert np.allclose(np.delete(record["tail_tip_y_m"], 7), np.delete(Y_PX, 7) / 1000, atol=1e-7)
 
 
+@pytest.mark.parametrize(("degrees", "factor"), [("yes", np.pi / 180), ("no", 1.0)])
+def test_a_motion_states_whether_it_is_in_degrees(
+    degrees: str, factor: float, imported: Callable[..., tuple[Log, Ran]], tmp_path: Path
+) -> None:
+    head = ["Coordinates", "version=1", f"nRows={N}", "nColumns=3", f"inDegrees={degrees}", "", "endheader"]
+    rows = [f"{t:.6f}\t{0.8 * np.sin(b):.6f}\t{0.2 * t:.6f}" for t, b in zip(T, BEAT, strict=True)]
+    (tmp_path / "s.mot").write_text("\n".join([*head, "time\tcaudal\tpelvis_tx", *rows]) + "\n")
+    record, _ = imported(tmp_path / "s.mot")
+    assert np.allclose(record["caudal_rad"], factor * 0.8 * np.sin(BEAT), atol=1e-6)
+    assert np.allclose(record["pelvis_tx_m"], 0.2 * T, atol=1e-6)
+
+
+def test_columns_of_forces_in_a_motion(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+    """Files of forces state inDegrees too; their columns are no angles."""
+    names = "time\tground_force_vx\tground_force_px\tground_torque_z"
+    rows = [f"{t:.6f}\t{3 * np.sin(b):.6f}\t0.25\t{0.1 * t:.6f}" for t, b in zip(T, BEAT, strict=True)]
+    head = ["forces", "version=1", "inDegrees=yes", "endheader"]
+    (tmp_path / "f.mot").write_text("\n".join([*head, names, *rows]) + "\n")
+    record, _ = imported(tmp_path / "f.mot")
+    assert np.allclose(record["ground_force_vx_N"], 3 * np.sin(BEAT), atol=1e-6)
+    assert np.allclose(record["ground_force_px_m"], 0.25)
+    assert np.allclose(record["ground_torque_z_Nm"], 0.1 * T, atol=1e-6)
+
+
 HEADER = "std_msgs/Header header\n"
 LINE = "=" * 80
 COMMON = (
