@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -306,6 +307,29 @@ def test_ros2_messages_by_their_type(
     assert np.allclose(imu["wz_rad_s"], 0.3 * 2 * np.pi * 1.4 * np.cos(BEAT))
     # a driver without attitude sends a quaternion of zeros
     assert "qw" not in imu
+
+
+def test_px4_axes_are_turned(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+    """The smallest ULog file: header, format, subscription, data (docs.px4.io, ULog file format)."""
+    pytest.importorskip("pyulog")
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), kind[0]) + body
+
+    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message(b"B", bytes(40))]
+    fields = b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;float heading;"
+    parts.append(message(b"F", fields))
+    parts.append(message(b"A", struct.pack("<BH", 0, 0) + b"vehicle_local_position"))
+    for k, t in enumerate(T):
+        body = struct.pack("<Qffff", round(1e6 * t), 0.2 * t, 0.05 * t, 1.5, 0.3 * np.sin(BEAT[k]))
+        parts.append(message(b"D", struct.pack("<H", 0) + body))
+    (tmp_path / "a.ulg").write_bytes(b"".join(parts))
+    record, _ = imported(tmp_path / "a.ulg")
+    assert np.allclose(record.time_s, T, atol=1e-6)
+    assert np.allclose(record["x_m"], 0.2 * T, atol=1e-6)
+    assert np.allclose(record["y_m"], -0.05 * T, atol=1e-6)
+    assert np.allclose(record["z_m"], -1.5)
+    assert np.allclose(record["yaw_rad"], -0.3 * np.sin(BEAT), atol=1e-6)
 
 
 def _ardupilot(path: Path, kind: str) -> None:
