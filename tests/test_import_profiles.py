@@ -369,7 +369,20 @@ def test_ardupilot_takes_one_instance(
     assert np.allclose(other["wz_rad_s"], -np.cos(BEAT) - 1)
 
 
-@pytest.mark.parametrize("name", ["deeplabcut", "sleap", "tracker", "opensim", "ardupilot"])
+def test_dynamixel_ticks(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+    ticks = np.round(2048 + JOINT / (2 * np.pi) * 4096).astype(int)
+    lines = ["Time(ms),ID1 Present Position,ID1 Goal Position,ID4 Present Position"]
+    lines += [f"{1000 * t:.3f},{a},{a + 3},{4096 - a}" for t, a in zip(T, ticks, strict=True)]
+    (tmp_path / "servo.csv").write_text("\n".join(lines) + "\n")
+    record, _ = imported(tmp_path / "servo.csv")
+    tick = 2 * np.pi / 4096
+    assert np.allclose(record["joint1_rad"], JOINT, atol=0.51 * tick)
+    assert np.allclose(record["cmd1_rad"] - record["joint1_rad"], 3 * tick)
+    assert np.allclose(record["joint2_rad"], -record["joint1_rad"])
+    assert record.metadata["servos"] == [1, 4]
+
+
+@pytest.mark.parametrize("name", ["deeplabcut", "sleap", "tracker", "opensim", "ardupilot", "dynamixel"])
 def test_a_file_that_is_none_of_the_format_named(name: str, swimid: Run, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t_s,x_m\n0,1\n1,2\n2,3\n")
     ran = swimid("import", tmp_path / "a.csv", "--as", name, "-o", tmp_path / "o.csv")
