@@ -28,6 +28,7 @@ KINDS = {
     "mat 7.3": "",
     "parquet": "",
     "mcap": "/pose",
+    "ulog": "",
 }
 
 
@@ -74,6 +75,7 @@ def test_arbitrary_files(ending: str, folder: Path) -> None:
         b"\x89HDF\r\n\x1a\n",
         b"PAR1",
         b"\x89MCAP0\r\n",
+        b"ULog\x01\x12\x35",
         b'{"',
     ]
 

@@ -118,6 +118,24 @@ def _mcap(path: Path) -> None:
         writer.finish()
 
 
+def _ulog(path: Path) -> None:
+    """The smallest ULog file: header, format, subscription, data (docs.px4.io, ULog file format)."""
+    pytest.importorskip("pyulog")
+    import struct
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), kind[0]) + body
+
+    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)]
+    parts.append(message(b"B", bytes(40)))
+    parts.append(message(b"F", b"pose:uint64_t timestamp;double ms;double[2] p;"))
+    parts.append(message(b"A", struct.pack("<BH", 0, 0) + b"pose"))
+    for k in range(N):
+        body = struct.pack("<Qddd", int(TIME_MS[k] * 1000), TIME_MS[k], X_MM[k], YAW_DEG[k])
+        parts.append(message(b"D", struct.pack("<H", 0) + body))
+    path.write_bytes(b"".join(parts))
+
+
 FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] = {
     "comma": ("a.csv", _text, "", ('"Time (ms)"', '"X [mm]"', '"Yaw (°)"')),
     "numbers": ("a.csv", _text, "", ("1", "2", "3")),
@@ -135,6 +153,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] 
     "mat 7.3": ("b.mat", _mat73, "", ("t", '"pose[1]"', '"pose[2]"')),
     "parquet": ("a.parquet", _parquet, "", ("t", "x", "yaw")),
     "mcap": ("a.mcap", _mcap, "select: /pose", ("ms", "at.x", "yaw")),
+    "ulog": ("a.ulg", _ulog, "", ("ms", '"p[1]"', '"p[2]"')),
 }
 
 
@@ -174,7 +193,7 @@ def test_cells_of_one_length_are_columns(
 
 def test_each_format_without_a_profile_has_a_file_in_these_tests() -> None:
     plain = {name for name, found in formats().items() if found.recognises is None}
-    assert plain == {"delimited", "mat", "hdf5", "parquet", "mcap"}
+    assert plain == {"delimited", "mat", "hdf5", "parquet", "mcap", "ulog"}
 
 
 def test_a_file_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> None:
@@ -224,6 +243,15 @@ def test_stamps_since_1970_keep_their_steps(tmp_path: Path, swimid: Run) -> None
     (tmp_path / "m.yaml").write_text(text)
     found = mapping.apply(mapping.of(tmp_path / "m.yaml"), tmp_path / "a.parquet")
     assert np.array_equal(found.time_s, np.arange(20) * 1_000_001 * 1e-9)
+
+
+def test_a_rate_in_place_of_a_time_column(tmp_path: Path) -> None:
+    _mat(tmp_path / "a.mat")
+    column = '{source: "run.pose[1]", target: x_m, unit: mm}'
+    text = f"format: swimid-mapping/1\ntime: {{rate_hz: fs}}\ncolumns: [{column}]\n"
+    (tmp_path / "m.yaml").write_text(text)
+    found = mapping.apply(mapping.of(tmp_path / "m.yaml"), tmp_path / "a.mat")
+    assert np.allclose(found.time_s, np.arange(N) / 50)
 
 
 def test_rows_out_of_order_are_sorted_and_reported(swimid: Run, tmp_path: Path) -> None:

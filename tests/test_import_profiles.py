@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -185,6 +186,30 @@ def test_the_header_of_marker_trajectories_states_the_unit(
     assert np.allclose(np.delete(record["tail_tip_y_m"], 7), np.delete(Y_PX, 7) / 1000, atol=1e-7)
 
 
+@pytest.mark.parametrize(("degrees", "factor"), [("yes", np.pi / 180), ("no", 1.0)])
+def test_a_motion_states_whether_it_is_in_degrees(
+    degrees: str, factor: float, imported: Callable[..., tuple[Log, Ran]], tmp_path: Path
+) -> None:
+    head = ["Coordinates", "version=1", f"nRows={N}", "nColumns=3", f"inDegrees={degrees}", "", "endheader"]
+    rows = [f"{t:.6f}\t{0.8 * np.sin(b):.6f}\t{0.2 * t:.6f}" for t, b in zip(T, BEAT, strict=True)]
+    (tmp_path / "s.mot").write_text("\n".join([*head, "time\tcaudal\tpelvis_tx", *rows]) + "\n")
+    record, _ = imported(tmp_path / "s.mot")
+    assert np.allclose(record["caudal_rad"], factor * 0.8 * np.sin(BEAT), atol=1e-6)
+    assert np.allclose(record["pelvis_tx_m"], 0.2 * T, atol=1e-6)
+
+
+def test_columns_of_forces_in_a_motion(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+    """Files of forces state inDegrees too; their columns are no angles."""
+    names = "time\tground_force_vx\tground_force_px\tground_torque_z"
+    rows = [f"{t:.6f}\t{3 * np.sin(b):.6f}\t0.25\t{0.1 * t:.6f}" for t, b in zip(T, BEAT, strict=True)]
+    head = ["forces", "version=1", "inDegrees=yes", "endheader"]
+    (tmp_path / "f.mot").write_text("\n".join([*head, names, *rows]) + "\n")
+    record, _ = imported(tmp_path / "f.mot")
+    assert np.allclose(record["ground_force_vx_N"], 3 * np.sin(BEAT), atol=1e-6)
+    assert np.allclose(record["ground_force_px_m"], 0.25)
+    assert np.allclose(record["ground_torque_z_Nm"], 0.1 * T, atol=1e-6)
+
+
 HEADER = "std_msgs/Header header\n"
 LINE = "=" * 80
 COMMON = (
@@ -284,6 +309,29 @@ def test_ros2_messages_by_their_type(
     assert "qw" not in imu
 
 
+def test_px4_axes_are_turned(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+    """The smallest ULog file: header, format, subscription, data (docs.px4.io, ULog file format)."""
+    pytest.importorskip("pyulog")
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), kind[0]) + body
+
+    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message(b"B", bytes(40))]
+    fields = b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;float heading;"
+    parts.append(message(b"F", fields))
+    parts.append(message(b"A", struct.pack("<BH", 0, 0) + b"vehicle_local_position"))
+    for k, t in enumerate(T):
+        body = struct.pack("<Qffff", round(1e6 * t), 0.2 * t, 0.05 * t, 1.5, 0.3 * np.sin(BEAT[k]))
+        parts.append(message(b"D", struct.pack("<H", 0) + body))
+    (tmp_path / "a.ulg").write_bytes(b"".join(parts))
+    record, _ = imported(tmp_path / "a.ulg")
+    assert np.allclose(record.time_s, T, atol=1e-6)
+    assert np.allclose(record["x_m"], 0.2 * T, atol=1e-6)
+    assert np.allclose(record["y_m"], -0.05 * T, atol=1e-6)
+    assert np.allclose(record["z_m"], -1.5)
+    assert np.allclose(record["yaw_rad"], -0.3 * np.sin(BEAT), atol=1e-6)
+
+
 def _ardupilot(path: Path, kind: str) -> None:
     """Two sensors in turn, as a CSV of one type, and as the text of a whole log."""
     rows = []
@@ -321,7 +369,20 @@ def test_ardupilot_takes_one_instance(
     assert np.allclose(other["wz_rad_s"], -np.cos(BEAT) - 1)
 
 
-@pytest.mark.parametrize("name", ["deeplabcut", "sleap", "tracker", "opensim", "ardupilot"])
+def test_dynamixel_ticks(imported: Callable[..., tuple[Log, Ran]], tmp_path: Path) -> None:
+    ticks = np.round(2048 + JOINT / (2 * np.pi) * 4096).astype(int)
+    lines = ["Time(ms),ID1 Present Position,ID1 Goal Position,ID4 Present Position"]
+    lines += [f"{1000 * t:.3f},{a},{a + 3},{4096 - a}" for t, a in zip(T, ticks, strict=True)]
+    (tmp_path / "servo.csv").write_text("\n".join(lines) + "\n")
+    record, _ = imported(tmp_path / "servo.csv")
+    tick = 2 * np.pi / 4096
+    assert np.allclose(record["joint1_rad"], JOINT, atol=0.51 * tick)
+    assert np.allclose(record["cmd1_rad"] - record["joint1_rad"], 3 * tick)
+    assert np.allclose(record["joint2_rad"], -record["joint1_rad"])
+    assert record.metadata["servos"] == [1, 4]
+
+
+@pytest.mark.parametrize("name", ["deeplabcut", "sleap", "tracker", "opensim", "ardupilot", "dynamixel"])
 def test_a_file_that_is_none_of_the_format_named(name: str, swimid: Run, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t_s,x_m\n0,1\n1,2\n2,3\n")
     ran = swimid("import", tmp_path / "a.csv", "--as", name, "-o", tmp_path / "o.csv")

@@ -118,6 +118,7 @@ OPTIONAL = {
     "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
     "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
     "mcap": "recordings of ROS 2 (pip install 'swimid[mcap]')",
+    "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
     "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
     "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
     "pymoo": "genetic searches (pip install 'swimid[search]')",

@@ -98,8 +98,8 @@ class Time(Stated):
     frame: ColumnKey | None = None
     #: Unit of the source column, or a list with the unit of each source column.
     unit: str | list[str] = "s"
-    #: Rate of the rows or frames, Hz.
-    rate_hz: PositiveFloat | None = None
+    #: Rate of the rows or frames, Hz, or the name of the single number in the file that states this rate.
+    rate_hz: PositiveFloat | str | None = None
     #: Format of dates for ``datetime.strptime``, if they are not ISO 8601.
     format: str | None = None
     #: Value at which the time counter restarts from 0, in the unit of the source column.
@@ -606,7 +606,12 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
     factors = [unit_factor(unit, TIME) for unit in time.units_of_sources]
     if time.rate_hz is not None:
         parts = [_frames(table, name, path) for name in names] or [np.arange(rows, dtype=float)]
-        factors = [1.0 / time.rate_hz]
+        rate = table.scalars.get(str(time.rate_hz), time.rate_hz)
+        if isinstance(rate, str) or not 0 < rate < np.inf:
+            known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
+            hint = f"single numbers in it: {known or 'none'}"
+            raise InputError(f"holds no positive number '{time.rate_hz}' for the rate", file=path, hint=hint)
+        factors = [1.0 / rate]
     elif any(is_text(part) for part in parts):
         # text of times of day is already converted to seconds
         parts, factors = [_parsed(parts, table, time, names, path)], [1.0]

@@ -18,8 +18,8 @@ class ImportOptions(Options):
         None,
         flag="--as",
         metavar="FORMAT",
-        help="Format of the file: ardupilot, deeplabcut, opensim, ros2, sleap, swimid, "
-        "tracker, delimited, hdf5, mat, mcap, parquet  [default: recognised by its content].",
+        help="Format of the file: ardupilot, deeplabcut, dynamixel, opensim, px4, ros2, sleap, swimid, "
+        "tracker, delimited, hdf5, mat, mcap, parquet, ulog  [default: recognised by its content].",
     )
     select: str | None = option(
         None,

@@ -112,6 +112,17 @@ def test_unlikely_points_are_left_empty(file: str, emptied: int | None, case: Ca
     assert result["verdict"]["level"] == "caution"
 
 
+def test_a_motion_in_degrees(case: Case, imported: Any) -> None:
+    folder = case("c-06-opensim-indegrees")
+    result = imported("small.mot")
+    record = log.read(folder / "out.csv")
+    assert np.ptp(record["joint1_rad"]) / 2 == pytest.approx(np.radians(1.2), rel=0.01)
+    assert np.ptp(record["joint2_rad"]) / 2 == pytest.approx(np.radians(0.8), rel=0.01)
+    assert result["verdict"]["level"] == "good"
+    imported("swim.mot")
+    assert np.ptp(log.read(folder / "out.csv")["joint1_rad"]) / 2 == pytest.approx(np.radians(20), rel=0.01)
+
+
 def test_stamps_of_messages_survive_a_recorder_whose_clock_steps_back(
     case: Case, imported: Any, drafted: Callable[[str], str]
 ) -> None:

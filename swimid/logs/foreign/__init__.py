@@ -204,6 +204,8 @@ class Table:
         Units that the file states, by column.
     metadata : dict
         Metadata of the file: text and single values that describe it.
+    scalars : dict of str to float
+        Single numbers in the file, such as a sampling rate.
     notes : list of str
         Problems found while the file was read, for the user.
     comments : list of str
@@ -217,6 +219,7 @@ class Table:
     columns: dict[str, NDArray[Any]]
     units: dict[str, str] = field(default_factory=dict)
     metadata: dict[str, Any] = field(default_factory=dict)
+    scalars: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     lines: NDArray[np.int64] | None = None
@@ -392,7 +395,7 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
 
     The columns of a matrix are named ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix with
     more columns than rows is transposed if its number of columns is the usual length of the arrays. Single
-    numbers are left out, text becomes metadata. ``parts`` is the argument of :func:`flat`.
+    numbers become scalars, text becomes metadata. ``parts`` is the argument of :func:`flat`.
 
     Raises
     ------
@@ -421,8 +424,8 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
         if len(matrix) == 1 or len(matrix) != longest == matrix.shape[1]:
             matrix = matrix.T
         if values.size == 1 and longest > 1:
-            continue
-        if matrix.shape[1] == 1:
+            table.scalars[name] = float(values.item())
+        elif matrix.shape[1] == 1:
             table.columns[name] = matrix[:, 0]
         else:
             table.columns |= {f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}

@@ -1,6 +1,4 @@
-"""Text files of OpenSim and of Tracker (Open Source Physics).
-
-OpenSim writes marker trajectories (TRC). Their header states the conventions: ``Units`` and ``DataRate``.
+"""Text files of Tracker (Open Source Physics).
 
 Tracker exports track names, column names t, x, y, then samples. Times are in seconds. Lengths are in metres,
 unless the project sets another unit, which the column names state (``x (cm)``).
@@ -14,36 +12,6 @@ from pathlib import Path
 from swimid.errors import InputError
 from swimid.logs.foreign import Format, Options, Peek, Table, choose, length, numbers, safe
 from swimid.logs.log import TIME
-from swimid.logs.sampling import usual_step
-
-
-def _recognises(peek: Peek) -> bool:
-    return bool(peek.lines) and peek.lines[0].strip().lower().startswith("pathfiletype")
-
-
-def _read_markers(path: Path, options: Options, select: str | None) -> Table:
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    if len(lines) < 6 or not lines[0].strip().lower().startswith("pathfiletype"):
-        hint = "a file of marker trajectories begins with the line PathFileType"
-        raise InputError("has no header of a TRC file", file=path, line=min(len(lines), 1), hint=hint)
-    head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    factor, unit = length(options.length_unit or head.get("Units"), path)
-    names = [safe(name) for name in lines[3].split("\t")[2:] if name.strip()]
-    values, at = numbers(path, 5, "\t", 2 + 3 * len(names))
-    targets = [f"{name}_{axis}_{unit}" for name in names for axis in "xyz"]
-    time_s = values[:, 1]
-    columns = {TIME: time_s, **dict(zip(targets, values.T[2:] * factor, strict=True))}
-    rate, notes = float(head.get("DataRate", "nan")), []
-    step = usual_step(time_s)
-    if abs(step * rate - 1.0) > 0.01:
-        notes.append(f"its header states {rate:g} Hz, its times are {1 / step:g} Hz apart")
-    return Table(columns, notes=notes, lines=at)
-
-
-OPENSIM = Format("opensim", "TRC file of OpenSim", _read_markers, _recognises)
-
-
-# ---------------------------------------------------------------- Tracker
 
 _TRACKER_NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
