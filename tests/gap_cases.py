@@ -18,11 +18,13 @@ from swimid.diagnosis.gap_file import (
     Cell,
     ChangedValue,
     ChannelGap,
+    Closed,
     Distance,
     GapFile,
     Remaining,
     Score,
     Shrinkage,
+    Step,
     Value,
     Where,
 )
@@ -66,6 +68,10 @@ def _channel(channel: str, unit: str, nrmse: float, floor: float, share: float, 
     return ChannelGap(channel=channel, unit=unit, nrmse=nrmse, floor=floor, share=share, rmse=rmse)
 
 
+def _step(label: str, squared: float, u: float, rate: float, joint: float) -> Step:
+    return Step(label=label, squared=squared, rmse=dict(zip(_CHANNELS, (u, rate, joint), strict=True)))
+
+
 def _cell(kind: str, label: str, ratio: float, share: float) -> Cell:
     return Cell(kind=kind, label=label, ratio=ratio, share=share)
 
@@ -83,8 +89,8 @@ BACKLASH = Cause(
     equivalent=[],
     parameters={"backlash_rad": number(0.0351234, 0.00212, "rad")},
     shrinkage=[
-        _shrinkage("yaw_rate_rad_s", 0.061, 0.032, 0.088, 0.030, 29 / 31, (0.71, 1.06)),
-        _shrinkage("u_m_s", 0.142, 0.034, 0.190, 0.021, 108 / 121, (0.81, 0.94)),
+        _shrinkage("yaw_rate_rad_s", 0.061, 0.032, 0.088, 0.030, 0.955, (0.71, 1.0)),
+        _shrinkage("u_m_s", 0.142, 0.034, 0.190, 0.021, 0.963, (0.81, 0.98)),
         _shrinkage("joint4_rad", 0.020, 0.021, 0.030, 0.020, _NAN, (_NAN, _NAN)),
     ],
     gain=3062.4,
@@ -201,6 +207,13 @@ EXPLAINED = GapFile(
         ],
         time=[_cell("time", "start-up", 5.0, 0.6), _cell("time", "steady", 2.2, 0.4)],
     ),
+    waterfall=[
+        _step("as given", 54.0, 0.042, 0.130, 0.0045),
+        _step("refitted", 17.0, 0.031, 0.090, 0.0030),
+        _step("with servo-backlash", 1.6, 0.0074, 0.047, 0.0031),
+        _step("noise alone", 1.0, 0.0046, 0.044, 0.0030),
+    ],
+    closed=Closed(before=17.0, after=1.6, share=0.9625, ci95=(0.81, 0.98)),
     causes=[BACKLASH],
     remaining=_remaining(0.04, "mostly in yaw_rate_rad_s", True),
     advice=[
@@ -238,6 +251,12 @@ NONE = replace(
         channels=[replace(c, nrmse=c.floor, share=None) for c in EXPLAINED.where.channels],
         stage=dict.fromkeys(_STAGES, 0.0),
     ),
+    waterfall=[
+        _step("as given", 1.1, 0.0047, 0.045, 0.0031),
+        _step("refitted", 1.0, 0.0046, 0.044, 0.0030),
+        EXPLAINED.waterfall[-1],
+    ],
+    closed=None,
     causes=[],
     remaining=_remaining(_NAN, "", True),
     advice=[],
@@ -256,11 +275,21 @@ UNREPEATED = replace(
 REPEATED = replace(UNREPEATED, repeats=True)
 SINGLE = replace(NONE, setting_count=1)
 AMBIGUOUS = replace(_BRIEF, verdict="ambiguous", causes=[CURRENT], scores=_scores("current"))
-PAIR = replace(_BRIEF, causes=[BACKLASH, replace(CURRENT, equivalent=[])])
+PAIR = replace(
+    _BRIEF,
+    waterfall=[
+        *EXPLAINED.waterfall[:3],
+        _step("with servo-backlash and current", 1.1, 0.0048, 0.045, 0.0030),
+        EXPLAINED.waterfall[-1],
+    ],
+    causes=[BACKLASH, replace(CURRENT, equivalent=[])],
+)
 UNEXPLAINED = replace(
     _BRIEF,
     verdict="unexplained",
     where=replace(_BRIEF.where, stage={**EXPLAINED.where.stage, "rig": 0.0}),
+    waterfall=[*EXPLAINED.waterfall[:2], EXPLAINED.waterfall[-1]],
+    closed=None,
     causes=[],
     remaining=_remaining(1.0, "surge force against speed", False),
     advice=[],

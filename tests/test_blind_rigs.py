@@ -254,7 +254,7 @@ def test_closed_is_recomputed_with_the_labels_floor() -> None:
         "floor": {"x_m": 0.04},
     }
     row = score.scored(label, gap, {"steps": [{"status": 0, "wall_s": 1.0}], "ended": True})
-    assert row["closed"] == pytest.approx((0.1 - 0.05) / (0.1 - 0.04 / 2.0))
+    assert row["closed"] == pytest.approx((0.1**2 - 0.05**2) / (0.1**2 - (0.04 / 2.0) ** 2))
 
 
 def test_shares_add_up() -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from swimid.diagnosis import evidence as diagnose_evidence
 from swimid.diagnosis.evidence import Diagnosis
-from swimid.diagnosis.gap_file import GapFile, HeldOut, Value
+from swimid.diagnosis.gap_file import Closed, GapFile, HeldOut, Value
 from swimid.effects import catalogue
 from swimid.effects.base import Affected
 from swimid.fitting.model import Hooks, Model, Trial
@@ -60,6 +60,9 @@ def checked(gap: GapFile) -> dict[str, ev.Check]:
     return {check.name: check for check in cases.evidence(gap).checks}
 
 
+LITTLE = Closed(before=17.0, after=10.6, share=0.4, ci95=(0.3, 0.5))
+
+
 # ---------------------------------------------------------------- the terminal
 
 
@@ -81,34 +84,44 @@ def test_at_most_five_notes_and_advice_first() -> None:
 def test_the_summary_says_what_closes_the_gap_and_by_how_much() -> None:
     text = said("explained")
     assert "EXPLAINED: servo-backlash (backlash_rad 0.0351 ± 0.0021 rad) explains the gap." in text
-    assert "In cross-validation over trials the error of u_m_s goes from 14.2 % to 3.4 %" in text
-    assert "(noise alone: 2.1 %)" in text
+    assert "In cross-validation over trials the squared error goes from 17 to 1.6 times the noise" in text
+    assert "96 % of the gap closes (81 … 98 %)" in text
     assert "c_d0 stood in for the cause: it is 0.920 ± 0.020 without the cause and 0.710 ± 0.030 with" in text
     assert "c_ma" not in text
     assert "Next experiment: Swim at 1.0 Hz" in text
 
 
-def test_the_first_table_has_the_errors_on_held_out_data() -> None:
-    errors, causes, *others = cases.evidence(cases.EXPLAINED).tables
+def test_the_first_table_has_the_errors_as_given_and_after_each_cause() -> None:
+    gap, *_ = cases.evidence(cases.PAIR).tables
+    assert gap.columns == ["model", "squared error over noise", "u_m_s", "yaw_rate_rad_s", "joint4_rad"]
+    assert gap.rows[0] == ["as given", 54.0, "0.042 m/s", "0.13 rad/s", "0.0045 rad"]
+    assert [row[0] for row in gap.rows[1:]] == [
+        "refitted",
+        "with servo-backlash",
+        "with servo-backlash and current",
+        "noise alone",
+    ]
+
+
+def test_the_second_table_has_the_errors_over_the_range() -> None:
+    _, errors, causes, *others = cases.evidence(cases.EXPLAINED).tables
     assert errors.rows[0] == [
         "u_m_s",
-        *(pytest.approx(v) for v in (19, 14.2, 3.4, 2.1, 100 * 108 / 121)),
-        "(81 … 94 %)",
+        *(pytest.approx(v) for v in (19, 14.2, 3.4, 2.1, 96.3)),
+        "(81 … 98 %)",
     ]
     assert causes.rows[0][:4] == ["servo-backlash", "backlash_rad", "0.0351 ± 0.0021 rad", "94 %"]
     assert all(table.folded for table in others)
 
 
-def test_the_first_table_without_a_cause_has_the_gap_by_channel() -> None:
-    (errors, *_) = cases.evidence(cases.UNEXPLAINED).tables
+def test_the_second_table_without_a_cause_has_the_gap_by_channel() -> None:
+    (_, errors, *_) = cases.evidence(cases.UNEXPLAINED).tables
     assert [row[0] for row in errors.rows] == ["u_m_s", "yaw_rate_rad_s", "joint4_rad"]
     assert errors.rows[0][2:5] == [pytest.approx(v) for v in (14.2, 2.1, 71)]
 
 
 def test_the_summary_says_that_little_of_the_gap_closes() -> None:
-    hardly = [replace(s, closed=0.4) for s in cases.BACKLASH.shrinkage]
-    text = summary(replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, shrinkage=hardly)]))
-    assert "Caution: of the gap in u_m_s 40 % closes" in text
+    assert "Caution: 40 % of the squared gap closes" in summary(replace(cases.EXPLAINED, closed=LITTLE))
 
 
 def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
@@ -148,7 +161,7 @@ def test_a_changed_parameter_is_stated_first() -> None:
     text = said("changed")
     change = "k_t 0.06 → 0.055200 ± 0.000030 N·m/rad (71 standard errors)"
     assert f"EXPLAINED: {change} or joint-stiffness explains the gap of the parameters as given." in text
-    assert re.search(r"u_m_s +19\b", text)  # as given, in the table of errors
+    assert re.search(r"as given +54\b", text)
     result = Diagnosis("diagnose", text, {}, document=cases.ALL["changed"])
     assert result.causes.iloc[0]["effect"] == "parameter:k_t"
     assert f"the parameters as given are others than those refitted: {change}" in said("moved")
@@ -169,7 +182,7 @@ def test_a_reading_is_named_with_its_question_and_its_option() -> None:
     text = said("reread")
     assert "reading:drag_point=strips explains the gap" in text
     assert "To work with the other reading: --reading drag_point=strips." in text
-    (_, causes, *_) = cases.evidence(cases.REREAD).tables
+    (_, _, causes, *_) = cases.evidence(cases.REREAD).tables
     assert "spread evenly along each link" in str(causes.rows[0][-1])
     result = Diagnosis("diagnose", text, {}, document=cases.ALL["reread"])
     row = result.causes.iloc[0]
@@ -245,7 +258,7 @@ def test_a_gap_file_without_evidence_is_shown(tmp_path: Path) -> None:
     found = Diagnosis.load(path).content()
     assert found.verdict.level == "caution"
     assert "No evidence file" in found.verdict.text
-    assert [table.id for table in found.tables][:2] == ["errors", "causes"]
+    assert [table.id for table in found.tables][:3] == ["waterfall", "errors", "causes"]
 
 
 def test_checks_warn_of_what_weakens_an_answer() -> None:
@@ -278,11 +291,13 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
     stood_in = [
         replace(a, with_effect=replace(a.with_effect, status="at-bound")) for a in cases.BACKLASH.absorbed
     ]
-    hardly = [replace(s, closed=0.4) for s in cases.BACKLASH.shrinkage]
-    for more in ({"extrapolation": lost.extrapolation}, {"absorbed": stood_in}, {"shrinkage": hardly}):
-        weaker = replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, **more)])
-        assert "warn" in verdicts(weaker).values()
-        assert level(weaker) == "caution"
+    weaker = [
+        replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, **more)])
+        for more in ({"extrapolation": lost.extrapolation}, {"absorbed": stood_in})
+    ]
+    for gap in (*weaker, replace(cases.EXPLAINED, closed=LITTLE)):
+        assert "warn" in verdicts(gap).values()
+        assert level(gap) == "caution"
     assert level(replace(cases.NONE, at_bound={"c_d4": 6.0})) == "caution"
 
 
@@ -320,24 +335,23 @@ def test_effects_that_cannot_be_evaluated_are_listed() -> None:
 @pytest.mark.parametrize(
     ("name", "shown"),
     [
-        ("explained", ["as given", "refitted", "with causes", "noise alone"]),
-        ("unexplained", ["refitted", "noise alone"]),
-        ("moved", ["as given", "refitted", "noise alone"]),
+        ("explained", ["as given", "refitted", "with servo-backlash"]),
+        ("unexplained", ["as given", "refitted"]),
     ],
 )
-def test_the_first_figure_has_the_errors_by_channel(name: str, shown: list[str]) -> None:
+def test_the_first_figure_has_the_squared_errors_in_turn(name: str, shown: list[str]) -> None:
     (panel,) = cases.evidence(cases.ALL[name]).figures[0].panels
-    assert [trace.label for trace in panel.traces] == shown
-    u = (panel.x_categories or []).index("surge speed")
-    errors = {trace.label: trace.y[u] for trace in panel.traces}
-    assert errors["noise alone"] == pytest.approx(2.1)
-    assert errors["refitted"] == pytest.approx(2.1 if name == "moved" else 14.2)
+    assert panel.x_categories == shown
+    errors = {trace.label: trace.y for trace in panel.traces}
+    assert errors["all channels"] == [54.0, 17.0, 1.6][: len(shown)]
+    assert errors["surge speed"][0] == pytest.approx((0.042 / 0.0046) ** 2)
+    assert [mark.at for mark in panel.marks] == [1.0]
 
 
 def test_at_most_two_figures_and_the_residual_of_the_worst_trial_last() -> None:
     for gap in cases.ALL.values():
         made = cases.evidence(gap)
-        assert [figure.id for figure in made.figures] == ["errors", "residuals"]
+        assert [figure.id for figure in made.figures] == ["waterfall", "residuals"]
         labels = [trace.label for trace in made.figures[1].panels[0].traces]
         assert labels == ["refitted", "with causes"][: 2 if gap.causes else 1]
     piece = cases.worst()[1]
@@ -438,9 +452,9 @@ class TestWhatIsStatedIsWhatIsComputed:
     @pytest.mark.parametrize(
         "held_out, said",
         [
-            ("validation", "On the validation trials the error of u_m_s"),
-            ("trials", "In cross-validation over trials the error of u_m_s"),
-            ("stretches", "In cross-validation over stretches of trials the error of u_m_s"),
+            ("validation", "On the validation trials the squared error"),
+            ("trials", "In cross-validation over trials the squared error"),
+            ("stretches", "In cross-validation over stretches of trials the squared error"),
         ],
     )
     def test_held_out_data_are_named_correctly(self, held_out: HeldOut, said: str) -> None:

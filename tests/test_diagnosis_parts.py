@@ -954,7 +954,19 @@ def test_a_channel_of_held_out_trials_only_has_no_closed_share(rng: np.random.Ge
     (found,) = shrinkage.shrinkages([piece(5.0, 1.0)], {}, {}, {}, rng=rng)
     assert (found.floor, found.closed, found.ci95) == (None, None, (None, None))
     lowered, gap = shrinkage.gained([piece(5.0, 1.0)], {})
-    assert (lowered.sum(), gap) == (0.0, 0.0)
+    assert (lowered.sum(), gap.sum()) == (0.0, 0.0)
+    assert shrinkage.overall([piece(5.0, 1.0)], {}, rng=rng).share is None
+
+
+def test_the_closed_share_of_all_channels_is_that_of_the_squared_errors(rng: np.random.Generator) -> None:
+    """Errors of 5 and 3 noise standard deviations without, and of 1 and 0 with the causes; noise adds 1."""
+    held = [piece(5.0, 1.0), replace(piece(3.0, 0.0), channel="y_m")]
+    found = shrinkage.overall(held, {"x_m": 0.01, "y_m": 0.01}, rng=rng)
+    # 400 samples of a mean square of 18 have a standard error of 2 * sqrt(17 / 400)
+    assert found.before == pytest.approx(18.0, abs=3 * 0.42)
+    assert found.after == pytest.approx(1.5, abs=3 * 0.12)
+    assert found.share == pytest.approx((found.before - found.after) / (found.before - 1.0))
+    assert found.ci95 == (None, None)
 
 
 def test_the_interval_of_a_share_includes_the_uncertain_floor(rng: np.random.Generator) -> None:
@@ -983,7 +995,8 @@ def test_the_bootstrap_of_few_trials_is_widened_to_its_level(count: int, rng: np
 
 
 @pytest.mark.parametrize(
-    "before, after, floor, share", [(3.0, 1.0, 1.0, 1.0), (3.0, 2.0, 1.0, 0.5), (3.0, 4.0, 1.0, -0.5)]
+    "before, after, floor, share",
+    [(3.0, 1.0, 1.0, 1.0), (3.0, 2.0, 1.0, 5 / 8), (3.0, 4.0, 1.0, -7 / 8), (3.0, 0.9, 1.0, 1.0)],
 )
 def test_the_closed_share_by_hand(before: float, after: float, floor: float, share: float) -> None:
     assert closed(before, after, floor) == pytest.approx(share)
@@ -1298,7 +1311,7 @@ def piece(before: float, after: float) -> shrinkage.Piece:
 def test_causes_close_most_of_the_gap(before: float, after: float, helps: bool) -> None:
     """Errors of 3.5 leave half of a squared gap of 25."""
     lowered, gap = shrinkage.gained([piece(before, after)], {"x_m": 0.01})
-    assert bool(lowered.sum() > shrinkage.MOST * gap) is helps
+    assert bool(lowered.sum() > shrinkage.MOST * gap.sum()) is helps
 
 
 def test_each_model_predicts_by_its_better_fit() -> None:
@@ -1322,7 +1335,8 @@ def test_the_worst_held_out_trial_is_complete_and_in_time_order() -> None:
 
 def test_held_out_data_without_a_gap_have_no_closed_share() -> None:
     lowered, gap = shrinkage.gained([piece(5.0, 5.1)], {"x_m": 0.1})
-    assert lowered.sum() < 0.0 == gap
+    assert lowered.sum() < 0.0
+    assert gap.sum() < 0.0
 
 
 @pytest.mark.parametrize(

@@ -260,12 +260,12 @@ LABELS = [
 ]
 ANSWERS = [
     answer("0000", "explained", ["waves"], probability=0.6, wall_s=1.0),
-    # with the true noise (0.2 - 0.05) / (0.2 - 0.02) = 0.833
+    # with the true noise (0.2**2 - 0.05**2) / (0.2**2 - 0.02**2) = 0.947
     answer(
         "0001", "explained", ["wall"], ["current"], probability=0.9, wall_s=2.0,
-        closed={"x_m": [0.8, [0.7, 0.9]]}, errors={"x_m": [0.2, 0.05]},
+        closed={"x_m": [0.93, [0.9, 0.97]]}, errors={"x_m": [0.2, 0.05]},
     ),
-    # and (0.1 - 0.02) / (0.1 - 0.02) = 1
+    # and (0.1**2 - 0.02**2) / (0.1**2 - 0.02**2) = 1
     answer(
         "0002", "ambiguous", ["current", "tether", "wall"], probability=0.85, wall_s=3.0,
         closed={"x_m": [0.8, [0.7, 0.9]]}, errors={"x_m": [0.1, 0.02]},

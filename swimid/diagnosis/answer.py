@@ -30,12 +30,14 @@ from swimid.diagnosis.gap_file import (
     Cause,
     ChangedValue,
     ChannelGap,
+    Closed,
     Distance,
     GapFile,
     HeldOut,
     Hypothesis,
     Score,
     Shrinkage,
+    Step,
     Value,
     Where,
 )
@@ -115,7 +117,10 @@ def answer(
     )
     floor = noise.inside
     failed = dropouts.misfit(state, raw, floor)
-    held = _predictions(state, alike, floor, validation, progress)
+    every = _predictions(state, alike, floor, validation, progress)
+    held = every
+    if state.changed or judgement.by_coefficients(state):
+        held = [replace(piece, before=piece.shipped) for piece in every]
     predicted = distance = None
     chance: Mapping[str, float] = {}
     if state.base.effects:
@@ -137,11 +142,12 @@ def answer(
     outside = shrinkage.capped(reached, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
+    closed: Closed | None = shrinkage.overall(held, outside, rng=rng)
     told, gap, left = judgement.judge(
         state, held, noise, predicted, dropout=failed > 0, validation=validation
     )
     if not told.causes:
-        distance = None
+        distance = closed = None
     how = noise.how
     if told.verdict == "none":
         # The residuals are indistinguishable from noise and between-trial variation, so all of them count as
@@ -167,6 +173,8 @@ def answer(
     file = GapFile(
         verdict=told.verdict,
         where=where,
+        waterfall=_waterfall(state, told, every, outside),
+        closed=closed,
         causes=causes,
         remaining=left,
         advice=_advice(state, told, left.where, floor),
@@ -216,22 +224,35 @@ def _predictions(
         The models without and with the causes, fitted without random effects.
     """
     context = state.context
-    fits = [alike]
+    fits = [[alike[0], *(_alone(state, fit) for fit in state.between), alike[1]]]
     if state.noise_model.random_effects:
-        fits.insert(0, (state.nominal, state.base))
+        fits.insert(0, [state.nominal, *state.between, state.base])
     shipped = {p.name: p.start for p in context.parameters if not p.per_trial}
     total = len(validation) or context.folds.count
     with progress("held-out trials", total=len(fits) * total) as step:
         found = [
             shrinkage.pieces(
-                context, *pair, state.noise_model, floor, shipped, validation, step=lambda: step(1)
+                context, models, state.noise_model, floor, shipped, validation, step=lambda: step(1)
             )
-            for pair in fits
+            for models in fits
         ]
-    held = shrinkage.better(found, floor)
-    if state.changed or judgement.by_coefficients(state):
-        held = [replace(piece, before=piece.shipped) for piece in held]
-    return held
+    return shrinkage.better(found, floor)
+
+
+def _waterfall(
+    state: State, told: Judgement, held: Sequence[Piece], floor: Mapping[str, float]
+) -> list[Step]:
+    """Return the held-out errors as given, refitted, after each cause in turn, and of the noise alone."""
+    causes = [found.ranked[0].tried.effect.name for found in state.rounds]
+    labels = ["as given", "refitted", *(f"with {' and '.join(causes[: n + 1])}" for n in range(len(causes)))]
+    if told.base is not state.base:
+        # Held-out data or an outlier trial contradict the causes.
+        labels = labels[:2]
+    steps = shrinkage.waterfall(held, floor, labels)
+    if state.changed:
+        # The other parameters are not refitted beside a changed parameter.
+        del steps[1]
+    return steps
 
 
 def _held_out(context: FitContext, validation: Sequence[Trial]) -> HeldOut:

@@ -14,8 +14,10 @@ from swimid.diagnosis.gap_file import (
     Cause,
     Cell,
     ChangedValue,
+    Closed,
     GapFile,
     Shrinkage,
+    Step,
     Value,
 )
 from swimid.results import evidence as ev
@@ -37,8 +39,6 @@ CONTRADICTING = ("SWM032", "SWM063")
 #: Maximum number of panels in a figure, and of points of a curve.
 MAX_PANELS, MAX_POINTS = 4, 800
 
-#: Heading of the noise-floor column in a table of errors. The columns to the left of it are errors of models.
-FLOOR = "floor (%)"
 #: References of the method (REFERENCES), and of the choice of the next experiment (BOX).
 REFERENCES = (
     "Kennedy, M. C., & O'Hagan, A. (2001). Bayesian calibration of computer models. Journal of the Royal "
@@ -77,8 +77,9 @@ def evidence(
         tests.append(ev.check("logs agree with their metadata", "no", False, reason=against))
     verdict = ev.judged(answer_text(file), tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
-    errors = _errors(file)
-    tables = [errors, _causes(file), _coefficients(file), _scores(file), _parts(file)]
+    tables = [
+        _waterfall(file), _errors(file), _causes(file), _coefficients(file), _scores(file), _parts(file),
+    ]  # fmt: skip
     cited = [*sources, *REFERENCES]
     if file.advice:
         cited.append(BOX)
@@ -90,7 +91,7 @@ def evidence(
         notes=notes(file),
         checks=tests,
         tables=[table for table in tables if table.rows],
-        figures=[_levels(errors), *_residuals(worst, bool(file.causes))],
+        figures=[*_steps(file.waterfall), *_residuals(worst, bool(file.causes))],
         notices=list(notices),
         methods=methods(file),
         references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
@@ -218,18 +219,17 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         if name != "held-out data":  # the prediction of a single setting need not improve
             passed = after <= before
         yield ev.check(f"prediction of {name}", said, passed, "smaller with them", text, reason=reason)
-    for s in [s for s in file.closing if s.closed is not None][:1]:
-        share, low = percent(s.closed, 2), s.ci95[0]
-        passed = (s.closed or 0.0) >= HALF and (low is None or low > 0)
-        limit, reason = f"≥ {percent(HALF)}, interval above 0", f"of the gap in {s.channel} {share} closes"
-        said = " ".join([share, interval_text(s)]).strip()
-        yield ev.check(
-            f"gap closed in {s.channel}", said, passed, limit, HELD_OUT[file.held_out], reason=reason
-        )
+    closed = file.closed
+    if closed is not None and closed.share is not None:
+        share, low = percent(closed.share, 2), closed.ci95[0]
+        passed = closed.share >= HALF and (low is None or low > 0)
+        limit, reason = f"≥ {percent(HALF)}, interval above 0", f"{share} of the squared gap closes"
+        said = " ".join([share, interval_text(closed)]).strip()
+        yield ev.check("squared gap closed", said, passed, limit, HELD_OUT[file.held_out], reason=reason)
 
 
-def interval_text(s: Shrinkage) -> str:
-    """Return the 95 % interval of the closed fraction as text, for example ``(81 … 94 %)``."""
+def interval_text(s: Closed | Shrinkage) -> str:
+    """Return the 95 % interval of a closed share as text, for example ``(81 … 94 %)``."""
     low, high = s.ci95
     if low is None or high is None:
         return ""
@@ -249,6 +249,21 @@ def _table(id: str, title: str, columns: str, rows: Rows, caption: str, *, folde
     return ev.Table(id=id, title=title, columns=names, rows=list(rows), caption=caption, folded=folded)
 
 
+def _waterfall(file: GapFile) -> ev.Table:
+    """Return the table of held-out errors as given, after each cause in turn, and of the noise alone."""
+    channels = list(file.waterfall[0].rmse) if file.waterfall else []
+    rows: Rows = []
+    for step in file.waterfall:
+        errors = [number(step.rmse.get(c), 3, numbers.split_unit(c)[1]) for c in channels]
+        rows.append([step.label, step.squared, *errors])
+    columns = " | ".join(["model", "squared error over noise", *channels])
+    caption = (
+        f"Errors {HELD_OUT[file.held_out]}: mean squared error over all channels in units of the noise "
+        "variance, and root-mean-square error of each channel."
+    )
+    return _table("waterfall", "The gap on held-out data", columns, rows, caption, folded=False)
+
+
 def _errors(file: GapFile) -> ev.Table:
     """Return the table of errors on held-out data. Without a cause, the table has the errors on all
     trials.
@@ -259,19 +274,18 @@ def _errors(file: GapFile) -> ev.Table:
     ]
     if rows:
         title = "Errors on held-out data"
-        columns = (
-            f"channel | as given (%) | refitted (%) | with causes (%) | {FLOOR} | closed (%) | 95 % interval"
-        )
+        errors = "as given (%) | refitted (%) | with causes (%) | floor (%)"
+        columns = f"channel | {errors} | closed (%) | 95 % interval"
         caption = (
             f"Root-mean-square errors over the measured range, {HELD_OUT[file.held_out]}: the parameters as "
             "given, the model refitted without and with the causes, and noise alone. Closed is the share of "
-            "the error above the noise floor that the causes take away."
+            "the squared error above the squared noise floor that the causes take away."
         )
         return _table("errors", title, columns, rows, caption, folded=False)
     for c in file.where.channels:
         given = file.as_given[c.channel].nrmse if c.channel in file.as_given else None
         rows.append([c.channel, *_percents(given, c.nrmse, c.floor, c.share), number(c.rmse, 3, c.unit)])
-    columns = f"channel | as given (%) | refitted (%) | {FLOOR} | of the gap (%) | RMSE"
+    columns = "channel | as given (%) | refitted (%) | floor (%) | of the gap (%) | RMSE"
     caption = (
         "Errors over the measured range without any effect: the parameters as given in all trials, the "
         "refitted model in the fitted trials."
@@ -345,28 +359,39 @@ def _parts(file: GapFile) -> ev.Table:
 # ---------------------------------------------------------------- figures
 
 
-def _levels(table: ev.Table) -> ev.Figure:
-    """Plot the columns of a table of errors up to the noise floor, side by side for each channel."""
-    names, *columns = zip(*table.rows, strict=True) if table.rows else ((),)
-    titles = table.columns[1 : table.columns.index(FLOOR) + 1]
-    shown = [(t, v) for t, v in zip(titles, columns, strict=False) if any(one is not None for one in v)]
-    traces = []
-    for k, (title, values) in enumerate(shown):
-        x = [n + 0.12 * (k - (len(shown) - 1) / 2) for n in range(len(names))]
-        label = title.replace(FLOOR, "noise alone").removesuffix(" (%)")
-        traces.append(ev.Trace(x=x, y=values, style="points", label=label, group=k))
+def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
+    """Plot the squared errors on held-out data as given, after each cause in turn, and of the noise alone."""
+    if not steps:
+        return []
+    places = [float(n) for n in range(len(steps) - 1)]
+    noise = steps[-1].rmse
+    curves = {"all channels": [step.squared for step in steps[:-1]]}
+    for channel, floor in noise.items():
+        if floor and len(noise) > 1:
+            curves[numbers.quantity(channel)] = [_squared(s.rmse.get(channel), floor) for s in steps[:-1]]
     panel = ev.Panel(
         x_label="",
-        y_label="error over the measured range (%)",
+        y_label="squared error over noise variance",
         y_scale="log",
-        traces=traces,
-        x_categories=[numbers.quantity(str(name)) for name in names],
+        traces=[
+            ev.Trace(x=[x + 0.1 * k for x in places], y=values, style="points", label=label, group=k)
+            for k, (label, values) in enumerate(curves.items())
+        ],
+        marks=[ev.Mark(at=1.0, label="noise alone")],
+        x_categories=[step.label for step in steps[:-1]],
     )
     caption = (
-        "Root-mean-square error on held-out data over the measured range: with the parameters as given, "
-        "after a refit without and with the identified causes, and of the noise alone."
+        "Mean squared error on held-out data in units of the noise variance: of the model as given, after a "
+        "refit of its parameters, and after each cause in turn."
     )
-    return ev.Figure(id="errors", title=table.title, caption=caption, panels=[panel])
+    return [ev.Figure(id="waterfall", title="The gap on held-out data", caption=caption, panels=[panel])]
+
+
+def _squared(error: float | None, floor: float) -> float | None:
+    """Return a squared error in units of the noise variance."""
+    if error is None:
+        return None
+    return (error / floor) ** 2
 
 
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
@@ -430,12 +455,13 @@ def answer_text(file: GapFile) -> str:
         said = f"The model has a gap that no known effect closes; {closing}."
     else:
         said = "The model has a gap, and no effect of the catalogue closes it."
-    for s in file.closing[:1]:
-        if s.before is not None and s.after is not None:
-            to = f"from {numbers.percent(s.before)} to {numbers.percent(s.after)} of its range"
-            held_out = HELD_OUT[file.held_out]
-            said += f" {held_out[0].upper()}{held_out[1:]} the error of {s.channel} goes {to}"
-            said += f" (noise alone: {numbers.percent(s.floor)})."
+    closed, held_out = file.closed, HELD_OUT[file.held_out]
+    if closed is not None and closed.share is not None:
+        before, after = number(closed.before, 3), number(closed.after, 3)
+        said += (
+            f" {held_out[0].upper()}{held_out[1:]} the squared error goes from {before} to {after} times the"
+        )
+        said += f" noise: {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip() + "."
     return said
 
 

@@ -119,11 +119,34 @@ class Shrinkage(yamlio.Document):
     before: Number
     after: Number
     floor: Number
-    #: Closed fraction of the error above the noise floor: (before - after) / (before - floor).
+    #: Closed share of the squared gap: (before**2 - after**2) / (before**2 - floor**2), at most 1.
     closed: Number
     ci95: Pair = (None, None)
     #: Error of the model with the parameters as given.
     shipped: Number = None
+
+
+class Closed(yamlio.Document):
+    """Squared error over all channels on held-out data without and with the causes, and its closed share.
+
+    The squared errors ``before`` and ``after`` are means in units of the noise variance. The closed share of
+    the squared gap is (before - after) / (before - 1), at most 1.
+    """
+
+    before: Number
+    after: Number
+    share: Number
+    ci95: Pair = (None, None)
+
+
+class Step(yamlio.Document):
+    """Errors on held-out data of one model: as given, refitted, with the first causes, or the noise alone."""
+
+    label: str
+    #: Mean squared error over all channels, in units of the noise variance.
+    squared: Number
+    #: Root-mean-square error of each channel, in the unit of the channel.
+    rmse: dict[str, Number]
 
 
 class Absorbed(yamlio.Document):
@@ -224,6 +247,10 @@ class GapFile(yamlio.ResultFile):
     #: over all trials.
     as_given: dict[str, ChannelScore] = {}
     where: Where
+    #: Errors on held-out data: as given, refitted, after each cause in turn, and of the noise alone.
+    waterfall: list[Step] = []
+    #: Closed share of the squared gap over all channels; None without a cause.
+    closed: Closed | None = None
     #: Causes, the most important first. Several causes act together.
     causes: list[Cause]
     remaining: Remaining

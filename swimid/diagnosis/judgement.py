@@ -266,8 +266,8 @@ def _by_held_out(
     allowed = max(before.distance - before.samples, before.samples)
     if after.distance - before.distance > allowed or not shrinkage.sound(held):
         return replace(refused, refuted=told.names)
-    each, gap = shrinkage.gained(held, floor)
-    lowered = float(each.sum())
+    each, gaps = shrinkage.gained(held, floor)
+    lowered, gap = float(each.sum()), max(float(gaps.sum()), 0.0)
     close = lowered > shrinkage.MOST * gap
     if held and not close and not lowered > max(TENTH * gap, shrinkage.chance(each)):
         why = f"{', '.join(told.names)}: held-out errors hardly fall with it"
@@ -298,8 +298,8 @@ def _by_prediction(
     The causes stay in the report only if they close most of the gap of the validation trials.
     """
     trials = ", ".join(told.unpredicted)
-    each, gap = shrinkage.gained(held, floor)
-    if float(each.sum()) > shrinkage.MOST * gap:
+    lowered, gap = (float(values.sum()) for values in shrinkage.gained(held, floor))
+    if lowered > shrinkage.MOST * max(gap, 0.0):
         return _weakened(told, f"validation trials are not predicted with the cause: {trials}")
     why = f"{', '.join(told.names)}: validation trials are not predicted with it: {trials}"
     return replace(told, verdict="unexplained", causes=(), base=state.nominal, reasons=(*told.reasons, why))

@@ -140,6 +140,9 @@ class State:
         The model without effects.
     base : Fit
         The model with the causes.
+    between : list of Fit
+        The model with the first cause, with the first two causes, and so on, without the last model
+        (:attr:`base`).
     screen : Screen
         Screening results of every effect added to the model without effects.
     singles : list of Refitted
@@ -159,6 +162,7 @@ class State:
     posterior: Posterior
     rounds: list[Round] = field(default_factory=list)
     left: Left | None = None
+    between: list[Fit] = field(default_factory=list)
     random_effects: list[RandomEffect] = field(default_factory=list)
     low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
     nuisance_residuals: list[Array] = field(default_factory=list)
@@ -753,6 +757,10 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
         state.rounds.append(Round(ranked, same))
     # A changed parameter comes first, because it needs no additional physics.
     state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
+    smaller = best
+    for last in reversed(state.rounds[1:]):
+        smaller = search.without(smaller, last.ranked[0].tried.effect)
+        state.between.insert(0, smaller.fit)
     return state
 
 

@@ -19,7 +19,7 @@ from scipy import special
 
 from swimid.diagnosis import crossval, remainder
 from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond, held_at
-from swimid.diagnosis.gap_file import Shrinkage
+from swimid.diagnosis.gap_file import Closed, Shrinkage, Step
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
@@ -29,6 +29,9 @@ TOLERANCE = 1e-4
 #: Number of bootstrap resamples of trials.
 RESAMPLES = 1000
 
+#: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
+#: of nearly equal numbers.
+LEAST_GAP = 0.04
 #: Minimum fraction of the squared gap that causes must close.
 MOST = 0.5
 #: Error assigned to a held-out sample whose simulation diverged, in the unit of the channel or in units of
@@ -46,8 +49,9 @@ class Piece:
     Attributes
     ----------
     measured, shipped, before, after : ndarray, shape (n,)
-        Measured values, and the predictions with the parameters as given, with refitted parameters, and with
-        refitted parameters and causes.
+        Measured values, and the predictions with the parameters as given, without the causes, and with them.
+    between : tuple of ndarray
+        Predictions with the first cause, with the first two causes, and so on.
     """
 
     trial: Trial
@@ -57,6 +61,7 @@ class Piece:
     shipped: Array
     before: Array
     after: Array
+    between: tuple[Array, ...] = ()
 
     def seen(self, values: Array) -> Array:
         """Return the values at samples with a measurement."""
@@ -99,8 +104,7 @@ def _numbers(fit: Fit, theta: Array, of: int | None = None) -> dict[str, float]:
 
 def pieces(
     context: FitContext,
-    before: Fit,
-    after: Fit,
+    fits: Sequence[Fit],
     noise_model: NoiseModel,
     sd: Mapping[str, float],
     shipped: Mapping[str, float],
@@ -113,37 +117,40 @@ def pieces(
 
     Parameters
     ----------
-    before, after : Fit
-        Refitted model without and with the causes, on all trials of the context.
+    fits : sequence of Fit
+        Refitted model without causes, with the first cause and so on, and with all causes, on all trials of
+        the context.
     sd : mapping of channel to float
         Standard deviation of the noise, for the fit of the start states of held-out trials.
     shipped : mapping of name to float
         Coefficients as given.
     """
     found: list[Piece] = []
-    pair, folds = (before, after), context.folds
-    causes = {e.name for e in after.effects}
-    nominal, model = _average(context, before, causes), _average(context, after, ())
-    models = context.affected(()), nominal, model
+    folds = context.folds
+    causes = {e.name for e in fits[-1].effects}
+    models = [_average(context, fit, causes - {e.name for e in fit.effects}) for fit in fits]
+    whole = [context.affected(()), *models]
     for trial in validation:
-        found += _whole(trial, models, (shipped, *(_numbers(fit, fit.theta) for fit in pair)), sd)
+        numbers = [shipped, *(_numbers(fit, fit.theta) for fit in fits)]
+        found += _whole(trial, whole, numbers, sd, [trial] * len(whole))
         step()
     if validation:
         return found
-    thetas = list(zip(*(context.without_each(fit, noise_model) for fit in pair), strict=True))
+    thetas = list(zip(*(context.without_each(fit, noise_model) for fit in fits), strict=True))
     for f, held_out in enumerate(thetas):
-        fits = list(zip(pair, held_out, strict=True))
+        cut = list(zip(fits, held_out, strict=True))
         for k, trial in enumerate(context.trials):
             if f not in folds.owner[k]:
                 continue
             if folds.whole:
                 near = [
-                    replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)}) for fit in pair
+                    replace(trial, starts={**trial.starts, **_numbers(fit, fit.theta, k)}) for fit in fits
                 ]
-                found += _whole(trial, models, (shipped, *(_numbers(*fit) for fit in fits)), sd, near)
+                numbers = [shipped, *(_numbers(*one) for one in cut)]
+                found += _whole(trial, whole, numbers, sd, [near[0], *near])
             else:
-                vectors = [fit.problem.vector(theta, k) for fit, theta in fits]
-                found += _stretch(context, k, f, (nominal, model), vectors, shipped)
+                vectors = [fit.problem.vector(theta, k) for fit, theta in cut]
+                found += _stretch(context, k, f, models, vectors, shipped)
             step()
     return found
 
@@ -162,16 +169,20 @@ def _whole(
     models: Sequence[Model],
     shared: Sequence[Mapping[str, float]],
     sd: Mapping[str, float],
-    near: Sequence[Trial] = (),
+    near: Sequence[Trial],
 ) -> list[Piece]:
     """Return the predictions of a whole trial with the parameters as given, without the causes and with them.
 
     Each prediction begins at the start state that fits the trial best.
+
+    Parameters
+    ----------
+    near : sequence of Trial
+        The trial with the start state from which the search for the best one begins, for each model.
     """
-    first, last = near or (trial, trial)
     runs = [
         m.simulate(_own_start(m, values, begun, sd), trial)
-        for m, values, begun in zip(models, shared, (first, first, last), strict=True)
+        for m, values, begun in zip(models, shared, near, strict=True)
     ]
     return [
         _piece(trial, c, runs, slice(None))
@@ -183,16 +194,17 @@ def _whole(
 def _piece(
     trial: Trial, channel: str, runs: Sequence[Mapping[str, Array]], rows: slice | NDArray[np.intp]
 ) -> Piece:
-    """Return some samples of a channel and of its three predictions."""
-    series = (trial.time_s, trial.measured[channel], *(run[channel] for run in runs))
-    return Piece(trial, channel, *(values[rows] for values in series))
+    """Return some samples of a channel and of its predictions."""
+    shipped, before, *between, after = (run[channel][rows] for run in runs)
+    time_s, measured = trial.time_s[rows], trial.measured[channel][rows]
+    return Piece(trial, channel, time_s, measured, shipped, before, after, tuple(between))
 
 
 def _stretch(
     context: FitContext,
     k: int,
     fold: int,
-    models: tuple[Model, Model],
+    models: Sequence[Model],
     vectors: Sequence[Array],
     shipped: Mapping[str, float],
 ) -> list[Piece]:
@@ -200,12 +212,13 @@ def _stretch(
 
     The predictions are those with the parameters as given, without the causes and with them.
     """
-    trial, inside, (nominal, model) = context.trials[k], context.folds.owner[k] == fold, models
+    trial, inside = context.trials[k], context.folds.owner[k] == fold
     as_given = vectors[0].copy()
-    for i, p in enumerate(nominal.parameters):
+    for i, p in enumerate(models[0].parameters):
         if not p.per_trial and p.name in shipped:
             as_given[i] = shipped[p.name]
-    runs = [nominal.simulate(v, trial) for v in (as_given, vectors[0])] + [model.simulate(vectors[1], trial)]
+    own = zip((models[0], *models), (as_given, *vectors), strict=True)
+    runs = [model.simulate(values, trial) for model, values in own]
     parts = context.shape.by_channel(k, inside)
     chosen = ((channel, np.flatnonzero(mask)[part]) for channel, mask, part in parts)
     return [_piece(trial, channel, runs, rows) for channel, rows in chosen if len(rows)]
@@ -219,9 +232,9 @@ def shrinkages(
     *,
     rng: np.random.Generator,
 ) -> list[Shrinkage]:
-    """Return the held-out errors, the noise floor and the closed fraction of the gap for each channel.
+    """Return the held-out errors, the noise floor and the closed share of the squared gap for each channel.
 
-    The closed fraction has a bootstrap interval over trials [1]_.
+    The closed share has a bootstrap interval over trials [1]_.
 
     Parameters
     ----------
@@ -260,10 +273,6 @@ def shrinkages(
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s) and len(trials) > 1]
         share = closed(before, after, floor)
-        low, high = None, None
-        if len(known) > 20 and math.isfinite(share):
-            ends = np.quantile(known, (0.025, 0.975))
-            low, high = (share + widened(len(trials)) * (float(end) - share) for end in ends)
         result.append(
             Shrinkage(
                 channel=channel,
@@ -272,10 +281,68 @@ def shrinkages(
                 shipped=shipped,
                 floor=floor,
                 closed=share,
-                ci95=(low, high),
+                ci95=_interval(share, known, len(trials)),
             )
         )
     return result
+
+
+def overall(found: Sequence[Piece], floors: Mapping[str, float], *, rng: np.random.Generator) -> Closed:
+    """Return the closed share of the squared gap over all channels, with its bootstrap interval over trials.
+
+    Squared errors are divided by the noise variance of their channel. Channels without a known noise are left
+    out.
+    """
+    lowered, gap = gained(found, floors)
+    if not len(gap):
+        return Closed(before=None, after=None, share=None)
+    count = sum(len(p.seen(p.time_s)) for p in found if p.channel in floors)
+    before = 1.0 + float(gap.sum()) / max(count, 1)
+    after = before - float(lowered.sum()) / max(count, 1)
+    share = closed(math.sqrt(before), math.sqrt(max(after, 0.0)), 1.0)
+    picks = rng.integers(0, len(gap), (RESAMPLES, len(gap)))
+    drawn = zip(lowered[picks].sum(axis=1), gap[picks].sum(axis=1), strict=True)
+    known = [min(a / b, 1.0) for a, b in drawn if b > 0 and len(gap) > 1]
+    return Closed(before=before, after=after, share=share, ci95=_interval(share, known, len(gap)))
+
+
+def _interval(share: float, drawn: Sequence[float], count: int) -> tuple[float | None, float | None]:
+    """Return the 95 % interval of a closed share from bootstrap resamples; unknown from too few of them.
+
+    Parameters
+    ----------
+    count : int
+        Number of trials.
+    """
+    if len(drawn) <= 20 or not math.isfinite(share):
+        return None, None
+    low, high = (share + widened(count) * (float(end) - share) for end in np.quantile(drawn, (0.025, 0.975)))
+    return low, min(high, 1.0)
+
+
+def waterfall(found: Sequence[Piece], floors: Mapping[str, float], labels: Sequence[str]) -> list[Step]:
+    """Return the held-out errors of each prediction, and of the noise alone.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Labels of the predictions, in their order: as given, without causes, with the first cause and so on.
+        Predictions without a label are left out.
+    """
+    steps = []
+    for n, label in enumerate(labels):
+        squared, count = 0.0, 0
+        channels: dict[str, float | None] = {}
+        for channel, mine in by_channel(found).items():
+            runs = [(p, (p.shipped, p.before, *p.between, p.after)[n]) for p in mine]
+            squares = np.concatenate([p.squares(y) for p, y in runs])
+            channels[channel] = float(np.sqrt(np.mean(squares)))
+            if channel in floors:
+                squared += float(np.sum(squares)) / max(floors[channel], 1e-300) ** 2
+                count += len(squares)
+        steps.append(Step(label=label, squared=squared / max(count, 1), rmse=channels))
+    noise = {channel: floors.get(channel) for channel in by_channel(found)}
+    return [*steps, Step(label="noise alone", squared=1.0, rmse=noise)]
 
 
 def widened(count: int) -> float:
@@ -314,8 +381,8 @@ def sound(found: Sequence[Piece]) -> bool:
 def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> list[Piece]:
     """Combine several predictions of the same samples.
 
-    The result has the prediction with the smallest error without causes, and the one with the smallest error
-    with causes.
+    The result has the prediction with the smallest error without causes, with each number of causes, and with
+    all causes.
 
     Parameters
     ----------
@@ -323,11 +390,17 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
         Noise floor, by which the errors of a channel are divided.
     """
 
-    def least(which: str) -> Sequence[Piece]:
-        return min(found, key=lambda one: sum(float(_errors(p, which, floors).sum()) for p in one))
+    def least(of: Callable[[Piece], Array]) -> list[Array]:
+        best = min(found, key=lambda one: sum(float(_errors(p, of(p), floors).sum()) for p in one))
+        return [of(p) for p in best]
 
-    before, after = least("before"), least("after")
-    return [replace(b, after=a.after) for b, a in zip(before, after, strict=True)]
+    count = len(found[0][0].between) if found[0] else 0
+    between = [least(lambda p, n=n: p.between[n]) for n in range(count)]  # type: ignore[misc]
+    before, after = least(lambda p: p.before), least(lambda p: p.after)
+    return [
+        replace(p, before=before[i], after=after[i], between=tuple(runs[i] for runs in between))
+        for i, p in enumerate(found[0])
+    ]
 
 
 def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, float]:
@@ -344,19 +417,18 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
     return result
 
 
-def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, float]:
-    """Return the decrease of the squared errors of each held-out trial by the causes, shape (trials,), and
-    the total gap.
+def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, Array]:
+    """Return the decrease of the squared errors of each held-out trial by the causes, and the squared gap.
 
-    Both are in units of the noise variance.
+    Both have shape (trials,) and are in units of the noise variance.
     """
     lowered: dict[str, float] = {}
-    gap = 0.0
+    gap: dict[str, float] = {}
     for p in (p for p in found if p.channel in floors):
-        before, after = (_errors(p, which, floors) for which in ("before", "after"))
+        before, after = (_errors(p, simulated, floors) for simulated in (p.before, p.after))
         lowered[p.trial.id] = lowered.get(p.trial.id, 0.0) + float(np.sum(before - after))
-        gap += float(np.sum(before - 1.0))
-    return np.array(list(lowered.values())), max(gap, 0.0)
+        gap[p.trial.id] = gap.get(p.trial.id, 0.0) + float(np.sum(before - 1.0))
+    return np.array(list(lowered.values())), np.array(list(gap.values()))
 
 
 def chance(each: Array) -> float:
@@ -371,19 +443,22 @@ def chance(each: Array) -> float:
     return float(special.stdtrit(n - 1, 0.95) * np.sqrt(n * np.var(each, ddof=1)))
 
 
-def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
+def _errors(piece: Piece, simulated: Array, floors: Mapping[str, float]) -> Array:
     """Return the squared errors of a prediction, in units of the noise variance; zero if the noise is
     unknown.
     """
-    return piece.squares(getattr(piece, which), max(floors.get(piece.channel, math.inf), 1e-300))
+    return piece.squares(simulated, max(floors.get(piece.channel, math.inf), 1e-300))
 
 
 def closed(before: float, after: float, floor: float) -> float:
-    """Return the closed fraction of the gap, ``(before - after) / (before - floor)``; NaN without a gap."""
-    gap = before - floor
-    if gap <= 0.02 * max(before, 1e-300):
+    """Return the closed share of the squared gap, at most 1; NaN without a gap.
+
+    The share is ``(before**2 - after**2) / (before**2 - floor**2)``.
+    """
+    gap = before**2 - floor**2
+    if gap <= LEAST_GAP * max(before**2, 1e-300):
         return math.nan
-    return float((before - after) / gap)
+    return float(min((before**2 - after**2) / gap, 1.0))
 
 
 def worst(found: Sequence[Piece], floors: Mapping[str, float], *, with_causes: bool) -> list[Piece]:
@@ -404,15 +479,15 @@ def worst(found: Sequence[Piece], floors: Mapping[str, float], *, with_causes: b
         which = "after"
     squares: dict[str, list[Array]] = {}
     for p in found:
-        squares.setdefault(p.trial.id, []).append(_errors(p, which, floors))
+        squares.setdefault(p.trial.id, []).append(_errors(p, getattr(p, which), floors))
     means = {trial: float(np.mean(np.concatenate(parts))) for trial, parts in squares.items()}
     trial = max(means, key=lambda trial: means[trial], default="")
     whole = []
     for parts in by_channel([p for p in found if p.trial.id == trial]).values():
         order = np.argsort(np.concatenate([p.time_s for p in parts]), kind="stable")
         names = ("time_s", "measured", "shipped", "before", "after")
-        series = {name: np.concatenate([getattr(p, name) for p in parts])[order] for name in names}
-        whole.append(Piece(parts[0].trial, parts[0].channel, **series))
+        series = (np.concatenate([getattr(p, name) for p in parts])[order] for name in names)
+        whole.append(Piece(parts[0].trial, parts[0].channel, *series))
     return whole
 
 
