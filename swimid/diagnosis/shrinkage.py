@@ -486,8 +486,8 @@ def worst(found: Sequence[Piece], floors: Mapping[str, float], *, with_causes: b
     for parts in by_channel([p for p in found if p.trial.id == trial]).values():
         order = np.argsort(np.concatenate([p.time_s for p in parts]), kind="stable")
         names = ("time_s", "measured", "shipped", "before", "after")
-        series = (np.concatenate([getattr(p, name) for p in parts])[order] for name in names)
-        whole.append(Piece(parts[0].trial, parts[0].channel, *series))
+        series = {name: np.concatenate([getattr(p, name) for p in parts])[order] for name in names}
+        whole.append(replace(parts[0], between=(), **series))  # type: ignore[arg-type]
     return whole
 
 
