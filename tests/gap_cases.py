@@ -210,7 +210,7 @@ EXPLAINED = GapFile(
     waterfall=[
         _step("as given", 54.0, 0.042, 0.130, 0.0045),
         _step("refitted", 17.0, 0.031, 0.090, 0.0030),
-        _step("with servo-backlash", 1.6, 0.0074, 0.047, 0.0031),
+        _step("+ servo-backlash", 1.6, 0.0074, 0.047, 0.0031),
         _step("noise alone", 1.0, 0.0046, 0.044, 0.0030),
     ],
     closed=Closed(before=17.0, after=1.6, share=0.9625, ci95=(0.81, 0.98)),
@@ -279,7 +279,7 @@ PAIR = replace(
     _BRIEF,
     waterfall=[
         *EXPLAINED.waterfall[:3],
-        _step("with servo-backlash and current", 1.1, 0.0048, 0.045, 0.0030),
+        _step("+ current", 1.1, 0.0048, 0.045, 0.0030),
         EXPLAINED.waterfall[-1],
     ],
     causes=[BACKLASH, replace(CURRENT, equivalent=[])],

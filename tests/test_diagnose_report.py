@@ -97,8 +97,8 @@ def test_the_first_table_has_the_errors_as_given_and_after_each_cause() -> None:
     assert gap.rows[0] == ["as given", 54.0, "0.042 m/s", "0.13 rad/s", "0.0045 rad"]
     assert [row[0] for row in gap.rows[1:]] == [
         "refitted",
-        "with servo-backlash",
-        "with servo-backlash and current",
+        "+ servo-backlash",
+        "+ current",
         "noise alone",
     ]
 
@@ -335,7 +335,7 @@ def test_effects_that_cannot_be_evaluated_are_listed() -> None:
 @pytest.mark.parametrize(
     ("name", "shown"),
     [
-        ("explained", ["as given", "refitted", "with servo-backlash"]),
+        ("explained", ["as given", "refitted", "+ servo-backlash"]),
         ("unexplained", ["as given", "refitted"]),
     ],
 )

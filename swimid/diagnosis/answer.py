@@ -244,7 +244,7 @@ def _waterfall(
 ) -> list[Step]:
     """Return the held-out errors as given, refitted, after each cause in turn, and of the noise alone."""
     causes = [found.ranked[0].tried.effect.name for found in state.rounds]
-    labels = ["as given", "refitted", *(f"with {' and '.join(causes[: n + 1])}" for n in range(len(causes)))]
+    labels = ["as given", "refitted", *(f"+ {name}" for name in causes)]
     if told.base is not state.base:
         # Held-out data or an outlier trial contradict the causes.
         labels = labels[:2]

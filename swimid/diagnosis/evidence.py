@@ -374,7 +374,13 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
         y_label="squared error over noise variance",
         y_scale="log",
         traces=[
-            ev.Trace(x=[x + 0.1 * k for x in places], y=values, style="points", label=label, group=k)
+            ev.Trace(
+                x=[x + 0.1 * (k - (len(curves) - 1) / 2) for x in places],
+                y=values,
+                style="points",
+                label=label,
+                group=k,
+            )  # fmt: skip
             for k, (label, values) in enumerate(curves.items())
         ],
         marks=[ev.Mark(at=1.0, label="noise alone")],
