@@ -380,7 +380,7 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
                 style="points",
                 label=label,
                 group=k,
-            )  # fmt: skip
+            )
             for k, (label, values) in enumerate(curves.items())
         ],
         marks=[ev.Mark(at=1.0, label="noise alone")],
