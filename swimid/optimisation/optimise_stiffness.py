@@ -143,8 +143,8 @@ def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Cu
     """Fit the stiffness as a quadratic function of the frequency by least squares (tendon fish, Algorithm 1).
 
     >>> made = fit_curve(20.0, np.array([1.0, 2.0, 3.0]), np.array([3.0, 9.0, 19.0]))
-    >>> [round(c, 6) for c in made.coefficients]
-    [1.0, 0.0, 2.0]
+    >>> bool(np.allclose(made.coefficients, [1.0, 0.0, 2.0]))
+    True
     """
     found = np.polynomial.polynomial.polyfit(frequency_hz, stiffness, DEGREE)
     residuals = stiffness - np.polynomial.polynomial.polyval(frequency_hz, found)
