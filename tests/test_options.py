@@ -192,7 +192,8 @@ def test_the_provenance_records_the_options(
 RECORDED = {
     "fit-drag": "method start_state fixed freed bounds",
     "fit-propulsion": "keep_departures fixed freed",
-    "fit-graybox": "fixed freed bounds share channels start_state starts max_iterations seed readings max_step_s method",
+    "fit-graybox": "fixed freed bounds share channels start_state starts max_iterations seed readings "
+    "max_step_s method",
     "compare": "channels refit_start start_state set readings dt",
     "sensitivity": "samples range coefficients set readings seed dt",
     "diagnose": "effects own_effects seed max_causes readings max_step_s",
