@@ -170,7 +170,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     target = path
     if path.is_symlink():  # the link stays, and the file it points to is replaced
         target = Path(os.path.realpath(path))
-    temporary = target.with_name(f".{target.stem}-{uuid4().hex}{path.suffix}")
+    temporary = target.with_name(f".{target.stem}-{uuid4().hex[:8]}{path.suffix}")
     if is_device(path):
         temporary = Path(tempfile.gettempdir()) / temporary.name
     with file_errors(path, "written"), together() as group:
@@ -248,7 +248,7 @@ def _uninterrupted() -> Iterator[None]:
 
 def _second_name(path: Path) -> Path:
     """Return the path of a hidden backup, from which the file can be restored."""
-    spare = path.with_name(f".{path.stem}-{uuid4().hex}.before")
+    spare = path.with_name(f".{path.stem}-{uuid4().hex[:8]}.before")
     try:
         os.link(path, spare)
     except OSError:  # a file system without links
