@@ -194,8 +194,7 @@ class Swimmer(Model):
 
     @abstractmethod
     def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the names of the initial velocities, angles and rates that measured channels determine.
-        """
+        """Return the names of the initial velocities, angles and rates that measured channels determine."""
 
     @abstractmethod
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
