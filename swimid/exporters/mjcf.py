@@ -28,7 +28,7 @@ KINDS = {
 #: Number of user data values of a MuJoCo site: the index of the kind of element, then the values of the
 #: element without its point of application.
 USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
-#: Beginning of the names of the sites whose data :func:`water` reads.
+#: Prefix of the names of the MuJoCo sites whose user data :func:`water` reads.
 PREFIX = "water:"
 
 

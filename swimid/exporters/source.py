@@ -276,7 +276,7 @@ def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[flo
 
 
 def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
-    """Return sentences on the errors of an export by the chosen treatment of the added mass.
+    """Return sentences on the errors that the chosen treatment of the added mass causes in an export.
 
     ``native`` is the sentence for the treatment by the simulator itself.
     """

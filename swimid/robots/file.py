@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from swimid.robots.planar import Multilink
     from swimid.robots.spatial import Multibody
 else:
-    # schema_of replaces these types of the fields multilink and multibody
+    # schema_of replaces these types of the fields multilink and multibody, and imports their modules only
+    # when a file needs them
     Multilink = Multibody = Any
 
 FORMAT = "swimid-robot/1"
@@ -57,8 +58,8 @@ class Rig(yamlio.Document):
     roll_stiffness_N_m_rad: NonNegative | None = None
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
-    #: Product m g l of a pendulum, or m g GM of a ship. The restoring moment is this product times the sine
-    #: of the angle.
+    #: Stiffness by gravity: the product m g l of a pendulum, or m g GM of a ship. The restoring moment is
+    #: this product times the sine of the angle.
     roll_gravity_stiffness_N_m_rad: NonNegative | None = None
     pitch_gravity_stiffness_N_m_rad: NonNegative | None = None
 
@@ -92,8 +93,8 @@ class ReadingOption(yamlio.Document):
     """One interpretation of an ambiguous symbol in the source, and the values that it changes in the file."""
 
     says: str
-    #: New values by dotted path, such as ``elements.0.axial_area_m2``. Members of lists are addressed by name
-    #: or index.
+    #: New values of entries of the robot file by dotted path, such as ``elements.0.axial_area_m2``. Members
+    #: of lists are addressed by name or index.
     set: dict[str, Any] = {}
 
 

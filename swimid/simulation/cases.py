@@ -480,7 +480,7 @@ class SwimRun:
         if model.in_space:
             ends, stroke = trial.time_s, trial.swim.stroke
             if stroke is not None:
-                # a stroke with a limited number of cycles rests afterwards
+                # end with the last cycle of the stroke, because its joints rest afterwards
                 ends = np.minimum(ends, stroke.cycles / frequency_hz)
             window: Window | None = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
         else:

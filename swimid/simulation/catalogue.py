@@ -150,7 +150,7 @@ class Applied:
         return self.stated.get(p.name, p.start)
 
     def fitted_per_trial(self) -> set[str]:
-        """Return the names of the parameters that have values for single trials in the file."""
+        """Return the names of the parameters that have values for single trials in the parameter file."""
         return {n.split("[")[0] for n in self.known if "[" in n}
 
     def noise(self) -> dict[str, float]:

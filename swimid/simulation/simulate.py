@@ -209,7 +209,7 @@ class Simulation(Result):
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Log of the only run.
+        """Log of the only simulation.
 
         Raises
         ------
@@ -271,11 +271,11 @@ def simulate(
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> Simulation:
-    """Simulate a robot with given coefficients: its motion over time, and the quantities of the run.
+    """Simulate a robot with given coefficients: its motion over time, and quantities such as its speed.
 
     The options of a beat are the keys of ``drive`` in a trials file. An input log has joint angles or
-    commands, or the input column of a discrete-time model. By default, the run is then as long as
-    the log. Standard errors contain the uncertainty of the coefficients, not the error of the model. Use
+    commands, or the input column of a discrete-time model. By default, the simulation is then as long as the
+    log. Standard errors contain the uncertainty of the coefficients, not the error of the model. Use
     :func:`swimid.compare` to test the model.
 
     Parameters
@@ -286,7 +286,7 @@ def simulate(
         Function that is called with every file before it is written. It raises an error if the file must not
         be written.
     progress : Progress
-        Progress over the runs and over the frames of a film.
+        Progress over the simulations and over the frames of a film.
 
     Returns
     -------

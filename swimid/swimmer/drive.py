@@ -53,7 +53,7 @@ class Grid(NamedTuple):
 
 
 class TrialCache(Generic[Value]):
-    """Cache of the latest results of each trial. It may be used by several threads."""
+    """Cache of the latest results of each trial. Several threads may use it."""
 
     def __init__(self, maximum: int) -> None:
         self.maximum = maximum
@@ -145,7 +145,7 @@ class DrivenJoints:
             self._read.pop(name, None)
 
     def commands(self, trial: Trial) -> list[tuple[Array, Array, float]]:
-        """Return time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each joint."""
+        """Return time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each driven joint."""
         known = self._read.get(trial.id)
         if known is None or known[0] is not trial.swim or known[1] is not trial.time_s:
             time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 #: Typical number of Jacobian evaluations in a fit. The expected simulation time is computed from it, and
 #: needs to be correct only within a factor of two.
 N_JACOBIANS = 20
-#: Number of starting points if the user states none and the fit from one starting point is not enough.
+#: Default number of starting points. It applies if the user states none and the fit from one starting point
+#: was quick or has a bad result.
 DEFAULT_STARTS = 4
 #: Maximum number of integration steps of a quick fit. A quick fit is repeated from other starting points.
 #: These steps take about one second on one processor (1.3 us per step of the tendon fish,

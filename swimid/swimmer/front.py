@@ -44,7 +44,7 @@ KINDS = {
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 BAND = 0.05
-#: Rules by which a point of the front is chosen.
+#: Rules for the choice of one point of a Pareto front, by name.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 #: Titles of three fits: before the search of the front, at the chosen point, and after least squares from
 #: this point.
@@ -160,11 +160,11 @@ class Profiles:
         self.columns = [f"{kind}[{profile}]" for profile, kind in self.objectives]
 
     def _members(self, profile: str | None) -> list[int]:
-        """Return the indices of the trials of a profile, or of all trials if the profile is None."""
+        """Return the indices of the trials of a motion profile, or of all trials if the profile is None."""
         return [k for k, own in enumerate(self._profiles) if profile in (None, own)]
 
     def objectives_of(self, profile: str) -> list[int]:
-        """Return the indices of the objectives of a profile."""
+        """Return the indices of the objectives of a motion profile."""
         return [j for j, (name, _) in enumerate(self.objectives) if name == profile]
 
     def theta(self, point: Array) -> Array:
@@ -247,12 +247,12 @@ class FrontResult:
 
     @property
     def points(self) -> Array:
-        """Coefficients of all points, shape (n, d)."""
+        """Coefficients of all points of the Pareto fronts, shape (n, d)."""
         return np.asarray(self.table[self.profiles.labels], dtype=float)
 
     @property
     def values(self) -> Array:
-        """Objectives of all points, shape (n, m)."""
+        """Objectives of all points of the Pareto fronts, shape (n, m)."""
         return np.asarray(self.table[self.profiles.columns], dtype=float)
 
     def starts(self, count: int) -> list[Array]:

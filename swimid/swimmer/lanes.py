@@ -236,7 +236,7 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
         return math.sin(x), math.cos(x)
     quarter: Any = (x * (2.0 / math.pi) + ROUNDER) - ROUNDER
     rest = ((x - quarter * QUARTER[0]) - quarter * QUARTER[1]) - quarter * QUARTER[2]
-    # the quadrant is 0, 1, 2 or 3
+    # compute the quadrant of the angle: 0, 1, 2 or 3
     quadrant = quarter - 4.0 * (((quarter * 0.25 - 0.375) + ROUNDER) - ROUNDER)
     square: Any = rest * rest
     sine = rest * square * _horner(SINE, square) + rest
@@ -561,8 +561,8 @@ def double(typing: Any, number: Any) -> Any:
 
 # ---------------------------------------------------------------- kernels
 
-#: Time of one operation in the scalar engine, and time to compile one operation, s. Measured with the built-
-#: in robots by ``python -m benchmarks.bench_lanes --only engine compile``.
+#: Time of one operation in the scalar engine, and time to compile one operation, s. The times were measured
+#: with the robots of swimid by ``python -m benchmarks.bench_lanes --only engine compile``.
 OPERATION_S, COMPILING_S = 3.5e-10, 5e-3
 #: Expected computing time with the scalar engine, s, below which kernels are not used.
 MAX_SCALAR_S = 0.5
@@ -803,7 +803,7 @@ class Kernel:
         return True
 
     def compiled(self) -> ModuleType:
-        """Return the compiled module. Compile it if this machine does not have it yet."""
+        """Return the compiled module of the kernel. Compile it if this machine does not have it yet."""
         with self._lock:
             if self.module is None:
                 self.module = imported(source_of(self.traced))

@@ -52,7 +52,10 @@ class LimitCycle(NamedTuple):
 
     @property
     def multiplier(self) -> float:
-        """Largest magnitude of an eigenvalue: the factor of the slowest perturbation in one period."""
+        """Factor by which the slowest perturbation changes in one period.
+
+        It is the largest magnitude of an eigenvalue of :attr:`slopes`.
+        """
         return float(np.max(np.abs(np.linalg.eigvals(self.slopes)), initial=0.0))
 
 

@@ -124,7 +124,7 @@ class Rows:
     elements: dict[str, list[tuple[int, Row]]]
 
     def add_inertia(self, link: str, terms: Row) -> None:
-        """Add terms to the apparent inertia of a link."""
+        """Add terms to the row of a link in the ``inertia`` input array."""
         row = self.inertia[self.index[link]]
         row[:] = [Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)]
 
@@ -331,13 +331,13 @@ class Tree(ABC):
         unknown link, and impossible masses or inertias. The error states the dotted path.
     """
 
-    #: Name of the part of the robot file.
+    #: Name of the part of the robot file that describes the links.
     part: str
     #: Names of the input arrays for elements, in the order of the engine's arguments.
     elements: tuple[str, ...]
     #: Module of the compiled equations of motion (the engine), which defines the columns of the input arrays.
     engine: ModuleType
-    #: Functions that add the rows of an element, by kind of element.
+    #: Functions that add the rows of an element to the input arrays, by kind of element.
     adders: Mapping[str, Callable[[Any, Any, Rows], None]]
     #: Last arguments of the engine, by name. They do not depend on the coefficients.
     constants: dict[str, Any]

@@ -40,7 +40,7 @@ from swimid.swimmer.planar.model import MultilinkModel
 MIN_SHARE, MIN_ERRORS = 0.05, 4.0
 #: Length of the opening of a log: this time in s, or this number of sampling intervals if that is longer.
 OPENING_S, OPENING_STEPS = 0.3, 8
-#: Minimum number of samples in the opening for an estimate of position or speed.
+#: Minimum number of samples in the opening of a log for an estimate of position or speed.
 MIN_OPENING = 7
 #: Minimum F ratio at which the opening of a log is fitted by a polynomial two orders higher than the simplest
 #: one.
@@ -395,7 +395,8 @@ def _lacks_heading(model: Swimmer, log: Log) -> bool:
 def _first_course(x: Array, y: Array) -> float:
     """Return the direction (rad) in which a track begins.
 
-    It is the direction from the first point to the point at a quarter of the largest distance from it.
+    It is the direction from the first point of the track to the first point at a quarter of the largest
+    distance.
     """
     known = np.isfinite(x) & np.isfinite(y)
     along, across = x[known] - x[known][0], y[known] - y[known][0]

@@ -47,7 +47,10 @@ def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def settled(state):  # type: ignore[no-untyped-def]
-    """Correct the state after an integration step: a state in a plane needs no correction."""
+    """Leave the state after an integration step unchanged.
+
+    In a plane it needs no correction. In 3-D, the function of this name scales the quaternion.
+    """
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -219,7 +222,7 @@ def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
-    """Add lift and drag of fins at their points."""
+    """Add the lift and the drag of fins, each at a point of a link."""
     for e in range(foil.shape[0]):
         i = foil_link[e]
         r = work[i, 4]
@@ -268,7 +271,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
-    """Add the forces of effects (:class:`swimid.fitting.model.Force`)."""
+    """Add the external forces of effects on the links (:class:`swimid.fitting.model.Force`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):
         i = links[e]
@@ -571,7 +574,7 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
-    """Return the length of the state, and the shapes of the work arrays of :func:`derivative`."""
+    """Return the length of the state vector, and the shapes of the work arrays of :func:`derivative`."""
     n = 3 + len(tables["passive"])
     return 2 * n, [(len(tables["topology"]), 19), (n, n), (n,)]
 

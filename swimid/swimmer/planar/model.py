@@ -388,12 +388,12 @@ class Body:
 
     @property
     def last(self) -> int:
-        """Index of the last link."""
+        """Index of the last link of the robot."""
         return len(self.lengths_m) - 1
 
     @property
     def hull(self) -> int:
-        """Index of the heaviest link."""
+        """Index of the heaviest link, which counts as the hull."""
         return int(np.argmax(self.masses_kg))
 
     def centre(self, link: int) -> Point:
@@ -688,7 +688,7 @@ class MultilinkModel(Swimmer):
 
     @property
     def reference_m(self) -> tuple[float, float]:
-        """Reference point in the axes of the base, m."""
+        """Position of the reference point in the axes of the base, m."""
         return -self.links.reference.station_m, self.links.reference.offset_m
 
     @property

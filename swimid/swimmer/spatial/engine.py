@@ -277,7 +277,7 @@ def _dampings(damping_link, damping, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
-    """Add lift and drag of fins at their points. Flow along the span has no effect."""
+    """Add the lift and the drag of fins, each at a point of a link. Flow along the span has no effect."""
     for e in range(foil.shape[0]):
         w, at = work[foil_link[e]], _at(foil[e], 0)
         chord, normal, v = _at(foil[e], 7), _at(foil[e], 10), _moving(w, at)
@@ -487,7 +487,7 @@ def derivative(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def settled(state):  # type: ignore[no-untyped-def]
-    """Scale the quaternion of a state to length 1, in place."""
+    """Scale the quaternion in a state vector to length 1, in place."""
     length = 0.0
     for j in range(3, 7):
         length += state[j] ** 2
@@ -553,6 +553,6 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
-    """Return the length of the state, and the shapes of the work arrays of :func:`derivative`."""
+    """Return the length of the state vector, and the shapes of the work arrays of :func:`derivative`."""
     n = 6 + len(tables["passive"])
     return 2 * n + 1, [(len(tables["topology"]), _WORK), (n, n), (n,)]

@@ -384,7 +384,7 @@ class MultibodyModel(Swimmer):
         start[10 + passives : 13 + passives] = spin
 
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
-        """Return the channels of pose and velocity of the reference point."""
+        """Return the channels of pose and velocity of the reference point from simulated states."""
         passives = len(self.passive)
         turn = Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]]))
         place = states[:, :3] + turn.apply(self.tree.reference)
