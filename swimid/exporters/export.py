@@ -101,7 +101,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
 
 
 def load(params: parameters.Source) -> Source:
-    """Return parameters with the robot that they name.
+    """Read a parameter file and the robot that it names, and return both as the source of an export.
 
     Raises
     ------
@@ -126,7 +126,10 @@ def load(params: parameters.Source) -> Source:
 
 
 def _check_robot(source: Source, place: Path | str, path: Path) -> None:
-    """Raise an error unless the robot has links, a valid mass matrix, and all coefficients of the file."""
+    """Raise an error if the robot cannot be exported with the parameters of the file.
+
+    The robot must have links, a valid mass matrix, and all coefficients of the file.
+    """
     if source.robot.multilink is None:
         raise InputError("has no multilink part", file=place, column="multilink")
     try:
@@ -149,7 +152,7 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
 
 
 def _to_json(source: Source, _: ExportOptions) -> Exported:
-    """Return the JSON document of a multi-link robot. This format has no limits."""
+    """Return the JSON document of a multi-link robot. This format represents all effects."""
     file, body, links = source.parameters.model_dump(mode="json"), source.body, source.links
     data: dict[str, Any] = {
         "format": FORMAT,
@@ -184,7 +187,7 @@ def _link(link: Link, links: list[Link]) -> dict[str, Any]:
         "mass_kg": mass,
         "com_m": list(centre),
         "inertia_about_com_kg_m2": moment,
-        # adding 0.0 changes -0.0 to 0.0
+        # add 0.0, which changes -0.0 to 0.0
         "rigid_inertia": (link.rigid + 0.0).tolist(),
         "added_inertia": (link.added + 0.0).tolist(),
         "apparent_inertia": (link.rigid + link.added + 0.0).tolist(),
@@ -207,7 +210,7 @@ def _joint(source: Source, link: Link) -> dict[str, Any]:
     }
 
 
-#: Title of each format and the function that writes it, by the name that the option ``--to`` takes.
+#: Title of each export format and the function that writes it, by the value of the option ``--to``.
 TARGETS: dict[str, tuple[str, Callable[[Source, ExportOptions], Exported]]] = {
     "mjcf": (mjcf.TITLE, mjcf.export),
     "gazebo": (gazebo.TITLE, gazebo.export),

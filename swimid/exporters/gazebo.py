@@ -21,12 +21,12 @@ from swimid.exporters.source import Element, Exported, Source, about, central, e
 
 TITLE = "Gazebo SDF"
 #: Letters of force and velocity components (SNAME), indices of the planar components among the six
-#: components, and their signs. The key says whether the plane is vertical.
+#: components, and their signs. The key is true for the vertical plane.
 PLANES = {
     False: ("xyn", "UVR", (0, 1, 5), (1.0, 1.0, 1.0)),
     True: ("xzm", "UWQ", (0, 2, 4), (1.0, 1.0, -1.0)),
 }
-#: Names of the motions out of the plane. The key says whether the plane is vertical.
+#: Names of the motions out of the plane of the robot. The key is true for the vertical plane.
 OUT_OF_PLANE = {False: "roll, pitch and heave", True: "roll, yaw and sway"}
 #: Mass of a helper link divided by the mass of its link, and radius of gyration of a helper link, m.
 HELPER_MASS, HELPER_RADIUS_M = 1e-6, 0.01
@@ -42,7 +42,7 @@ DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default);
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the SDF document of a multi-link robot."""
+    """Return the SDF document of a multi-link robot, and the effects that it cannot represent."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     rigid = [central(inertia) for inertia in inertias]
     return export_xml(
@@ -68,12 +68,17 @@ def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float,
 
 
 def _joint_name(source: Source, name: str) -> str:
-    """Return a joint name that differs from all link names: in SDF they share a name space."""
+    """Return a joint name that differs from all link names.
+
+    In SDF, joints and links share one name space.
+    """
     return f"{name}_joint" if any(link.name == name for link in source.links) else name
 
 
 def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dict[str, Any]]:
-    """Return the links of the SDF model: each link, followed by the helper links of its drag points.
+    """Return the links of the SDF model.
+
+    Each link of the robot is followed by helper links for its drag points.
 
     A part has ``name``, ``mass`` (kg), ``moment`` (kg m2), ``derivatives`` (tags of the plugin with their
     values), ``fluid`` (added mass, shape (6, 6), or None) and ``pose`` in the frame ``relative_to``. A helper
@@ -97,7 +102,8 @@ def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dic
         if link.joint:
             part["relative_to"] = _joint_name(source, link.joint.name)
         drag = [element for element in source.elements if element.kind == "drag" and element.link == i]
-        # the plugin of the link takes drag at its frame, and moments, which have no point of application
+        # the plugin of a link can apply drag at the frame of the link, and moments, which have no point of
+        # application; other drag points need a helper link
         pushes = ("quadratic_x", "quadratic_y", "linear_x", "linear_y")
         away = [e for e in drag if math.dist(e.at, (x, y)) >= 1e-9 and any(e.numbers[key] for key in pushes)]
         part["derivatives"] = _derivatives(source, [element for element in drag if element not in away])

@@ -17,22 +17,23 @@ from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
 
 TITLE = "MuJoCo MJCF"
-#: Kinds of force elements in the order of their index in the data of a site, with their names in the limits.
+#: Kinds of force elements, with their names in the limits of an export. Their order gives the index that the
+#: user data of a MuJoCo site contain.
 KINDS = {
     "drag": "Morison drag at points",
     "foil": "lift and drag of foils",
     "force": "weight, buoyancy and forces",
     "wake": "momentum shed at trailing edges",
 }
-#: Number of values in the data of a site: index of the kind, then the values of the element without its point
-#: of application.
+#: Number of user data values of a MuJoCo site: the index of the kind of element, then the values of the
+#: element without its point of application.
 USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
-#: Beginning of the names of the sites whose data :func:`water` reads.
+#: Prefix of the names of the MuJoCo sites whose user data :func:`water` reads.
 PREFIX = "water:"
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the MJCF document of a multi-link robot."""
+    """Return the MJCF document of a multi-link robot, and the effects that it cannot represent."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     wet = ", ".join(link.name for link in source.links if np.any(link.added))
     native = (
@@ -62,17 +63,17 @@ def export(source: Source, options: ExportOptions) -> Exported:
 
 
 def _user(element: Element) -> list[float]:
-    """Return the data of a site: index of the kind of the element, and the coefficients of its force."""
+    """Return the user data of a MuJoCo site: index of the kind of element, and coefficients of its force."""
     row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
     return [list(KINDS).index(element.kind), *row]
 
 
 def _wires(source: Source) -> list[dict[str, Any]]:
-    """Return wire and spring of each joint that has them as a spatial tendon.
+    """Return a spatial tendon for each joint that has a wire and a spring.
 
-    The length of the path of the tendon is ``D`` plus a constant, so that the restoring moment is exact at
-    every angle. The tension is ``K_t (D + constant)``. If the constant is positive, the path is extended;
-    otherwise the tendon has a rest length.
+    The tension of the wire is ``K_t (D + constant)``, where D is the distance between the ends of the wire.
+    If the constant is positive, the path of the tendon is extended by it. Otherwise the tendon has a rest
+    length. The restoring moment is therefore exact at every angle.
     """
     wires = []
     owners = {link.joint.name: (i, link) for i, link in enumerate(source.links) if link.joint}
@@ -145,7 +146,9 @@ def water(model: Any) -> Callable[[Any, Any], None]:
 
 
 def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:
-    """Return force along and across the link, moment, and whether the force is in world axes.
+    """Return the force of an element, its moment, and whether the force is in world axes.
+
+    Otherwise the force is along and across the link.
 
     ``row`` is the data of a site. u, v and r are the velocities of the site in m/s and rad/s.
     """

@@ -21,12 +21,12 @@ from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly
 from swimid.swimmer.tree import Polynomial
 
-#: Names of the numerical values of each kind of force element, in the order in which the equations of motion
-#: (``engine``) store them.
+#: Names of the numerical values of each kind of force element. Their order is that of the columns in the
+#: input arrays of the equations of motion (``engine``).
 COLUMNS = {"drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE}
-#: Text of an export, and sentences that name the effects that its format cannot represent.
+#: Type of an export: its text, and sentences that name the effects that its format cannot represent.
 Exported = tuple[str, list[str]]
-#: Limit of the formats that state standard errors only in a comment.
+#: Limit of the XML formats, which state standard errors only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
 
@@ -68,7 +68,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Element:
-    """Force element: drag point, foil, force or trailing edge.
+    """Force element of a link: drag point, foil, constant force or trailing edge.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Source:
-    """Parameter file with its robot, and the robot's quantities at the estimated values.
+    """Source of an export: parameter file, robot, and the robot's quantities at the estimated values.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Source:
 
     @cached_property
     def tables(self) -> dict[str, Any]:
-        """Arrays of the equations of motion (``engine``) at the values of the coefficients."""
+        """Input arrays of the equations of motion (``engine``) at the values of the coefficients."""
         return self.assembly.tables(self.values)
 
     @cached_property
@@ -159,7 +159,9 @@ class Source:
 
     @cached_property
     def laws(self) -> dict[str, dict[str, float]]:
-        """Coefficients of each passive joint: values named in :data:`engine.PASSIVE`, and ``wire_stiffness``.
+        """Coefficients of the law of each passive joint, by joint name.
+
+        They are those of :data:`engine.PASSIVE` and ``wire_stiffness``.
 
         ``wire_stiffness`` is the stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 -
         l_cr)``, in N m/rad.
@@ -176,7 +178,7 @@ class Source:
 
     @cached_property
     def elements(self) -> list[Element]:
-        """Drag points, foils, forces and trailing edges."""
+        """Drag points, foils, constant forces and trailing edges of the robot."""
         return [
             Element(kind, int(owner), dict(zip(columns, map(float, row), strict=True)))
             for kind, columns in COLUMNS.items()
@@ -189,7 +191,7 @@ class Source:
         return ", ".join(dict.fromkeys(names))
 
     def inertias(self, *, fold: bool) -> list[Array]:
-        """Return the inertia matrix of the body of each link, over (u, v, r) at the origin of the link.
+        """Return the inertia matrix of each link for the velocity (u, v, r) at the origin of the link.
 
         With ``fold`` the added mass is included. An added mass that depends on the direction is replaced by
         its mean over both directions.
@@ -202,10 +204,12 @@ class Source:
         return inertias
 
     def servos(self, inertias: list[Array], default_hz: float) -> list[dict[str, Any]]:
-        """Return ``joint``, ``stiffness`` (N m/rad) and ``damping`` (N m s/rad) of the servo of each joint.
+        """Return the name of each driven joint, with the gains of its servo.
+
+        The gains are ``stiffness`` (N m/rad) and ``damping`` (N m s/rad).
 
         The servo moves all bodies that the joint carries. Its gains give these bodies the natural frequency
-        and the damping ratio stated in the robot file, or ``default_hz`` and 1.
+        and the damping ratio of the robot file. If the file states none, they are ``default_hz`` and 1.
         """
         moments = _moments_behind_joints(self.links, inertias)
         values = dict(zip(self.assembly.names, self.values, strict=True))
@@ -226,13 +230,13 @@ class Source:
 
 
 def _symmetric(row: Array) -> Array:
-    """Return the symmetric 3 x 3 matrix whose six different elements are stored in a row."""
+    """Return the symmetric 3 x 3 matrix whose upper triangle is stored in a row."""
     a, b, c, d, e, f = (float(value) for value in row)
     return np.array([[a, b, c], [b, d, e], [c, e, f]])
 
 
 def about(inertia: Array, x: float, y: float) -> Array:
-    """Convert a planar inertia matrix from the velocity (u, v, r) at the origin to that at the point (x, y).
+    """Return a planar inertia matrix that is referred to the point (x, y) instead of the origin.
 
     >>> about(np.diag([2.0, 2.0, 1.0]), 0.5, 0.0)[2, 2]
     np.float64(1.5)
@@ -272,7 +276,10 @@ def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[flo
 
 
 def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
-    """Return the limits of the chosen treatment of the added mass; ``native`` is the limit of the format."""
+    """Return sentences on the errors that the chosen treatment of the added mass causes in an export.
+
+    ``native`` is the sentence for the treatment by the simulator itself.
+    """
     wet = [link for link in source.links if np.any(link.added)]
     if not wet:
         return []
@@ -295,7 +302,7 @@ def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
 
 
 def _joint_limits(source: Source, servo_hz: float) -> list[str]:
-    """Return the limits for dry friction, and for driven joints that have no servo in the robot file."""
+    """Return sentences on the limits of an export for dry friction and for driven joints without a servo."""
     limits = [
         f"{name}: swimid rounds the dry friction of {law['friction']:.4g} N m off below "
         f"{law['friction_below']:g} rad/s; the target holds the joint still there"
@@ -318,7 +325,9 @@ def _joint_limits(source: Source, servo_hz: float) -> list[str]:
 def export_xml(
     template: str, source: Source, options: ExportOptions, native: str, limits: list[str], **more: Any
 ) -> Exported:
-    """Return the XML of a template, with the source of the values and the limits in a comment.
+    """Return an XML document from a template.
+
+    A comment in the document states the source of the values and the limits of the format.
 
     Parameters
     ----------

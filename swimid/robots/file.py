@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from swimid.robots.planar import Multilink
     from swimid.robots.spatial import Multibody
 else:
-    # schema_of replaces the types of these parts
+    # schema_of replaces these types of the fields multilink and multibody, and imports their modules only
+    # when a file needs them
     Multilink = Multibody = Any
 
 FORMAT = "swimid-robot/1"
@@ -57,8 +58,8 @@ class Rig(yamlio.Document):
     roll_stiffness_N_m_rad: NonNegative | None = None
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
-    #: Product m g l of a pendulum, or m g GM of a ship. The restoring moment is this product times the sine
-    #: of the angle.
+    #: Stiffness by gravity: the product m g l of a pendulum, or m g GM of a ship. The restoring moment is
+    #: this product times the sine of the angle.
     roll_gravity_stiffness_N_m_rad: NonNegative | None = None
     pitch_gravity_stiffness_N_m_rad: NonNegative | None = None
 
@@ -92,8 +93,8 @@ class ReadingOption(yamlio.Document):
     """One interpretation of an ambiguous symbol in the source, and the values that it changes in the file."""
 
     says: str
-    #: New values by dotted path, such as ``elements.0.axial_area_m2``. Members of lists are addressed by name
-    #: or index.
+    #: New values of entries of the robot file by dotted path, such as ``elements.0.axial_area_m2``. Members
+    #: of lists are addressed by name or index.
     set: dict[str, Any] = {}
 
 
@@ -173,7 +174,10 @@ class Robot(yamlio.Document):
 
 @cache
 def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> type[Robot]:
-    """Return the class of robot files with these parts, which are imported here."""
+    """Return the class of a robot file with the given parts.
+
+    The modules of these parts are imported only when a robot file has them.
+    """
     fields: dict[str, Any] = {}
     if "multilink" in parts:
         from swimid.robots.planar import Multilink
@@ -187,7 +191,7 @@ def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> 
 
 
 def _validated(data: Mapping[str, Any], path: Path) -> Robot:
-    """Return the robot of loaded data."""
+    """Validate the data of a robot file, and return the robot."""
     return yamlio.validate(data, schema_of(frozenset(data) & {"multilink", "multibody"}), path)
 
 
@@ -220,7 +224,7 @@ def locate(name: str, relative_to: Path | None = None) -> Path:
 
 
 def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, str] | None = None) -> Robot:
-    """Read a robot by the name of a built-in robot, or by a path relative to ``relative_to``.
+    """Read a robot file, given the name of a built-in robot or a path relative to ``relative_to``.
 
     Parameters
     ----------
@@ -253,7 +257,7 @@ class RobotFile:
         self._written = _validated(self._data, path)
 
     def read(self, readings: Mapping[str, str]) -> Robot:
-        """Return the robot with interpretations that replace those of the file (see :func:`read`)."""
+        """Return the robot with interpretations that replace those of its file (see :func:`read`)."""
         written, path = self._written.readings, self.path
         chosen = {key: reading.chosen for key, reading in written.items()}
         for key, option in readings.items():
@@ -303,7 +307,7 @@ def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
 
 
 def _member(data: Any, part: str) -> Any:
-    """Return the dictionary key, or the list index, of a member; None if there is no such member."""
+    """Return the dictionary key or the list index of a member of loaded data; None if it is not there."""
     if isinstance(data, list):
         for index, member in enumerate(data):
             named = isinstance(member, dict) and member.get("name") == part
@@ -315,7 +319,10 @@ def _member(data: Any, part: str) -> Any:
 
 
 def located(error: InputError, path: Path) -> InputError:
-    """Return an error with its file and line, which are found from the dotted path in its ``column``."""
+    """Return an error with the file and the line of its cause.
+
+    The line is found from the dotted path in the ``column`` of the error.
+    """
     whole = data = yamlio.load(path)
     location: list[str | int] = []
     for part in (error.column or "").split("."):

@@ -63,26 +63,26 @@ Quantity = Annotated[float | str, BeforeValidator(_quantity)]
 
 
 class Coefficient(yamlio.Document):
-    """A named coefficient, with its value, bounds and start value before a fit."""
+    """A named coefficient of a robot file, with its value, bounds and start value before a fit."""
 
     value: float
     unit: str = "1"
     bounds: tuple[float | None, float | None] = (None, None)
-    #: Start value of a fit; the default is ``value``.
+    #: Start value of the coefficient in a fit; the default is ``value``.
     start: float | None = None
     #: Typical scale of the coefficient. An estimate is not identifiable if its standard error exceeds half of
     #: both this scale and the estimate.
     scale: PositiveFloat | None = None
     #: Whether a fit estimates the coefficient by default.
     free: bool = True
-    #: Whether each trial has a value of its own. An example is the trim of the robot.
+    #: Whether the coefficient has a separate value for each trial, such as the trim of the robot.
     per_trial: bool = False
     meaning: str = ""
     source: str = ""
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Lower and upper bound. A bound that the file omits is infinite."""
+        """Lower and upper bound of the coefficient. A bound that the file omits is infinite."""
         low, high = self.bounds
         return -math.inf if low is None else low, math.inf if high is None else high
 
@@ -117,7 +117,7 @@ class Link(yamlio.Document):
     com_m: Quantity
     com_offset_m: Quantity = 0.0
     inertia_kg_m2: Quantity
-    #: Point about which the inertia is given.
+    #: Point about which the inertia of the link is given: its front end or its centre of mass.
     inertia_about: Literal["front", "com"]
 
 
@@ -164,7 +164,8 @@ class Yielding(yamlio.Document):
     cubic_N_m_rad3: Quantity = 0.0
     damping_N_m_s_rad: Quantity = 0.0
     quadratic_damping_N_m_s2_rad2: Quantity = 0.0
-    #: Dry friction. It is smoothed at rates below ``friction_below_rad_s``.
+    #: Moment of the dry friction in the joint, N m. It is smoothed at joint rates below
+    #: ``friction_below_rad_s``.
     friction_N_m: Quantity = 0.0
     friction_below_rad_s: PositiveFloat = 0.02
     rest_deg: float = 0.0
@@ -198,13 +199,13 @@ class Joint(Connection):
     #: Station of the joint on the parent link; the default is the rear end of the parent.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
-    #: Angle between the two links at zero joint angle, degrees.
+    #: Angle of the child link relative to the parent link at zero joint angle, degrees.
     mount_deg: float = 0.0
     passive: Passive | None = None
 
 
 class OnLink(yamlio.Document):
-    """Base of the elements that act on one link."""
+    """Base class of the elements of a robot file. Each element acts on one link."""
 
     link: str
     #: Name by which interpretations of the source (readings) refer to the element.
@@ -230,11 +231,11 @@ class Drag(OnLink):
     axial_coefficient: Quantity = 0.0
     normal_area_m2: Quantity = 0.0
     normal_coefficient: Quantity = 0.0
-    #: Linear drag of the whole element along the link.
+    #: Linear drag of the whole element for motion along the link: force divided by velocity.
     axial_linear_N_s_m: Quantity = 0.0
     normal_linear_N_s_m: Quantity = 0.0
-    #: Number of Gauss strips along the link. With 1, the drag acts at the point ``at_m`` (default: the middle
-    #: of the link).
+    #: Number of strips along the link, at the points of Gauss's rule. With one strip, the drag acts at the
+    #: point ``at_m`` (default: the middle of the link).
     strips: Annotated[int, Field(ge=1, le=200)] = 3
     at_m: Quantity | None = None
     from_m: float | None = None
@@ -251,7 +252,7 @@ class Drag(OnLink):
 
 
 class Damping(OnLink):
-    """Moment against the rotation of a link."""
+    """Linear and quadratic damping moment against the rotation of a link."""
 
     kind: Literal["damping"]
     linear_N_m_s_rad: Quantity = 0.0
@@ -270,7 +271,8 @@ class SlenderBody(OnLink):
     """Added mass and drag on strips along a link of varying cross-section (dolphin, Eqs 4, 7 and 8)."""
 
     kind: Literal["slender-body"]
-    #: Cross-sections from the front end backwards, with linear interpolation between them.
+    #: Cross-sections of the link from its front end backwards. Between them, height and perimeter are
+    #: interpolated linearly.
     sections: Annotated[list[Section], Field(min_length=2)]
     added_mass_coefficient: Quantity = 0.0
     friction_coefficient: Quantity = 0.0
@@ -297,7 +299,7 @@ class Foil(OnLink):
     area_m2: Quantity
     at_m: Quantity
     offset_m: Quantity = 0.0
-    #: Angle of the chord from the axis of the link, degrees.
+    #: Angle of the fin's chord from the axis of the link, degrees.
     chord_deg: float = 0.0
     lift_coefficient: Quantity
     drag_coefficient_0: Quantity = 0.0
@@ -313,15 +315,15 @@ class TrailingEdge(OnLink):
     """
 
     kind: Literal["trailing-edge"]
-    #: Lateral added mass per length at the edge: rho pi h^2 / 4 for an edge of height h.
+    #: Lateral added mass per length at the trailing edge: rho pi h^2 / 4 for an edge of height h.
     added_mass_kg_m: Quantity
-    #: Station of the edge; the default is the rear end of the link.
+    #: Station of the trailing edge; the default is the rear end of the link.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
 
 
 class Hydrostatics(OnLink):
-    """Weight of a link at its centre of mass, and buoyancy of a volume, in the vertical plane."""
+    """Weight and buoyancy of a link, for a robot that moves in the vertical plane."""
 
     kind: Literal["hydrostatics"]
     volume_m3: Quantity = 0.0

@@ -29,7 +29,7 @@ def _long(direction: Direction) -> Direction:
     return direction
 
 
-#: Vector whose length is not zero.
+#: Type of a direction: a vector whose length is not zero.
 Axis = Annotated[Direction, AfterValidator(_long)]
 
 
@@ -55,8 +55,8 @@ class Hinge(Connection):
 
     #: Position of the hinge on the parent link.
     at_m: Vector = ZERO
-    #: Direction of the hinge in the axes of the child link. At zero angle, these are the parent's axes
-    #: rotated by ``mount_deg``.
+    #: Direction of the hinge's axis in the axes of the child link. At zero angle, the child's axes are the
+    #: parent's axes rotated by ``mount_deg``.
     axis: Axis
     #: Rotation of the child's axes from the parent's axes at zero angle, degrees. It consists of right-handed
     #: rotations about x, then y, then z of the parent.
@@ -73,18 +73,18 @@ class AddedMass(OnLink):
 
 
 class Spheroid(OnLink):
-    """Added mass of a prolate spheroid along x (Lamb; sea lion, Eqs 3 to 8)."""
+    """Added mass of a prolate spheroid whose long axis is along x (Lamb; sea lion, Eqs 3 to 8)."""
 
     kind: Literal["spheroid"]
     #: Half the length of the spheroid, and its maximum radius.
     semi_major_m: PositiveFloat
     semi_minor_m: PositiveFloat
     at_m: Vector = ZERO
-    #: Factors on the added masses along x, y and z. They also apply to the added inertias: the factor of z to
-    #: rotation about y, and the factor of y to rotation about z, because these rotations move water along z
-    #: and y.
+    #: Factors on the added masses of the spheroid along x, y and z. They also apply to the added inertias:
+    #: the factor of z to rotation about y, and the factor of y to rotation about z, because these rotations
+    #: move water along z and y.
     factors: Vector = (1.0, 1.0, 1.0)
-    #: Whether rotation about y and z has added inertia. The paper has none.
+    #: Whether rotation of the spheroid about y and z has added inertia. The sea lion paper has none.
     turning: bool = True
 
     @model_validator(mode="after")
@@ -100,7 +100,7 @@ class Plate(OnLink):
     kind: Literal["plate"]
     span_m: PositiveFloat
     chord_m: PositiveFloat
-    #: Coefficient of added mass.
+    #: Coefficient k in the added mass of the plate (sea lion, Eq 9).
     k: Quantity = 1.0
     at_m: Vector = ZERO
     normal: Axis = (0.0, 0.0, 1.0)
@@ -118,11 +118,11 @@ class Drag(OnLink):
     coefficient: Vector = (1.0, 1.0, 1.0)
     linear_N_s_m: Vector = ZERO
     at_m: Vector = ZERO
-    #: End of a row of strips that begins at ``at_m``. The area is the area of the whole row.
+    #: End of the row of strips that begins at ``at_m``. The field ``area_m2`` is the area of the whole row.
     to_m: Vector | None = None
     strips: Annotated[int, Field(ge=1, le=200)] = 1
-    #: Half the height over which the element leaves the water at the surface. Without it, the element is
-    #: always under water.
+    #: Half the range of height in which the element gradually leaves the water at the surface. Without this
+    #: entry, the element counts as always under water.
     half_height_m: PositiveFloat | None = None
 
     @model_validator(mode="after")
@@ -133,7 +133,7 @@ class Drag(OnLink):
 
 
 class Damping(OnLink):
-    """Moments against the rotation of a link about its axes."""
+    """Linear and quadratic damping moments against the rotation of a link about its axes."""
 
     kind: Literal["damping"]
     linear_N_m_s_rad: Vector = ZERO
@@ -165,7 +165,7 @@ class Foil(OnLink):
 
 
 class Hydrostatics(OnLink):
-    """Weight of a link at its centre of mass, and buoyancy of a volume."""
+    """Weight of a link at its centre of mass, and buoyancy of its volume."""
 
     kind: Literal["hydrostatics"]
     volume_m3: Quantity = 0.0
@@ -180,10 +180,11 @@ class Water(OnLink):
     kind: Literal["water"]
     volume_m3: Quantity
     at_m: Vector = ZERO
-    #: Radii of gyration of the water about its centre, m.
+    #: Radii of gyration, m, of the water inside the hull. They are taken about the axes through the centre of
+    #: this water.
     gyration_m: Direction = (0.0, 0.0, 0.0)
-    #: Whether the volumes of the hydrostatics include the volume of this water. The weight of this
-    #: water is added only in that case.
+    #: Whether the volumes of the ``hydrostatics`` elements include the volume of the water inside the hull.
+    #: The weight of this water is added only in that case.
     weighs: bool = False
 
 
@@ -206,8 +207,8 @@ class Stroke(yamlio.Document):
     """A cycle of the driven hinges: their angles at given times, with a smooth and periodic interpolation."""
 
     period_s: PositiveFloat
-    #: Times of the knots from 0 to the period, and the angle of each hinge at these times. The last angle
-    #: equals the first.
+    #: Times of the knots of the stroke, from 0 to the period. ``angles_deg`` has the angles of each hinge at
+    #: these times, and its last angle equals its first.
     knots_s: Annotated[list[float], Field(min_length=4)]
     angles_deg: dict[str, list[float]]
 
@@ -237,7 +238,7 @@ class Multibody(yamlio.Document):
     base: Literal["free", "fixed"] = "free"
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
-    #: Height of the water surface in the world. Without it, the robot is always under water.
+    #: Height of the water surface in the world. Without this entry, the robot is always under water.
     surface_z_m: float | None = None
     coefficients: Coefficients = {}
     links: Annotated[list[Body], Field(min_length=1)]

@@ -1,8 +1,7 @@
 """Simulation of robots with identified parameters, and comparison of trials with their simulation.
 
 ``catalogue`` combines trials with a parameter file: it gives the parameters of each trial and their
-covariance. ``simulate`` is the command of this name, with ``cases`` (the runs to simulate and their
-quantities). ``compare`` is the other command, with ``compare_series`` (channels of
-each trial, and the comparison file).
-``options`` has the options of both commands.
+covariance. ``simulate`` has the command ``swimid simulate``, and ``cases`` has the simulations that it can
+compute. ``compare`` has the command ``swimid compare``, and ``compare_series`` has the channels of each trial
+and the comparison file. ``options`` has the options of the two commands.
 """

@@ -1,8 +1,8 @@
-"""Cases for ``simulate``: runs driven by a beat, a weight or an input log, and recorded trials.
+"""Cases of the command ``simulate``: a robot driven by a beat, a weight or a log, and recorded trials.
 
-The quantities of a simulated swim are defined in :mod:`swimid.logs.kinematics`. :class:`SwimRun` samples a
-run so that it ends in whole cycles, and adds the quantities that need the model: amplitudes of passive
-joints, tail excursion, power.
+The quantities of simulated swimming are defined in :mod:`swimid.logs.kinematics`. :class:`SwimRun` samples a
+simulation so that it ends in whole cycles. It adds the quantities that need the model: amplitudes of passive
+joints, tail excursion and power.
 """
 
 from __future__ import annotations
@@ -43,34 +43,35 @@ from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Energetics, Swimmer
 from swimid.swimmer.planar.model import Body
 
-#: Default duration of a run, s, and default sample rate, Hz.
+#: Default duration of a simulation, s, and default sample rate of its log, Hz.
 DURATION_S, RATE_HZ = 15.0, 50.0
-#: Maximum number of samples or integration steps of a run.
+#: Maximum number of samples or integration steps of a simulation.
 MAX_SAMPLES = 20_000_000
 #: Length of a course on which the start from rest has a negligible effect on the mean speed, m.
 FAR_M = 1e9
-#: Drive parameters with their units: of a beat, and of a stroke.
+#: Parameters of a beat, and parameters of a stroke, each with its unit.
 BEAT = {"frequency_hz": "Hz", "amplitude_deg": "deg", "bias_deg": "deg", "asymmetry": "1", "lag_deg": "deg"}
 STROKE = {"frequency_hz": "Hz", "scale": "1"}
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run to simulate.
+    """Model, parameters and drive of one simulation.
 
     Attributes
     ----------
     values : ndarray, shape (len(applied.model.parameters),)
     trial : Trial
-        Sample times, drive and start of the run.
+        Sample times, drive and initial state of the simulation.
     metadata : dict
         Metadata of the log.
     extra : dict of str to ndarray, each shape (n,)
-        Columns of the log in addition to the simulated channels: commands, forces, measured inputs.
+        Columns of the log in addition to the simulated channels, such as commands, forces and measured
+        inputs.
     units : dict of str to str
-        Names of the quantities of the run, with their units.
+        Names of the quantities of the simulation, with their units.
     quantities : callable or None
-        Function from parameter vectors to the quantities of the run, in the order of ``units``.
+        Function from parameter vectors to the quantities of the simulation, in the order of ``units``.
     """
 
     applied: Applied
@@ -83,22 +84,22 @@ class Case:
 
     @property
     def id(self) -> str:
-        """Id of the trial."""
+        """Identifier of the simulated trial."""
         return self.trial.id
 
     @property
     def per_run(self) -> bool:
-        """Whether each sample stands for one run of a table, so that the log has no time column."""
+        """Whether each sample is a separate test, such as a cruise. The log then has no time column."""
         return self.applied.model.timed_runs
 
 
 def place(options: SimulateOptions) -> Path | None:
-    """Return the path of the parameters for messages and logs; None without a parameter file."""
+    """Return the path of the parameter file for messages and logs; None if the options name none."""
     return None if options.params is None else parameters_format.place(options.params)
 
 
 def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, Any]:
-    """Return the metadata of a log: the entries that every log has, and the entries in ``more``."""
+    """Return the metadata of a simulated log: the entries that every log has, and those in ``more``."""
     path = place(options)
     lines: dict[str, Any] = {"robot": robot}
     if path is not None:
@@ -111,7 +112,7 @@ def _metadata(options: SimulateOptions, robot: str, **more: Any) -> dict[str, An
 
 
 def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
-    """Return equally spaced sample times of the run, s.
+    """Return equally spaced sample times of a simulation, s.
 
     By default, a stroke with a limited number of cycles determines the duration.
     """
@@ -125,7 +126,7 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
 
 
 def case_of_options(options: SimulateOptions) -> Case:
-    """Return the case of the run that the options describe.
+    """Return the simulation case that the options describe.
 
     Raises
     ------
@@ -156,7 +157,9 @@ def case_of_options(options: SimulateOptions) -> Case:
 
 
 def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Input]]:
-    """Return recorded trials as cases, with their own drives and start states, and the inputs of the trials.
+    """Return recorded trials as simulation cases, and the input files of the trials.
+
+    Each case has the drive and the start state of its trial.
 
     Raises
     ------
@@ -195,7 +198,7 @@ def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Inpu
 def _swimming(
     applied: Applied, values: Array, model: Swimmer, trial: Trial, metadata: dict[str, Any]
 ) -> Case:
-    """Return the case of a robot with links."""
+    """Return the simulation case of a trial of a robot with links."""
     if trial.swim.drive is not None:
         metadata["drive"] = drive_block(trial)
     metadata["dt_s"] = model.max_step
@@ -204,7 +207,7 @@ def _swimming(
 
 
 def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
-    """Return the case of a robot with links that is driven by a beat, a stroke or recorded joint angles."""
+    """Return the simulation case of a robot with links under a beat, a stroke or recorded joint angles."""
     applied = catalogue.load_robot(options, file)
     values, model = applied.values(), applied.model.swimmer
     assert model is not None
@@ -234,12 +237,15 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
 
 
 def rest_pose(model: Swimmer) -> tuple[float, ...] | None:
-    """Return the pose of a robot that starts at the origin; None for a fixed base."""
+    """Return the initial pose of a robot that starts at the origin; None for a fixed base."""
     return (0.0,) * len(model.pose) if model.free_base else None
 
 
 def given_drive(options: DriveOptions) -> dict[str, float]:
-    """Return the drive parameters that the options state: of a stroke if they name one, else of a beat."""
+    """Return the drive parameters that the options state.
+
+    They are those of a stroke if the options name a stroke, otherwise those of a beat.
+    """
     names = STROKE if options.stroke is not None else BEAT
     stated = {name: getattr(options, name) for name in names}
     return {name: float(value) for name, value in stated.items() if value is not None}
@@ -273,7 +279,7 @@ def check_drive(options: DriveOptions, varied: Collection[str] = (), option: str
 def swim_input(
     model: Swimmer, options: DriveOptions, drive: Mapping[str, float], cycles: float | None = None
 ) -> SwimInput:
-    """Return the input of a run from rest with the given parameters of a stroke or a beat."""
+    """Return the input of a simulation from rest under a stroke or a beat with the given parameters."""
     if options.stroke is not None:
         # the default ramp is for beats only: a stroke has no ramp unless one is given
         ramp = options.ramp_s * (options.ramp_s != options.declared()["ramp_s"].default)
@@ -298,7 +304,7 @@ def swim_input(
 
 
 def _check_sampling(options: SimulateOptions, frequency_hz: float) -> None:
-    """Check that integration step and sample rate resolve a beat."""
+    """Raise an error if the integration step does not resolve a beat. Warn if the sample rate does not."""
     rate = options.sample_rate_hz or RATE_HZ
     if frequency_hz * options.dt >= 0.5:
         raise UsageError(
@@ -311,7 +317,10 @@ def _check_sampling(options: SimulateOptions, frequency_hz: float) -> None:
 
 
 def drive_block(trial: Trial) -> dict[str, Any]:
-    """Return the drive of a trial as in a trials file; empty if measured joint angles drive the robot."""
+    """Return the drive of a trial with the keys of a trials file.
+
+    The result is empty if measured joint angles drive the robot.
+    """
     beat, stroke = trial.swim.beat, trial.swim.stroke
     block: dict[str, Any] = swimmer.drive_of(trial)
     if stroke is not None:
@@ -319,7 +328,7 @@ def drive_block(trial: Trial) -> dict[str, Any]:
     elif beat is not None:
         phase = math.degrees(beat.phase_rad)
         block = {"waveform": beat.waveform, **block, "ramp_s": beat.ramp_s, "phase_deg": phase}
-    # entries that have no effect are left out
+    # leave out entries that have no effect
     unused = [key for key in ("lag_deg", "phase_deg") if not block.get(key)]
     return {key: value for key, value in block.items() if key not in unused and value != math.inf}
 
@@ -337,7 +346,7 @@ def setting_text(key: str, value: float | str) -> str:
 
 
 def _recorded_joints(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
-    """Return the sample times of the run, and the motion of each driven joint from a log."""
+    """Return the sample times of a simulation and the motion of each driven joint, both from a log."""
     measured = [a.column for a in model.driven]
     commanded = [name.replace("joint", "cmd") for name in measured]
     log = log_format.read(path, optional=(*measured, *commanded))
@@ -375,7 +384,10 @@ def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
 def beat_frequency(
     model: Swimmer, trial: Trial, values: Array, measured: Sequence[Array] = ()
 ) -> float | None:
-    """Return the frequency of the drive, or else of the first joint or measured channel with a beat, Hz."""
+    """Return the beat frequency of a trial, Hz; None if there is no beat.
+
+    It is the frequency of the drive, or else that of the first joint or measured channel with a beat.
+    """
     if trial.swim.drive is not None:
         return float(trial.swim.drive.frequency_hz)
     for angle in (*commands(model, trial, values).values(), *measured):
@@ -386,12 +398,15 @@ def beat_frequency(
 
 
 def _each(compute: Callable[[Array], list[float]]) -> Compute:
-    """Return a function of several parameter vectors that calls ``compute`` for each vector."""
+    """Return a function that calls ``compute`` for each of several parameter vectors."""
     return lambda vectors: np.array([compute(values) for values in vectors])
 
 
 def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | None:
-    """Return the function for the quantities of the last beats or strokes; None without a beat."""
+    """Return the function that computes the quantities of the last beats or strokes of a simulation.
+
+    Return None if there is no beat, or if no whole cycle fits into the trial.
+    """
     frequency = beat_frequency(model, trial, values)
     if frequency is None:
         return None
@@ -406,7 +421,10 @@ def _swim_quantities(model: Swimmer, trial: Trial, values: Array) -> Compute | N
 
 
 def value_text(value: float | None, unit: str, sd: float | None = None, *, digits: int = 3) -> str:
-    """Return a value as text, with its unit and any standard deviation. Angles are in degrees."""
+    """Return a quantity as text, with its unit and, if known, its standard deviation.
+
+    Angles are in degrees.
+    """
     factor, shown = numbers.in_degrees(unit)
     if value is None:
         return numbers.number(None)
@@ -416,7 +434,7 @@ def value_text(value: float | None, unit: str, sd: float | None = None, *, digit
 
 
 def units_of(model: Swimmer) -> dict[str, str]:
-    """Return the unit of each quantity that a run of a robot may have, by name."""
+    """Return the unit of each quantity that a simulation of a robot may have, by name."""
     scope, skipped = "none", "none"
     if model.in_space:
         scope = "cycle"
@@ -434,14 +452,15 @@ def units_of(model: Swimmer) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class SwimRun:
-    """Run with a beat or a stroke, sampled so that it ends in whole cycles.
+    """Simulation under a beat or a stroke, sampled so that it ends in whole cycles.
 
     Attributes
     ----------
     trial : Trial
-        The run with :data:`~swimid.logs.kinematics.PER_CYCLE` samples per cycle, from its start on.
+        Trial with :data:`~swimid.logs.kinematics.PER_CYCLE` samples per cycle, from the start of the
+        simulation on.
     window : Window
-        Last whole beats of the run; for a robot that moves in 3-D, its last cycle.
+        Last whole beats of the simulation; for a robot that moves in 3-D, its last cycle.
     commanded_turn : bool
         Whether the drive has a bias or an asymmetry.
     """
@@ -452,13 +471,16 @@ class SwimRun:
 
     @classmethod
     def of(cls, model: Swimmer, trial: Trial, frequency_hz: float) -> SwimRun | None:
-        """Return the run with the drive and the duration of a trial; None if no whole cycle fits into it."""
+        """Return the simulation with the drive and the duration of a trial.
+
+        Return None if no whole cycle fits into the trial.
+        """
         begin, end = float(trial.time_s[0]), float(trial.time_s[-1])
         beat = trial.swim.beat
         if model.in_space:
             ends, stroke = trial.time_s, trial.swim.stroke
             if stroke is not None:
-                # a stroke with a limited number of cycles rests afterwards
+                # end with the last cycle of the stroke, because its joints rest afterwards
                 ends = np.minimum(ends, stroke.cycles / frequency_hz)
             window: Window | None = next(reversed(kinematics.whole_cycles(ends, frequency_hz)), None)
         else:
@@ -467,26 +489,26 @@ class SwimRun:
         if window is None:
             return None
         times = window.times()
-        # the run begins at the start of the trial
+        # begin the samples at the start of the trial
         lead = np.arange(begin, times[0] - 1e-9, times[1] - times[0])
         sampled = Trial(f"{trial.id} (last beats)", "fit", np.concatenate((lead, times)), {}, swim=trial.swim)
         return cls(sampled, window, beat is not None and bool(beat.bias_rad or beat.asymmetry))
 
     @classmethod
     def driven(cls, model: Swimmer, name: str, swim: SwimInput, duration_s: float) -> SwimRun:
-        """Return a run from rest, longer than ``duration_s`` if no whole beat after the ramp fits into it.
+        """Return a simulation from rest under a drive.
+
+        It is longer than ``duration_s`` if no whole beat after the ramp fits into that time.
 
         Parameters
         ----------
         name : str
-            Name of the run. The model caches simulations under this name, so each drive needs a different
-            one.
+            Name of the simulation. The model caches simulations under this name, so each drive needs a
+            different name.
 
-        Notes
-        -----
-        Samples are counted from the end of the run, so that its quantities are smooth functions of the
-        frequency. The run begins up to one sample before the drive. For a robot that moves in 3-D, the
-        duration is rounded up to whole cycles.
+        Notes ----- Samples are counted from the end of the simulation, so that its quantities are smooth
+        functions of the frequency. The simulation begins up to one sample before the drive. For a robot that
+        moves in 3-D, the duration is rounded up to whole cycles.
         """
         assert swim.drive is not None
         end, frequency_hz = duration_s, float(swim.drive.frequency_hz)
@@ -503,7 +525,7 @@ class SwimRun:
     def quantities(
         self, model: Swimmer, values: Array, columns: Mapping[str, Array], energetics: Energetics | None
     ) -> dict[str, float]:
-        """Return the quantities of the run by name. They are among the quantities of :func:`units_of`.
+        """Return the quantities of the simulation by name. Their units are in :func:`units_of`.
 
         Parameters
         ----------
@@ -526,7 +548,7 @@ class SwimRun:
         return found
 
     def _of_last_cycles(self, body: Body, values: Array, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return the quantities of the last whole cycles, from the channels in the window."""
+        """Return the quantities of the last whole cycles of a simulation, from the channels in the window."""
         length = body.length(values)
         pose = [columns[name] for name in body.pose]
         found = kinematics.plane_quantities(
@@ -547,7 +569,7 @@ class SwimRun:
         return found
 
     def _of_whole_run(self, body: Body, columns: Mapping[str, Array]) -> dict[str, float]:
-        """Return the quantities of the whole run."""
+        """Return mean surge speed, settling time and extent of the path, which need the whole simulation."""
         time, surge = self.trial.time_s, columns[body.velocity[0]]
         return {
             "mean_surge_from_start_m_s": float(np.trapezoid(surge, time) / (time[-1] - time[0])),
@@ -557,9 +579,9 @@ class SwimRun:
 
 
 def quantities_of(model: Swimmer, runs: Sequence[SwimRun], vectors: Sequence[Array]) -> Array:
-    """Simulate runs, and return the quantities of :func:`units_of`, shape (n, quantities).
+    """Simulate a robot with links, and return the quantities of each simulation, shape (n, quantities).
 
-    A quantity that is undefined is NaN.
+    The quantities are in the order of :func:`units_of`. An undefined quantity is NaN.
     """
     pairs = [(values, run.trial) for values, run in zip(vectors, runs, strict=True)]
     simulated = model.with_energetics(pairs, [run.window.duration_s for run in runs])
@@ -594,7 +616,7 @@ def _power_quantities(energetics: Energetics, speed_m_s: float | None) -> dict[s
 
 
 def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
-    """Return the case of a robot on a rig that a weight pulls."""
+    """Return the simulation case of a robot on a rig, pulled by a falling weight."""
     if options.pulling_mass_kg is None:
         raise UsageError("a falling weight needs --pulling-mass-kg")
     pulling = options.pulling_mass_kg
@@ -642,7 +664,7 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
 
 
 def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Robot) -> Case:
-    """Return the case of a robot that cruises by the recoil law of a fin."""
+    """Return the simulation case of a cruising robot, with the recoil law of a fin."""
     fin, frequency, amplitude = options.fin, options.frequency_hz, options.amplitude_deg
     if fin is None or frequency is None or amplitude is None:
         raise UsageError("cruising needs --fin, --frequency-hz and --amplitude-deg")
@@ -678,7 +700,7 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
 
 
 def _table(fin: str, inputs: Mapping[str, Array]) -> dict[str, Any]:
-    """Return the columns of a cruise table without the speed."""
+    """Return the columns of a table of cruises, except the column of the speed."""
     return {
         "fin": [fin] * len(inputs["frequency_hz"]),
         "frequency_hz": inputs["frequency_hz"],

@@ -1,4 +1,4 @@
-"""Trials with a parameter file: the experiment, the parameters of each trial and their covariance."""
+"""Combination of trials with a parameter file: parameters of each trial, and their covariance."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from swimid.rig import trials as rig
 from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer
 
-#: Step of a finite difference, as a fraction of the standard error of the parameter. Maximum step, as a
+#: Step of a finite difference as a fraction of the standard error of the parameter, and maximum step as a
 #: fraction of the absolute value or the typical scale of the parameter, whichever is larger.
 STEP_SHARE, MAX_STEP_SHARE = 0.05, 1e-3
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Value computed from a simulation.
+    """Value that is computed from a simulation, with its unit and its standard error.
 
     Attributes
     ----------
@@ -47,7 +47,8 @@ class Quantity:
     stderr: float | None = None
 
 
-#: Function from parameter vectors to quantities, shape (vectors, quantities); NaN for an undefined quantity.
+#: Type of a function from parameter vectors to quantities, shape (vectors, quantities). An undefined quantity
+#: is NaN.
 Compute = Callable[[Sequence[Array]], Array]
 
 
@@ -91,7 +92,9 @@ class Applied:
             self._warn_doubtful(self.file.fit)
 
     def _check(self, names: list[str]) -> None:
-        """Refuse a parameter file whose parameters are not those of the model, such as one of another robot.
+        """Refuse a parameter file whose parameters differ from those of the model.
+
+        It may be a file of another robot.
 
         Raises
         ------
@@ -128,7 +131,7 @@ class Applied:
             )
 
     def values(self, trial: str | None = None) -> Array:
-        """Return the parameter vector, shape (len(model.parameters),).
+        """Return the parameter vector of a trial, shape (len(model.parameters),).
 
         Parameters
         ----------
@@ -147,7 +150,7 @@ class Applied:
         return self.stated.get(p.name, p.start)
 
     def fitted_per_trial(self) -> set[str]:
-        """Return the names of the parameters that have values for single trials in the file."""
+        """Return the names of the parameters that have values for single trials in the parameter file."""
         return {n.split("[")[0] for n in self.known if "[" in n}
 
     def noise(self) -> dict[str, float]:
@@ -160,7 +163,7 @@ class Applied:
     # -------------------------------------------------------- uncertainty
 
     def _estimates(self) -> dict[str, Estimate]:
-        """Return the estimates of the shared parameters, without those set by the user."""
+        """Return the estimates of the shared parameters, except the parameters that the user sets."""
         names = [p.name for p in self.model.parameters]
         return {n: self.known[n] for n in names if n in self.known and n not in self.chosen}
 
@@ -195,7 +198,9 @@ class Applied:
             warn("SWM055", text)
 
     def with_errors(self, values: Array, compute: Compute) -> tuple[Array, Array]:
-        """Return quantities and their standard errors, by the delta method, shape (quantities,) each.
+        """Return quantities of a simulation and their standard errors, shape (quantities,) each.
+
+        The standard errors are computed from the covariance of the parameters by the delta method.
 
         Parameters
         ----------
@@ -229,7 +234,7 @@ class Applied:
         return table[0], np.sqrt(np.maximum(np.sum(slopes * (covariance @ slopes), axis=0), 0.0))
 
 
-#: Experiments that each model can simulate.
+#: Experiments whose trials each model can simulate.
 EXPERIMENTS = {
     "multilink": ("free-swim", "multibody"),
     "multibody": ("free-swim", "multibody"),
@@ -261,7 +266,7 @@ def read_parameters(source: parameters_format.Source) -> ParameterFile:
 
 
 def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
-    """Load trials of any experiment with the model of a parameter file, and the parameters.
+    """Load trials of any experiment, with the model and the parameters of a parameter file.
 
     Parameters
     ----------
@@ -313,7 +318,10 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
 
 
 def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step: float) -> Experiment:
-    """Load trials with the model of their experiment: a model with links, if the robot has links."""
+    """Load trials without a parameter file.
+
+    The experiment determines the model. A robot with links gets a model with links.
+    """
     entries: Any = trials_format.read(trials)
     if entries.experiment == "arma":
         raise UsageError(
@@ -331,7 +339,7 @@ def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step
 
 
 def load_robot(options: Any, file: ParameterFile | None) -> Applied:
-    """Load a robot with links and its coefficients, without trials.
+    """Load a robot with links, its model and its coefficients, without trials.
 
     Parameters
     ----------
@@ -368,7 +376,9 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
 
 
 def robot_of_parameters(file: ParameterFile, path: Path, robot: str | None = None) -> tuple[str, Path | None]:
-    """Return the name or file of the robot of a parameter file, and the folder to which it is relative.
+    """Return the robot of a parameter file, and the folder to which its path is relative.
+
+    The robot is the name of a built-in robot or the path of a robot file.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Command ``compare``: errors of the simulation of recorded trials, for every model, and the evidence.
+"""Command ``compare``: errors between recorded trials and their simulation, for every model.
 
-Trials of a robot that moves in 3-D that repeat a motion form one profile. The mean of the measurements is
-compared with the mean of the simulations, over time and for each stroke (sea lion, Tables I and II).
+Trials in which a robot in 3-D repeats a motion form one motion profile. The mean of their measurements is
+compared with the mean of their simulations, over time and for each stroke (sea lion, Tables I and II).
 """
 
 from __future__ import annotations
@@ -202,18 +202,18 @@ def _explained(
     return best
 
 
-#: Columns with the errors of a channel in the tables.
+#: Columns with the errors of a channel in the tables of the evidence.
 ERROR_COLUMNS = ("channel", "RMSE", "NRMSE", "VAF", "bias")
-#: Drive settings in the table of mean speeds.
+#: Settings of the drive that the table of mean speeds shows.
 DRIVE_SETTINGS = ("frequency_hz", "amplitude_deg", "bias_deg", "asymmetry")
-#: Maximum number of samples of a curve, and of a curve of a motion profile.
+#: Maximum number of plotted samples of a curve, and of a curve of a motion profile.
 MAX_SAMPLES, MAX_PROFILE_SAMPLES = 400, 200
 #: Half-width of the window in which a derivative of a motion profile is computed, in cycles of the stroke.
 HALF_WIDTH_CYCLES = 0.1
 #: Channels of the figure of a motion profile, in the order of the sea lion paper (Kadapa et al.).
 FIGURE_CHANNELS = ("x_m", "z_m", "speed_m_s", "pitch_rad", "roll_rad", "yaw_rad", "pitch_rate_rad_s")
-#: Minimum bias, as a fraction of the RMSE. A smaller bias is a rounding error of a fitted start state and is
-#: shown as zero.
+#: Minimum bias that is shown, as a fraction of the RMSE. A smaller bias is a rounding error of a fitted start
+#: state, and is shown as zero.
 MIN_BIAS_SHARE = 1e-3
 
 
@@ -221,7 +221,9 @@ MIN_BIAS_SHARE = 1e-3
 
 
 class Profile(NamedTuple):
-    """Trials that repeat one motion, at the sample times of the first trial that all trials cover.
+    """Motion profile: trials that repeat one motion, at common sample times.
+
+    The common times are those sample times of the first trial that all trials cover.
 
     ``channels`` has the values of each channel, each with the shape (trials, 2, n): measured and simulated.
     ``record`` is the entry of the comparison file.
@@ -233,7 +235,7 @@ class Profile(NamedTuple):
 
 
 def _compare_profiles(experiment: Experiment, done: Sequence[Compared]) -> list[Profile]:
-    """Return the motion profiles of a robot that moves in 3-D; an empty list for other robots."""
+    """Return the motion profiles in the trials of a robot in 3-D; an empty list for other robots."""
     if not experiment.model.in_space:
         return []
     groups: dict[str, list[Compared]] = {}
@@ -244,7 +246,10 @@ def _compare_profiles(experiment: Experiment, done: Sequence[Compared]) -> list[
 
 
 def _with_speeds(done: Compared, side: str) -> dict[str, Array]:
-    """Return the channels of a trial together with the pitch rate and the speed in the vertical plane."""
+    """Return the measured or the simulated channels of a trial, completed by pitch rate and speed.
+
+    The speed is that in the vertical plane. ``side`` is ``measured`` or ``simulated``.
+    """
     stroke, time, half = done.trial.swim.stroke, done.trial.time_s, compare_series.HALF_WIDTH_S
     if stroke is not None:
         half = HALF_WIDTH_CYCLES / stroke.frequency_hz
@@ -262,7 +267,7 @@ def _with_speeds(done: Compared, side: str) -> dict[str, Array]:
 
 
 def _profile(name: str, members: Sequence[Compared]) -> Profile:
-    """Return repeated trials at common sample times, and the comparison of their means."""
+    """Return the motion profile of repeated trials, with the comparison of their means."""
     times = [done.trial.time_s for done in members]
     begin, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
     clock = times[0][(times[0] >= begin - 1e-9) & (times[0] <= end + 1e-9)]
@@ -289,7 +294,10 @@ def _profile(name: str, members: Sequence[Compared]) -> Profile:
 
 
 def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
-    """Return values at other times; NaN outside the range of the valid samples."""
+    """Return the samples of a channel interpolated at the times ``clock``.
+
+    The result is NaN outside the range of the valid samples.
+    """
     known = np.isfinite(values)
     if not known.any():
         return np.full(len(clock), np.nan)
@@ -297,7 +305,10 @@ def _resampled(clock: Array, time_s: Array, values: Array) -> Array:
 
 
 def _distance(means: Mapping[str, Array], names: Sequence[str]) -> float | None:
-    """Return the root-mean-square distance of two series from their components, each shape (2, n)."""
+    """Return the root-mean-square distance between mean measured and mean simulated motion.
+
+    The distance is computed from the channels ``names``, each shape (2, n). Return None if all are missing.
+    """
     squares = [np.diff(means[name], axis=0)[0] ** 2 for name in names if name in means]
     total = np.sum(squares, axis=0)
     if not np.isfinite(total).any() or not squares:
@@ -308,7 +319,7 @@ def _distance(means: Mapping[str, Array], names: Sequence[str]) -> float | None:
 def _cycles(
     members: Sequence[Compared], series: Sequence[Sequence[Mapping[str, Array]]]
 ) -> list[CycleComparison]:
-    """Return the quantities of every whole stroke, averaged over the trials."""
+    """Return measured and simulated quantities of every whole stroke, averaged over repeated trials."""
     each = []
     for done, sides in zip(members, series, strict=True):
         time, stroke = done.trial.time_s, done.trial.swim.stroke
@@ -328,7 +339,7 @@ def _cycles(
 
 
 def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> list[ev.Table]:
-    """Return the table of the profiles and the table of their strokes."""
+    """Return the table of the motion profiles and the table of their strokes."""
     rows: list[list[Any]] = []
     strokes: list[list[Any]] = []
     for p in profiles:
@@ -362,7 +373,7 @@ def _profile_tables(profiles: Sequence[compare_series.ProfileComparison]) -> lis
 
 
 def _profile_figure(profile: Profile) -> ev.Figure:
-    """Return the figure of the mean channels of repeated trials, measured and simulated, against time."""
+    """Return the figure of a motion profile: mean measured and mean simulated channels against time."""
     record, count = profile.record, len(profile.record.trials)
     caption = "Mean measured and simulated motion."
     if count > 1:
@@ -375,7 +386,7 @@ def _profile_figure(profile: Profile) -> ev.Figure:
     for name in FIGURE_CHANNELS:
         measured = profile.channels.get(name, np.empty((1, 2, 0)))[:, 0]
         known = measured.mean(axis=0)[np.isfinite(measured).all(axis=0)]
-        # leave out channels without motion: a symmetric stroke has neither roll nor yaw
+        # leave out channels without motion, such as roll and yaw of a symmetric stroke
         if not len(known) or np.ptp(known) <= 1e-9:
             continue
         values = numbers.in_degrees(numbers.split_unit(name)[1])[0] * profile.channels[name][..., keep]
@@ -391,7 +402,7 @@ def _profile_figure(profile: Profile) -> ev.Figure:
 
 
 def _checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
-    """Return the checks of errors and speeds against their limits.
+    """Return the checks of the errors of channels and mean speeds against their limits.
 
     Parameters
     ----------
@@ -455,7 +466,10 @@ def _rms(values: Any) -> float:
 
 
 def _answer(file: ComparisonFile) -> str:
-    """Return a sentence with the errors of the velocities (or the first channels) and of the mean speeds."""
+    """Return the sentence of the verdict, with the errors of velocities and mean speeds.
+
+    Without velocities, the sentence has the errors of the first channels.
+    """
     names = _rates(file.channels) or list(file.channels)[:3]
     parts = [
         f"{numbers.percent(file.channels[n].nrmse)} of the range in {numbers.quantity(n)}" for n in names
@@ -467,7 +481,7 @@ def _answer(file: ComparisonFile) -> str:
 
 
 def _rates(names: Iterable[str]) -> list[str]:
-    """Return the names of channels that are surge or turning rate."""
+    """Return those names that are channels of surge velocity or turning rate."""
     return [n for n in names if n == "u_m_s" or n.endswith(("yaw_rate_rad_s", "pitch_rate_rad_s"))]
 
 
@@ -486,7 +500,7 @@ def _facts(file: ComparisonFile) -> dict[str, str]:
 
 
 def _methods(file: ComparisonFile) -> list[str]:
-    """Return sentences for the methods section of a paper."""
+    """Return sentences on the comparison for the methods section of a paper."""
     sentences = [
         f"{len(file.trials)} {file.experiment} trials were compared with simulations under the parameters of "
         f"{file.params}. NRMSE is the root-mean-square error over the measured range (tendon fish, Eq 13), "
@@ -523,7 +537,7 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
 
 
 def _errors(name: str, s: ChannelScore) -> list[Any]:
-    """Return the cells of the columns :data:`ERROR_COLUMNS`."""
+    """Return the errors of a channel as the cells of the columns :data:`ERROR_COLUMNS`."""
     bias = s.bias
     if bias is not None and s.rmse is not None and abs(bias) < MIN_BIAS_SHARE * s.rmse:
         bias = 0.0
@@ -586,7 +600,10 @@ def _speeds(file: ComparisonFile) -> ev.Table:
 def _figures(
     experiment: Experiment, done: Sequence[Compared], profiles: Sequence[Profile], file: ComparisonFile
 ) -> list[ev.Figure]:
-    """Return figures of the motion profiles (or else of time series and mean speeds) and of the paths."""
+    """Return the figures of the evidence.
+
+    They show motion profiles, or else time series and mean speeds, and the paths of a robot in a plane.
+    """
     if experiment.model.timed_runs:
         runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
         return [_agreement("overlay", "Measured and simulated", runs)]
@@ -610,7 +627,11 @@ def _figures(
 
 
 def _telling(done: Sequence[Compared]) -> dict[str, Compared]:
-    """Return the trials with the largest and the smallest error and the worst held-out trial, by title."""
+    """Return the trials to plot, by the title of their panel.
+
+    They are the trials with the largest and the smallest error, and the held-out trial with the largest
+    error.
+    """
 
     def error(one: Compared) -> float:
         scores = one.record.channels
@@ -652,7 +673,7 @@ def _overlay(experiment: Experiment, done: Sequence[Compared]) -> ev.Figure:
 
 
 def _agreement(id: str, title: str, groups: Mapping[str, tuple[Any, Any]]) -> ev.Figure:
-    """Return a figure of simulated against measured mean speeds, with a point for each value."""
+    """Return a figure of simulated against measured mean speeds, with one point for each pair of speeds."""
     points = enumerate(groups.items())
     traces = [ev.Trace(x=x, y=y, style="points", label=name, group=k) for k, (name, (x, y)) in points]
     ends = [0.0, 1.1 * max(float(np.nanmax(x)) for x, _ in groups.values())]

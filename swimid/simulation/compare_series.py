@@ -44,7 +44,10 @@ class ChannelScore(yamlio.Document):
 
 
 class Speed(yamlio.Document):
-    """Mean speed over the last whole beats, m/s (:func:`swimid.logs.kinematics.cycle_speeds`)."""
+    """Measured and simulated mean speed of a trial over its last whole beats, m/s.
+
+    See :func:`swimid.logs.kinematics.cycle_speeds`.
+    """
 
     measured: float
     simulated: float
@@ -60,20 +63,21 @@ class Cruise(yamlio.Document):
 
     #: Steady speed of the model, m/s; null if the speed never becomes steady.
     settled: Number = None
-    #: Whether the measured speed is steady, so that it can be compared with ``settled``.
+    #: Whether the measured speed of the trial is steady, so that it can be compared with ``settled``.
     steady: bool
 
 
 class TrialComparison(yamlio.Document):
-    """Comparison of one trial."""
+    """Entry of one trial in the comparison file: start state, drive, and errors of its channels."""
 
     id: str
     role: Literal["fit", "validate"]
-    #: Source of the start state: the parameter file, an estimate from this trial, or rest at the first pose.
+    #: Source of the trial's start state: the parameter file, an estimate from the trial, or rest at the first
+    #: pose.
     start: Literal["file", "estimated", "neutral"]
     start_values: dict[str, float] = {}
     frequency_hz: Number = None
-    #: Drive of the trial, as in a trials file.
+    #: Drive of the trial, with the keys of a trials file.
     drive: dict[str, Any] = {}
     channels: dict[str, ChannelScore]
     mean_speed: Speed | None = None
@@ -81,7 +85,10 @@ class TrialComparison(yamlio.Document):
 
 
 class CycleComparison(yamlio.Document):
-    """Quantities of one stroke of a motion profile by name, in SI units (sea lion, Tables I and II)."""
+    """Measured and simulated quantities of one stroke of a motion profile (sea lion, Tables I and II).
+
+    The quantities are in SI units, by name.
+    """
 
     cycle: int
     #: Mean of each quantity over the trials of the profile.
@@ -98,10 +105,11 @@ class ProfileComparison(yamlio.Document):
     trials: list[str]
     cycles: list[CycleComparison] = []
     #: Root-mean-square distance between the mean measured and the mean simulated path, and between the mean
-    #: angles.
+    #: measured and the mean simulated angles.
     position_rmse_m: Number = None
     orientation_rmse_rad: Number = None
-    #: Displacement from the first to the last sample, ``measured`` and ``simulated``.
+    #: Displacement of the robot from the first to the last sample, with the keys ``measured`` and
+    #: ``simulated``.
     surge_m: dict[str, Number] = {}
     heave_m: dict[str, Number] = {}
 
@@ -135,11 +143,12 @@ Start = Literal["file", "estimated", "neutral"]
 #: Prefixes of the names of per-trial parameters that describe the start and the camera, not the robot.
 START_PARAMETERS = ("start_", "initial_", "clock_offset", "drive_phase", "camera_rotation", "rest_position")
 SIDES = ("measured", "simulated")
-#: Half-width of the window in which a derivative is computed: in cycles of the beat, and in s without a beat.
+#: Half-width of the window in which a derivative of the pose is computed: in cycles of the beat, and in s for
+#: a trial without a beat.
 HALF_WIDTH_BEATS, HALF_WIDTH_S = 0.2, 0.15
 #: Minimum number of valid derivatives of the pose for a channel that is derived from the pose.
 MIN_DERIVATIVES = 9
-#: Standard deviation of the noise of a channel, as a fraction of the range of the channel. This value is used
+#: Assumed standard deviation of the noise of a channel, as a fraction of the range of the channel. It is used
 #: in the estimate of a start state if the noise is unknown.
 NOISE_SHARE = 0.01
 
@@ -163,17 +172,18 @@ class Pair:
 
 
 class Compared(NamedTuple):
-    """One trial: its channels, and its entry in the comparison file."""
+    """Compared trial: its measured and simulated channels, and its entry in the comparison file."""
 
     trial: Trial
     pairs: dict[str, Pair]
-    #: ``pairs`` with positions along and across the mean heading (:func:`own_axes` of ``fit_common``).
+    #: Channels of ``pairs``, but with positions along and across the mean heading of the trial
+    #: (:func:`own_axes` of ``fit_common``).
     own: dict[str, Pair]
     record: TrialComparison
 
     @property
     def errors(self) -> mistakes.Errors:
-        """Errors of the measured channels, for the search for common mistakes in trials."""
+        """Errors of the measured channels, by which common mistakes in trials are searched for."""
         simulated = {n: p.simulated for n, p in self.pairs.items() if n in self.trial.measured}
         return mistakes.misfits(self.trial, simulated)
 
@@ -241,7 +251,9 @@ def compare_trial(
 
 
 def _logged_pairs(model: Model, trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Pair]:
-    """Return the logged channels that the model simulates, without the channels that drive the model.
+    """Return measured and simulated values of each logged channel that the model simulates.
+
+    Channels that drive the model are left out.
 
     Raises
     ------
@@ -303,7 +315,7 @@ def start_of(
     if not refit or not names:
         return values, "neutral", {}
     sd = _noise(applied, trial)
-    # the cost has several minima over an unknown phase of the beat: start from four phases
+    # start from four phases, because the cost has several minima over an unknown phase of the beat
     first: list[dict[str, float]] = [{}]
     if "drive_phase" in names and "drive_phase" not in trial.starts:
         first = [{"drive_phase": k * math.pi / 2} for k in range(4)]
@@ -325,7 +337,7 @@ def start_of(
 
 
 def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
-    """Return the parameters with other start values."""
+    """Return a copy of the parameter vector with the given start values."""
     values = values.copy()
     for name, value in start.items():
         values[model.index(name)] = value
@@ -333,7 +345,10 @@ def _replaced(model: Model, values: Array, start: Mapping[str, float]) -> Array:
 
 
 def _cost(model: Model, values: Array, trial: Trial, sd: Mapping[str, float]) -> float:
-    """Return the sum of squared residuals in units of the noise; infinite if the simulation breaks down."""
+    """Return the sum of squared residuals of a trial, in units of the noise.
+
+    It is infinite if the simulation breaks down.
+    """
     simulated = model.attempt(values, trial)
     residuals = [(trial.measured[name] - simulated[name]) / size for name, size in sd.items()]
     known = [np.isfinite(trial.measured[name]) for name in sd]
@@ -350,7 +365,7 @@ def _noise(applied: Applied, trial: Trial) -> dict[str, float]:
     known = applied.noise()
     noise = {name: known[name] for name in trial.measured if name in known}
     if noise:
-        # the world axes have no relation to the direction of motion: use one noise for both
+        # use one noise for x and y, because the world axes have no relation to the direction of motion
         place = [noise[name] for name in ("x_m", "y_m") if name in noise]
         if place:
             mean = math.hypot(*place) / math.sqrt(len(place))
@@ -387,7 +402,7 @@ def _velocity_pairs(
 
 
 def _score(parts: list[Pair], frequency_hz: float | None = None, *, own_motion: bool = False) -> ChannelScore:
-    """Return the errors of a channel over all its parts; see :func:`.score_trials`."""
+    """Return the errors of a channel over one or several trials (see :func:`.score_trials`)."""
     series = [(p.measured, p.simulated) for p in parts]
     middle = [0.0] * len(series)
     if own_motion:  # peaks of a pose are about the mean of the trial

@@ -1,4 +1,4 @@
-"""The options of ``compare`` and ``simulate``."""
+"""Options of the commands ``compare`` and ``simulate``."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from swimid.swimmer import options as swimmers
 
 
 def robot(help: str = "Accept the parameters for this robot.") -> Any:
-    """Return the option of a robot other than that of the parameter file."""
+    """Return the option ``--robot``, which names a robot other than that of the parameter file."""
     return option(None, metavar="NAME|FILE", help=help, recorded=False)
 
 
 def chosen(help: str = "Use this value of a parameter. Repeatable.") -> Any:
-    """Return the option of parameter values that replace those of the file."""
+    """Return the option ``--set``, whose parameter values replace those of the parameter file."""
     return option({}, flag="--set", metavar="NAME=VALUE", help=help, recorded="set")
 
 

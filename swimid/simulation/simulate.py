@@ -34,16 +34,16 @@ from swimid.simulation.options import SimulateOptions
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Endings of the logs that can be written.
+#: File name endings of the logs that ``simulate`` can write.
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
 #: Maximum change of a channel when the integration step is halved, relative to the range of the channel. A
 #: larger change gives a warning.
 STEP_LIMIT = 1e-3
 #: Frame rate of a film, Hz, and width of a frame for each file ending, px.
 FILM_RATE_HZ, FILM_PX = 25.0, {".mp4": 960, ".gif": 560}
-#: Width of the view of a film, and width of a link, in body lengths.
+#: Width of the view of a film, and drawn width of a link, both in body lengths.
 FILM_WIDTH, LINK_WIDTH = 2.4, 0.08
-#: Colours of a film, each as blue, green and red. Links are driven or passive.
+#: Colours of a film, each as blue, green and red components. The second colour of LINKS is for passive links.
 WATER, GRID, INK, PATH = (250, 246, 240), (238, 228, 214), (70, 55, 40), (190, 150, 60)
 LINKS = ((150, 105, 45), (80, 130, 225))
 #: Number of fractional bits of the pixel coordinates that OpenCV draws.
@@ -52,7 +52,7 @@ SHIFT = 4
 
 @dataclass(frozen=True)
 class Simulated:
-    """A simulated run.
+    """Result of one simulation: columns of its log, quantities, and effect of the integration step.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Simulated:
 
 
 def simulate_case(case: Case) -> Simulated:
-    """Simulate a case.
+    """Simulate one case, and return the columns of its log and its quantities.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def _warn_folded(case: Case, simulated: Mapping[str, Array]) -> None:
 
 
 def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float]:
-    """Return the effect of halving the integration step on each channel, relative to its range."""
+    """Return the change of each channel if the integration step is halved, relative to its range."""
     finer = case.applied.model.refined()
     if finer is None:
         return {}
@@ -143,7 +143,10 @@ def _step_changes(case: Case, simulated: Mapping[str, Array]) -> dict[str, float
 
 
 def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
-    """Return the log file of each run: the output itself, or files in a folder, named after the trials."""
+    """Return the path of the log of each simulation.
+
+    It is the output itself, or a file in the output folder that is named after the trial.
+    """
     if output is None:
         return []
     folder = output.is_dir()
@@ -163,19 +166,19 @@ def places(output: Path | None, ids: Sequence[str]) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class Simulation(Result):
-    """Result of ``simulate``: one simulated run, or one for each recorded trial.
+    """Result of ``simulate``: one simulation, or one for each recorded trial.
 
     Attributes
     ----------
     frame : DataFrame
-        Log of the only run, one row for each sample. Units are SI and radians, named in the columns.
+        Log of the only simulation, one row for each sample. Units are SI and radians, named in the columns.
     quantities : dict of str to Quantity
-        Quantities of the only run, each with ``value``, ``unit`` and ``stderr`` (None if the uncertainty of
-        the coefficients is unknown).
+        Quantities of the only simulation, each with ``value``, ``unit`` and ``stderr`` (None if the
+        uncertainty of the coefficients is unknown).
     frames : dict of str to DataFrame
-        Log of each run by the name of the run.
+        Log of each simulation, by the name of the simulation.
     runs : dict of str to Simulated
-        Each run by its name, with ``columns``, ``quantities``, and ``step``, the effect of halving the
+        Simulations by name, each with ``columns``, ``quantities``, and ``step``, the effect of halving the
         integration step.
     inputs : sequence of path or Log
         Files of the recorded trials.
@@ -194,30 +197,30 @@ class Simulation(Result):
 
     @property
     def runs(self) -> dict[str, Simulated]:
-        """Each run by its name, with its channels and its quantities."""
+        """Simulations by name, each with its channels and its quantities."""
         return {one.case.id: one for one in self.document}
 
     @property
     def frames(self) -> dict[str, pd.DataFrame]:
-        """Log of each run by the name of the run. Units are SI, named in the columns."""
+        """Log of each simulation, by the name of the simulation. Units are SI, named in the columns."""
         import pandas as pd
 
         return {name: pd.DataFrame(one.columns) for name, one in self.runs.items()}
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Log of the only run.
+        """Log of the only simulation.
 
         Raises
         ------
         UsageError
-            If there are several runs. Use :attr:`frames` in that case.
+            If there are several simulations. Use :attr:`frames` in that case.
         """
         return self._only("frames")
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """Quantities of the only run: mean speed, stride, amplitudes, each with its standard error."""
+        """Quantities of the only simulation, such as mean speed and stride, each with its standard error."""
         return self._only("runs").quantities
 
     def _only(self, several: str) -> Any:
@@ -227,14 +230,16 @@ class Simulation(Result):
         return next(iter(runs.values()))
 
     def save(self, path: str | Path) -> Self:
-        """Write one run as a log, or several runs as logs in a folder, named after their trials.
+        """Write the log of one simulation, or the logs of several simulations in a folder.
+
+        Logs in a folder are named after their trials.
 
         Raises
         ------
         InputError
             If a log cannot be written.
         UsageError
-            If the path is neither the log of one run nor a folder, or if a log of the trials would be
+            If the path is neither the log of one simulation nor a folder, or if a log of the trials would be
             replaced.
         """
         output = Path(path)
@@ -252,9 +257,9 @@ class Simulation(Result):
         return replace(self, outputs=[*self.outputs, *targets])
 
 
-#: Options that are allowed together with recorded trials.
+#: Options of ``simulate`` that are allowed together with recorded trials.
 WITH_TRIALS = ("params", "robot", "dt", "chosen", "readings", "trials", "trial", "animate")
-#: Quantities in the table of several runs.
+#: Quantities in the table of several simulations of a robot in a plane.
 TABLE_QUANTITIES = ("mean_speed_m_s", "max_yaw_rate_rad_s", "max_pitch_rate_rad_s", "turning_radius_m")
 
 
@@ -266,11 +271,11 @@ def simulate(
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> Simulation:
-    """Simulate a robot with given coefficients: its motion over time, and the quantities of the run.
+    """Simulate a robot with given coefficients: its motion over time, and quantities such as its speed.
 
     The options of a beat are the keys of ``drive`` in a trials file. An input log has joint angles or
-    commands, or the input column of a discrete-time model. By default, the run is then as long as
-    the log. Standard errors contain the uncertainty of the coefficients, not the error of the model. Use
+    commands, or the input column of a discrete-time model. By default, the simulation is then as long as the
+    log. Standard errors contain the uncertainty of the coefficients, not the error of the model. Use
     :func:`swimid.compare` to test the model.
 
     Parameters
@@ -281,7 +286,7 @@ def simulate(
         Function that is called with every file before it is written. It raises an error if the file must not
         be written.
     progress : Progress
-        Progress over the runs and over the frames of a film.
+        Progress over the simulations and over the frames of a film.
 
     Returns
     -------
@@ -360,14 +365,14 @@ def simulate(
 
 
 def _refuse_run_options(options: SimulateOptions) -> None:
-    """Refuse options of a run together with recorded trials, which have their own drives."""
+    """Refuse options that describe a drive together with recorded trials, which have their own drives."""
     for name, entry in options.declared().items():
         if name not in WITH_TRIALS and getattr(options, name) != entry.default:
             raise UsageError(f"{entry.flag} has no place beside --trials: the trials bring their own drive")
 
 
 def _refuse_film(asked: Sequence[Case], path: Path) -> None:
-    """Refuse a film of several runs, of a model without links in a plane, or in an unknown format.
+    """Refuse a film of several simulations, of a robot without links in a plane, or in an unknown format.
 
     Raises
     ------
@@ -384,11 +389,11 @@ def _refuse_film(asked: Sequence[Case], path: Path) -> None:
 
 
 def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
-    """Write the film of a run, and return remarks for the user.
+    """Write the film of a simulation, and return remarks for the user.
 
     The film shows the links to scale, the path of the front and a grid. The view follows the robot.
     """
-    # the codecs take long to load
+    # import the codecs only here, because they take long to load
     import cv2
 
     from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
@@ -399,7 +404,7 @@ def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
     if isinstance(drive, dict):
         title += f"  {drive['frequency_hz']:g} Hz, {drive['amplitude_deg']:g} deg"
     frames = body.frames(case.values, done.columns)
-    # front end and rear end of every link, each with x and y
+    # collect the front end and the rear end of every link, each with x and y
     ends = np.array([frames[:2], body.rear_ends(frames)])
     length, width = sum(body.lengths_m), FILM_PX[path.suffix.lower()]
     height, scale = 2 * round(0.3 * width), width / (FILM_WIDTH * length)
@@ -448,7 +453,10 @@ def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
 
 
 def _evidence(done: Sequence[Simulated], options: SimulateOptions, notes: list[str]) -> ev.Evidence:
-    """Return the quantities of the runs, and the checks of the integration step and of steady swimming."""
+    """Return the evidence of ``simulate``.
+
+    It has the quantities, and the checks of the integration step and of steady swimming.
+    """
     first, path = done[0], cases.place(options)
     facts = {"Parameters": "values of the robot file", "Runs": str(len(done))}
     if path is not None:
@@ -501,7 +509,7 @@ def _step_check(done: Sequence[Simulated]) -> list[ev.Check]:
 
 
 def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
-    """Return a failed check if the mean speed of the only run still changes from beat to beat."""
+    """Return a failed check if the mean speed of the only simulation still changes from beat to beat."""
     speed, change = (done[0].quantities.get(n) for n in ("mean_speed_m_s", "speed_change_per_beat_m_s"))
     if len(done) > 1 or not speed or not change or abs(change.value) <= UNSTEADY * abs(speed.value):
         return []
@@ -511,7 +519,10 @@ def _steady_check(done: Sequence[Simulated]) -> list[ev.Check]:
 
 
 def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
-    """Return quantities as text by a name in words; without quantities, the last value of each channel."""
+    """Return the quantities of a simulation as text, by their names in words.
+
+    If there are no quantities, return the last value of each channel.
+    """
     found = {n: q for n, q in done.quantities.items() if n in kept or not kept}
     tail = ""
     if not done.quantities:
@@ -529,7 +540,7 @@ def _texts(done: Simulated, kept: Sequence[str] = ()) -> dict[str, str]:
 
 
 def _data(done: Sequence[Simulated], options: SimulateOptions) -> dict[str, Any]:
-    """Return the result as data for ``--json``."""
+    """Return the result of ``simulate`` as data for ``--json``."""
     case, place = done[0].case, cases.place(options)
     return {
         "model": case.applied.model.name,

@@ -53,7 +53,7 @@ class Grid(NamedTuple):
 
 
 class TrialCache(Generic[Value]):
-    """Cache of the latest results of each trial. It may be used by several threads."""
+    """Cache of the latest results of each trial. Several threads may use it."""
 
     def __init__(self, maximum: int) -> None:
         self.maximum = maximum
@@ -61,7 +61,7 @@ class TrialCache(Generic[Value]):
         self._lock = threading.Lock()
 
     def get(self, trial: str, key: Hashable) -> Value | None:
-        """Return the cached result of a trial with this key; None if there is none."""
+        """Return the cached result of a trial with this key; None if it is not cached."""
         with self._lock:
             kept = self._kept.get(trial, OrderedDict())
             if key in kept:
@@ -102,7 +102,10 @@ class DrivenMotion:
     _kept: dict[bytes, Array] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def sampled(self, time_s: Array, grid: Grid) -> Array:
-        """Return the joint angles at any times, shape (n, driven joints). The latest result is cached."""
+        """Return the joint angles interpolated at given times, shape (n, driven joints).
+
+        The latest result is cached.
+        """
         key = time_s.tobytes()
         found = self._kept.get(key)
         if found is None:
@@ -142,7 +145,7 @@ class DrivenJoints:
             self._read.pop(name, None)
 
     def commands(self, trial: Trial) -> list[tuple[Array, Array, float]]:
-        """Return time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each joint."""
+        """Return time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each driven joint."""
         known = self._read.get(trial.id)
         if known is None or known[0] is not trial.swim or known[1] is not trial.time_s:
             time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
@@ -161,9 +164,9 @@ class DrivenJoints:
         *,
         cached: bool = True,
     ) -> DrivenMotion:
-        """Return the motion of the joints in a simulation.
+        """Return the motion of the driven joints in the simulation of a trial.
 
-        The motion depends on coefficients only through servos.
+        Coefficients of the robot affect the motion only through the properties of servos.
 
         Parameters
         ----------
@@ -194,7 +197,8 @@ class DrivenJoints:
         lead_s = _memory_s(trial.swim, servos, hooks)
         if lead_s == 0.0:
             return self._actuated(trial, grid, phase_rad, servos, hooks)
-        # begin earlier, so that the initial transients of servos and backlash have decayed at the first step
+        # begin the motion earlier, so that the initial transients of servos and backlash have decayed at the
+        # first step
         before = math.ceil(lead_s / grid.step_s)
         early = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
         whole = self._actuated(trial, early, phase_rad, servos, hooks)
@@ -214,7 +218,8 @@ class DrivenJoints:
                 motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
             elif hooks.command:
                 actual.append(hooks.actuated(half, motion[0], k))
-                # reuse the object of an equal motion, so that its columns in the array are computed once
+                # reuse the motion object of the last joint if the motions are equal, so that their columns in
+                # the array are computed once
                 if k and motion is commands[k - 1] and np.array_equal(actual[-2], actual[-1]):
                     motions.append(motions[-1])
                 else:
@@ -226,7 +231,10 @@ class DrivenJoints:
         return DrivenMotion(found, angles, rates)
 
     def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> list[Motion]:
-        """Return the commanded motion of each joint at half steps, or at quarter steps with a servo."""
+        """Return the commanded motion of each joint.
+
+        It is sampled at half steps of the grid, or at quarter steps for a joint with a servo.
+        """
         known = self._commands.get(trial.id, (grid, phase_rad))
         if known is not None:
             return known
@@ -278,8 +286,8 @@ def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_
 def _memory_s(swim: SwimInput, servos: Servos, hooks: Hooks) -> float:
     """Return the time in which the initial transient of the actuators decays under a steady beat, s.
 
-    It is 0 for a simulation that does not begin in steady swimming. The transient of a servo decays with its
-    damping. Backlash and rate limits repeat from the second period on.
+    The time is 0 for a simulation that does not begin in steady swimming. The transient of a servo decays
+    with its damping. Backlash and rate limits repeat from the second period on.
     """
     if not swim.steady or swim.drive is None:
         return 0.0
@@ -344,7 +352,8 @@ def cross_validation_score(smoothing, spacing, values):  # type: ignore[no-untyp
     m = n - 2
     left, right = 1.0 / spacing[:-1], 1.0 / spacing[1:]
     middle = -left - right
-    # compute the bands of Q'Q, then those of R + smoothing Q'Q and of its factors
+    # with Q and R of Reinsch's system, compute the bands of Q'Q, of R + smoothing Q'Q, and of the factors of
+    # the latter matrix
     square, beside, beyond = left**2 + middle**2 + right**2, np.zeros(m + 2), np.zeros(m + 2)
     pivot, first, second = np.zeros(m + 2), np.zeros(m + 2), np.zeros(m + 2)
     curvature = np.zeros(m + 2)
@@ -383,7 +392,10 @@ def cross_validation_score(smoothing, spacing, values):  # type: ignore[no-untyp
 
 
 def spline_motion(spline: BSpline) -> Callable[[Array], Motion]:
-    """Return the spline as a motion with constant angles before its first and after its last sample."""
+    """Return the motion of a joint whose angle is a spline, as a function of time.
+
+    The angle is constant before the first and after the last sample of the spline.
+    """
     rate, bend = spline.derivative(), spline.derivative(2)
     low, high = float(spline.t[0]), float(spline.t[-1])
 
@@ -488,7 +500,7 @@ def table(count: int, motions: Sequence[Motion], mounts_rad: Sequence[float]) ->
     """
     found = np.empty((count, len(motions), 5))
     joints = zip(motions, mounts_rad, range(len(motions)), strict=True)
-    # fill the columns of neighbouring joints with the same motion together
+    # fill the columns of neighbouring joints in one pass if these joints have the same motion
     for _, group in groupby(joints, key=lambda joint: (id(joint[0]), joint[1])):
         (motion, mount, first), *others = group
         parts = (np.ascontiguousarray(part, dtype=float) for part in motion)

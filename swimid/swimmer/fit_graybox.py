@@ -34,10 +34,11 @@ if TYPE_CHECKING:
     from swimid.fitting.global_search import Start
     from swimid.swimmer.front import FrontResult
 
-#: Typical number of Jacobian evaluations in a fit. It gives the expected simulation time, which needs to be
-#: correct only within a factor of two.
+#: Typical number of Jacobian evaluations in a fit. The expected simulation time is computed from it, and
+#: needs to be correct only within a factor of two.
 N_JACOBIANS = 20
-#: Number of starting points if the user states none and the fit from one starting point is not enough.
+#: Default number of starting points. It applies if the user states none and the fit from one starting point
+#: was quick or has a bad result.
 DEFAULT_STARTS = 4
 #: Maximum number of integration steps of a quick fit. A quick fit is repeated from other starting points.
 #: These steps take about one second on one processor (1.3 us per step of the tendon fish,
@@ -188,7 +189,7 @@ def fit_graybox(
 
 @dataclass(frozen=True)
 class _Search:
-    """Result of a search.
+    """Result of a parameter estimation, with its starting points and its Pareto front.
 
     Attributes
     ----------
@@ -196,7 +197,7 @@ class _Search:
     front : FrontResult or None
         Pareto front, if one was searched.
     checkpoint : Checkpoint
-        Stored generations of the search of the Pareto front.
+        Stored generations of the search of the Pareto front, from which the search can be resumed.
     ends : list of Start
         End of the fit from each starting point, if there were several.
     starts : int
@@ -255,7 +256,8 @@ def _least_squares(
 ) -> _Search:
     """Estimate the parameters by output error from one or several starting points.
 
-    There are several if the user states so, or if the first fit was quick or has a bad result.
+    Several starting points are used if the user asks for them, or if the fit from the first starting point
+    was quick or has a bad result.
     """
     settings: dict[str, Any] = {
         "parameters": parameters,
@@ -279,7 +281,10 @@ def _least_squares(
 
 
 def _deserves_starts(first: FitResult) -> bool:
-    """Return whether to fit again from other starting points: the fit was quick or its result is bad."""
+    """Return whether to fit again from other starting points.
+
+    This is so if the first fit was quick, if it did not converge, or if its errors are too large.
+    """
     lengths = [float(t.time_s[-1] - t.time_s[0]) for t in first.trials]
     steps = first.evaluations * float(np.mean(lengths)) / first.model.swimmer.max_step
     failing = [c for c in fit_common.error_checks(first, roles=("fit",)) if c.verdict == "fail"]
@@ -289,7 +294,7 @@ def _deserves_starts(first: FitResult) -> bool:
 def _simulated_s(
     trials: Sequence[Trial], parameters: Sequence[Parameter], options: FitGrayboxOptions
 ) -> float:
-    """Return the approximate length of all simulations in a fit, s."""
+    """Return the approximate total simulated time of a fit, s."""
     recorded_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
     if options.method != "least-squares":
         return recorded_s * options.population * options.generations
@@ -353,7 +358,7 @@ def _require_steady_swimming(experiment: Experiment, parameters: Sequence[Parame
 
 
 def _misfits(result: FitResult, trial: Trial) -> mistakes.Errors:
-    """Return the errors of the channels in one trial of a fit."""
+    """Return the error of each channel in one trial of a fit."""
     simulated = {s.channel: s.simulated for s in result.series if s.trial == trial.id}
     return mistakes.misfits(trial, simulated)
 
@@ -368,8 +373,8 @@ def _explain(
     """Return a common mistake in the trials or logs that explains a bad fit; None if none does.
 
     Each mistake is corrected in each trial, first with fixed coefficients: those of the fit, and those of the
-    robot file. Then the model is fitted again with each of the few most promising corrections. These fits
-    decide.
+    robot file. Then the model is fitted again with each of the few most promising corrections. The results of
+    these fits decide which mistake is returned.
     """
     model, trials = result.model, result.trials
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
@@ -472,7 +477,7 @@ def _parameter_file(
         method=method,
         unfinished=True,
     )
-    # the range of the drives is stored, so that users of the coefficients are warned of drives outside it
+    # store the range of the drives, so that users of the coefficients are warned of drives outside it
     drives = swimmer.driven_range([t for t in experiment.trials if t.role == "fit"])
     if file.fit is not None and file.fit.model_extra is not None and drives:
         file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
@@ -480,7 +485,10 @@ def _parameter_file(
 
 
 def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, output: Path | None) -> str:
-    """Return the name of a built-in robot, or the path of a robot file relative to the parameter file."""
+    """Return the reference to the robot that the parameter file stores.
+
+    It is the name of a built-in robot, or the path of a robot file relative to the parameter file.
+    """
     assert experiment.robot_path is not None
     name, path = experiment.robot.name, experiment.robot_path.resolve()
     if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
@@ -490,7 +498,10 @@ def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, outp
 
 
 def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
-    """Plot the paths if the pose was fitted; paths in 3-D are seen from above and from the side."""
+    """Plot the paths of the trials if the pose was fitted.
+
+    Paths in 3-D are plotted as seen from above and from the side.
+    """
     across, *others = result.model.swimmer.pose
     sides = others[:1]
     if result.model.swimmer.in_space:
@@ -506,7 +517,10 @@ def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:
 
 
 def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
-    """Plot the paths of the worst and the best fitted trial, and of the worst held-out trial."""
+    """Plot the paths of the fitted trials with the largest and the smallest error.
+
+    The path of the held-out trial with the largest error is plotted, too.
+    """
     paths = {}
     for trial in result.trials:
         series = {s.channel: s for s in result.series if s.trial == trial.id}
@@ -535,9 +549,9 @@ def _paths(result: FitResult, across: str, along: str) -> list[ev.Panel]:
 
 
 def _starts_check(search: _Search, *, asked: bool) -> ev.Check:
-    """Count the starting points from which the fit ends in the reported minimum.
+    """Return the check that counts the starting points from which the fit ends in the reported minimum.
 
-    The count can fail as a check only if the user asked for several starting points.
+    The check can fail only if the user asked for several starting points.
     """
     agree, count = search.agreeing, len(search.ends)
     passed, text = None, ""
@@ -551,7 +565,7 @@ def _starts_check(search: _Search, *, asked: bool) -> ev.Check:
 
 
 def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) -> list[ev.Table]:
-    """Return tables of errors, starting points, and interpretations of the source."""
+    """Return tables of errors, of starting points, and of the interpretations of the robot's source."""
     found = [
         ev.Table(
             id="metrics",
@@ -587,7 +601,7 @@ def _tables(experiment: Experiment, result: FitResult, ends: Sequence[Start]) ->
 
 
 def _error_rows(result: FitResult) -> list[list[str]]:
-    """List the errors of each trial and channel."""
+    """Return the rows of the table of errors, one for each trial and channel."""
     rows = []
     units = {c.name: c.unit for c in result.model.channels}
     for s in result.series:

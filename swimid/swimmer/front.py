@@ -33,8 +33,9 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions
 
-#: Kind of distance to which the error of a channel contributes, and the error that gives a distance of 1, by
-#: the unit at the end of the channel's name: 0.05 m, 5 degrees, 0.05 m/s and 10 degrees per second.
+#: Kinds of distance between simulation and measurement, by the unit at the end of a channel's name. Each kind
+#: has a name, and the error that counts as a distance of 1: 0.05 m, 5 degrees, 0.05 m/s and 10 degrees per
+#: second.
 KINDS = {
     "_m": ("position", 0.05),
     "_rad": ("orientation", math.radians(5.0)),
@@ -43,14 +44,15 @@ KINDS = {
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 BAND = 0.05
-#: Rules by which a point of the front is chosen.
+#: Rules for the choice of one point of a Pareto front, by name.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
-#: Titles of the fits before the search, at the chosen point, and after least squares.
+#: Titles of three fits: before the search of the front, at the chosen point, and after least squares from
+#: this point.
 UNTUNED, CHOSEN, AFTER = "untuned", "chosen on the front", "least squares"
 
 
 def kind_of(channel: str) -> tuple[str, float]:
-    """Return the kind of distance to which the error of a channel contributes, and the error that gives 1."""
+    """Return the kind of distance of a channel, and the error that counts as a distance of 1."""
     return next(kind for unit, kind in KINDS.items() if channel.endswith(unit))
 
 
@@ -74,7 +76,8 @@ def distance(
     scales : sequence of float
         Error of each channel that counts as 1, in the unit of the channel.
     band : float
-        Maximum time shift between the two, as a fraction of the record (Sakoe and Chiba 1978).
+        Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba
+        1978).
 
     Returns
     -------
@@ -146,7 +149,7 @@ class Profiles:
         self._profiles = [profiles[t.id] for t in self.problem.trials]
         self.names = list(dict.fromkeys(self._profiles))
         self._scales = scales or {}
-        #: Channels of each trial, by objective and index of the trial.
+        #: Channels whose errors contribute to an objective, by objective and index of the trial.
         self._parts: dict[tuple[str, str], dict[int, list[str]]] = {}
         for name, (kind, _) in product(self.names, KINDS.values()):
             for k in self._members(name):
@@ -157,21 +160,24 @@ class Profiles:
         self.columns = [f"{kind}[{profile}]" for profile, kind in self.objectives]
 
     def _members(self, profile: str | None) -> list[int]:
-        """Return the indices of the trials of a profile, or of all trials if the profile is None."""
+        """Return the indices of the trials of a motion profile, or of all trials if the profile is None."""
         return [k for k, own in enumerate(self._profiles) if profile in (None, own)]
 
     def objectives_of(self, profile: str) -> list[int]:
-        """Return the indices of the objectives of a profile."""
+        """Return the indices of the objectives of a motion profile."""
         return [j for j, (name, _) in enumerate(self.objectives) if name == profile]
 
     def theta(self, point: Array) -> Array:
-        """Return the full parameter vector at a point, with the per-trial parameters, shape (p,)."""
+        """Return the full parameter vector at a point of the search, shape (p,).
+
+        Per-trial parameters have their start values.
+        """
         found = self.problem.start.copy()
         found[self._shared] = point
         return found
 
     def evaluate(self, points: Array, profile: str | None = None) -> Array:
-        """Return the objectives of points, for one profile or for all profiles.
+        """Return the objectives at points of the search, for one motion profile or for all profiles.
 
         Parameters
         ----------
@@ -188,7 +194,10 @@ class Profiles:
         return np.array([self._scored({k: next(runs) for k in members}, profile) for _ in points])
 
     def scored(self, series: Sequence[Series]) -> Array:
-        """Return all objectives for the simulated channels of a fit, shape (m,); NaN without a trial."""
+        """Return all objectives for the simulated channels of a fit, shape (m,).
+
+        An objective is NaN if the fit lacks one of its trials.
+        """
         by_trial: dict[str, dict[str, Array]] = {}
         for s in series:
             by_trial.setdefault(s.trial, {})[s.channel] = s.simulated
@@ -210,7 +219,7 @@ class Profiles:
 
 @dataclass(frozen=True)
 class FrontResult:
-    """Pareto fronts, and the point that was chosen from them.
+    """Pareto fronts of all motion profiles, and the point that was chosen from them.
 
     Attributes
     ----------
@@ -238,18 +247,18 @@ class FrontResult:
 
     @property
     def points(self) -> Array:
-        """Coefficients of all points, shape (n, d)."""
+        """Coefficients of all points of the Pareto fronts, shape (n, d)."""
         return np.asarray(self.table[self.profiles.labels], dtype=float)
 
     @property
     def values(self) -> Array:
-        """Objectives of all points, shape (n, m)."""
+        """Objectives of all points of the Pareto fronts, shape (n, m)."""
         return np.asarray(self.table[self.profiles.columns], dtype=float)
 
     def starts(self, count: int) -> list[Array]:
         """Return starting points for least squares.
 
-        They are the chosen point, the points of the other rules, and then points along the front.
+        They are the chosen point, the points that the other rules choose, and then points along the front.
         """
         ruled = list(dict.fromkeys([self.chosen, *self.rules.values()]))
         along = [int(k) for k in np.linspace(0, len(self.points) - 1, max(count, 1))]
@@ -257,9 +266,9 @@ class FrontResult:
         return [self.profiles.theta(self.points[k]) for k in distinct[: max(count, len(ruled))]]
 
     def save(self, output: Path, options: FitGrayboxOptions) -> list[Path]:
-        """Write the front to the folder of the parameter file, and return the path of the front.
+        """Write the front to the folder of the parameter file, and return the paths of the written files.
 
-        The front is not written if it was read from this path.
+        The front is not written if it was read from the same file.
         """
         path = output.with_name(f"{output.stem}.front.csv")
         if options.front is not None and options.front.resolve() == path.resolve():
@@ -268,7 +277,7 @@ class FrontResult:
         return [path]
 
     def add_evidence(self, evidence: ev.Evidence, result: FitResult, options: FitGrayboxOptions) -> None:
-        """Add the front, the chosen point, and the errors of all fits to the evidence of a fit."""
+        """Add the Pareto front, the chosen point, and the errors of all fits to the evidence of a fit."""
         stages = dict(self.stages)
         if options.method == "hybrid":
             stages[AFTER] = result
@@ -289,7 +298,7 @@ def fit(
     checkpoint: Checkpoint,
     progress: Progress = silent,
 ) -> tuple[FrontResult, FitResult]:
-    """Search or read the fronts, choose a point, and return the fronts and the fit at this point.
+    """Search or read the Pareto fronts, choose a point, and return the fronts and the fit at this point.
 
     Parameters
     ----------
@@ -346,7 +355,7 @@ def fit(
 def _search(
     profiles: Profiles, options: FitGrayboxOptions, checkpoint: Checkpoint, progress: Progress
 ) -> dict[str, Front]:
-    """Search the front of each profile."""
+    """Search the Pareto front of each motion profile by NSGA-II."""
     searches: dict[str, Front] = {}
     total = options.generations * len(profiles.names)
     done: list[str] = []
@@ -383,7 +392,7 @@ def _search(
 
 
 def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
-    """Return the points of all fronts with their objectives in every profile.
+    """Return the points of all Pareto fronts with their objectives in every motion profile.
 
     Points at which a simulation breaks down are left out.
     """
@@ -404,14 +413,14 @@ def _joined(profiles: Profiles, searches: Mapping[str, Front]) -> pd.DataFrame:
 
 
 def _numbered(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of points with their index as the first column."""
+    """Return a table of points with a new first column, which is the index of each point."""
     found = table.reset_index(drop=True)
     found.insert(0, "index", found.index.to_numpy())
     return found
 
 
 def read(path: Path, profiles: Profiles) -> pd.DataFrame:
-    """Read a front of these trials from a file: profile, coefficients and objectives of each point.
+    """Read a Pareto front from a file: motion profile, coefficients and objectives of each point.
 
     Raises
     ------
@@ -441,7 +450,7 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
 
 
 def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
-    """Return the index of the point that a rule or the user chooses."""
+    """Return the index of the point of the front that a rule or the user chooses."""
     if pick in rules:
         return rules[pick]
     if not pick.isdigit():
@@ -459,7 +468,10 @@ def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
 def _stages_table(
     found: FrontResult, titles: list[str], known: Mapping[str, FitResult], scored: Mapping[str, Array]
 ) -> ev.Table:
-    """List objectives and errors before the search, at the chosen point and after least squares."""
+    """Return a table of objectives and errors of the fits.
+
+    The fits are those before the search, at the chosen point, and after least squares.
+    """
     rows: list[list[Any]] = []
     for j, (profile, kind) in enumerate(found.profiles.objectives):
         row = [float(scored[title][j]) if title in scored else None for title in titles]
@@ -480,7 +492,7 @@ def _stages_table(
 
 
 def _figures(found: FrontResult, ends: Mapping[str, Array]) -> list[ev.Figure]:
-    """Plot the fronts of all profiles with the fits."""
+    """Plot the Pareto front of each motion profile, with the points of the fits."""
     profiles = found.profiles
     fronts = []
     for name in profiles.names:
@@ -507,7 +519,7 @@ def _figures(found: FrontResult, ends: Mapping[str, Array]) -> list[ev.Figure]:
 
 
 def _methods(found: FrontResult, options: FitGrayboxOptions) -> list[str]:
-    """Describe the search in sentences for a methods section."""
+    """Describe the search of the Pareto fronts in sentences for a methods section."""
     said = []
     if found.searches:
         evaluations = sum(f.evaluations for f in found.searches.values())

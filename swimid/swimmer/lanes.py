@@ -1,16 +1,16 @@
 """Compiled kernels of a robot, which integrate a batch of simulations at once. They are stored on disk.
 
-An engine is the compiled equations of motion of a robot. Its compiled functions are Python functions. When
-they are called with symbols instead of numbers, they run through their loops over links and elements once,
-and record a list of sums and products. Operations with input entries that are always 0 or 1 are removed. An
-engine must be written for this: it may branch on a value only by
-:func:`swimid.swimmer.planar.engine.positive`, ``max``, ``min`` and ``abs``.
+An engine is the compiled equations of motion of a robot. Its functions can also run as Python functions on
+symbols instead of numbers. They then run through their loops over links and elements once, and record a list
+of sums and products. Operations with input entries that are always 0 or 1 are removed. An engine must be
+written for this: it may branch on a value only by :func:`swimid.swimmer.planar.engine.positive`, ``max``,
+``min`` and ``abs``.
 
 :func:`source_of` writes the operations as the text of a module, which integrates a batch of simulations by a
 fourth-order Runge-Kutta method. The operations are the body of a loop ``for lane in range(LANES)`` over one
-flat work array, which the compiler vectorises. It does so only if the loop writes no second array, all
-indices are literal, and no statement leaves the loop early. Therefore inputs and results are copied in other
-loops.
+flat work array, which the compiler vectorises. The compiler vectorises a loop only if it writes no second
+array, all indices are literal, and no statement leaves the loop early. Therefore inputs and results are
+copied in other loops.
 
 A :class:`Kernel` is such a module of one robot, with or without the forces and elements of effects.
 :class:`Kernels` has both, and chooses one of them for each simulation. Without a kernel, the scalar engine
@@ -99,7 +99,7 @@ class Tracer:
 
 
 class Symbol:
-    """Result of an operation, or an input of the equations with its index.
+    """Placeholder for a number in traced equations: the result of an operation, or an input with its index.
 
     Inputs are ``state``, ``row`` (of the drive array), ``table``, ``number`` (of the forces of effects) and
     ``elapsed`` (time since the start).
@@ -153,7 +153,7 @@ class Symbol:
         return self.tracer.symbol("/", self, other)
 
     def __rtruediv__(self, other: float) -> Symbol | float:
-        # several quotients may have one divisor, so its reciprocal is an operation of its own
+        # compute the reciprocal as a separate operation, because several quotients may have the same divisor
         return other * self.tracer.symbol("/", 1.0, self)
 
     def __neg__(self) -> Symbol | float:
@@ -170,7 +170,10 @@ class Symbol:
         return self.tracer.symbol("abs", self)
 
     def _given(self, other: object) -> bool:
-        """Return True for an entry of an input array: a symbol stands for a positive value, not for zero."""
+        """Return True for the comparisons ``> 0`` and ``!= 0`` of an entry of an input array.
+
+        A symbol for such an entry stands for a positive value. Other comparisons raise an error.
+        """
         if self.kind == "table" and _is(other, 0.0):
             return True
         raise TypeError("the equations ask for a value: write positive(), max() or min()")
@@ -202,7 +205,7 @@ def _is(value: object, number: float) -> bool:
 
 
 def positive(asked: Any, then: Any, otherwise: Any) -> Any:
-    """Return ``then`` where ``asked`` is above 0, and ``otherwise`` elsewhere."""
+    """Return ``then`` if ``asked`` is above 0, otherwise ``otherwise``, for numbers and for symbols."""
     if then is otherwise:
         return then
     if isinstance(asked, Symbol):
@@ -211,7 +214,7 @@ def positive(asked: Any, then: Any, otherwise: Any) -> Any:
 
 
 def _traced(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that computes with numbers, and records an operation of this kind for symbols."""
+    """Return a function that calls ``function`` for numbers, and records an operation for symbols."""
 
     def apply(*values: Any) -> Any:
         tracer = next((v.tracer for v in values if isinstance(v, Symbol)), None)
@@ -233,7 +236,7 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
         return math.sin(x), math.cos(x)
     quarter: Any = (x * (2.0 / math.pi) + ROUNDER) - ROUNDER
     rest = ((x - quarter * QUARTER[0]) - quarter * QUARTER[1]) - quarter * QUARTER[2]
-    # the quadrant is 0, 1, 2 or 3
+    # compute the quadrant of the angle: 0, 1, 2 or 3
     quadrant = quarter - 4.0 * (((quarter * 0.25 - 0.375) + ROUNDER) - ROUNDER)
     square: Any = rest * rest
     sine = rest * square * _horner(SINE, square) + rest
@@ -244,7 +247,10 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
 
 
 def _facing(frame: Any, base: Any, turn: Any) -> Angle:
-    """Return the angle that :func:`swimid.swimmer.planar.engine.facing` returns."""
+    """Return the heading of a link in the world by its sine and cosine.
+
+    For symbols, this function replaces :func:`swimid.swimmer.planar.engine.facing`.
+    """
     _, c, s = frame
     cosine, sine = turn
     return Angle(s * cosine + c * sine, c * cosine - s * sine)
@@ -253,7 +259,7 @@ def _facing(frame: Any, base: Any, turn: Any) -> Angle:
 def _exponential(x: Any) -> Any:
     """Return the exponential for results from e^-708 to e^709, with a relative error below 3e-16.
 
-    It is a power of two multiplied by the Taylor series of the remaining factor.
+    The result is a power of two multiplied by the Taylor series of the remaining factor.
     """
     if not isinstance(x, Symbol):
         return math.exp(x)
@@ -265,7 +271,10 @@ def _exponential(x: Any) -> Any:
 
 
 def _logarithm(x: Any) -> Any:
-    """Return the logarithm of a positive normal number, with an absolute or relative error below 3e-16."""
+    """Return the natural logarithm of a positive normal double.
+
+    The absolute or the relative error is below 3e-16.
+    """
     if not isinstance(x, Symbol):
         return math.log(x)
     power, rest = (x.tracer.symbol(kind, x) for kind in ("exponent", "mantissa"))
@@ -284,7 +293,7 @@ def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
     return value
 
 
-#: Replacement of the module ``math`` for symbols.
+#: Functions that replace those of the module ``math`` when an engine is called with symbols.
 MATH = SimpleNamespace(
     sqrt=_root,
     exp=_exponential,
@@ -305,7 +314,7 @@ def on_symbols(function: Any) -> Callable[..., Any]:
 def _plain(function: Any, known: dict[Any, Any]) -> Any:
     if function in known:
         return known[function]
-    # cfunc compiles the function of a force, and its result is not a Dispatcher
+    # the function of a force is compiled by cfunc, whose result is not a Dispatcher
     text = function.py_func if isinstance(function, Dispatcher) else function.__wrapped__
     names: dict[str, Any] = {}
     known[function] = FunctionType(text.__code__, names, text.__name__, text.__defaults__)
@@ -328,7 +337,7 @@ LANES = 8
 
 @dataclass(frozen=True)
 class Traced:
-    """A traced engine, which is the input of :func:`source_of`.
+    """Equations of motion of an engine as a list of operations, from which :func:`source_of` writes a module.
 
     Attributes
     ----------
@@ -401,9 +410,9 @@ def integrate(start, step, {tables}, shared, steps, parameters, states, rates, w
 _BITS = """
 from swimid.swimmer.lanes import bits, double
 """
-#: Operations on the bits of a positive normal double. A double has 52 bits of mantissa below the exponent,
-#: which has an offset of 1023. After 1.5 * 2^52 is added to a number, its last bits are an integer. The same
-#: holds for 2^52 (0x433).
+#: Program texts of operations on the bits of a positive normal double. A double has 52 bits of mantissa below
+#: the exponent, which has an offset of 1023. When 1.5 * 2^52 or 2^52 (0x433) is added to a number, the last
+#: bits of the sum are the number rounded to an integer.
 _OF_BITS = {
     "two to": "double((bits({0}) + 1023) << 52)",
     "exponent": "double((bits({0}) >> 52) | 0x4330000000000000) - 4503599627371519.0",
@@ -411,7 +420,7 @@ _OF_BITS = {
 }
 
 
-#: Program text of each operation.
+#: Program text of each kind of operation. The braces stand for the operands.
 _TEXTS = {
     "+": "{0} + {1}",
     "-": "{0} - {1}",
@@ -428,12 +437,12 @@ _TEXTS = {
 
 
 def length(traced: Traced) -> int:
-    """Return the length of the work array."""
+    """Return the length of the work array that the module of a traced engine needs."""
     return LANES * (4 * len(traced.rates) + 2 + traced.width + traced.parameters)
 
 
 def source_of(traced: Traced) -> str:
-    """Return the text of the module of a traced engine.
+    """Return the text of the module that integrates a batch of simulations with a traced engine.
 
     Its function is ``integrate(start, step, table0, ..., shared, steps, parameters, states, rates, work)``:
 
@@ -552,13 +561,13 @@ def double(typing: Any, number: Any) -> Any:
 
 # ---------------------------------------------------------------- kernels
 
-#: Time of one operation in the scalar engine, and time to compile one operation, s. Measured with the built-
-#: in robots by ``python -m benchmarks.bench_lanes --only engine compile``.
+#: Time of one operation in the scalar engine, and time to compile one operation, s. The times were measured
+#: with the robots of swimid by ``python -m benchmarks.bench_lanes --only engine compile``.
 OPERATION_S, COMPILING_S = 3.5e-10, 5e-3
-#: Maximum simulation time with the scalar engine, s, for which kernels are not used.
+#: Expected computing time with the scalar engine, s, below which kernels are not used.
 MAX_SCALAR_S = 0.5
-#: Minimum ratio of the simulation time with the scalar engine to the compilation time at which a kernel is
-#: compiled at once. The amount of simulation is known in advance only within a factor of two.
+#: Minimum ratio of the computing time with the scalar engine to the compilation time at which a kernel is
+#: compiled before the simulations. The computing time is known in advance only within a factor of two.
 MIN_GAIN = 2.0
 #: Maximum number of result arrays that are reused by later batches.
 N_BUFFERS = 8
@@ -588,16 +597,16 @@ class Room:
 #: coordinate frame (``placed`` of the engine), and for each force: 1 or 0 (whether the force acts), its point
 #: and its constants.
 ACTING = "acting"
-#: Number of entries for the coordinate frame.
+#: Number of entries for the coordinate frame in the input array :data:`ACTING`.
 FRAME = 7
 
 
 class Kernel:
     """Compiled equations of motion of one robot, which integrate up to :data:`LANES` simulations at once.
 
-    With a room for effects, each simulation has its own effects or none. One kernel serves all effects,
-    because compiling takes seconds. A simulation also computes the forces of effects that it does not have.
-    This costs little compared with a simulation by the scalar engine.
+    If the kernel has a :class:`Room` for effects, each simulation has its own effects or none. One kernel
+    serves all effects, because compiling takes seconds. Each simulation therefore also computes the forces of
+    effects that it does not have. This costs little compared with a simulation by the scalar engine.
 
     Parameters
     ----------
@@ -636,7 +645,7 @@ class Kernel:
     def _roomy(
         self, room: Room, tables: Callable[[Array], dict[str, Any]]
     ) -> Callable[[Array], dict[str, Any]]:
-        """Return a function for input arrays with NaN for the entries that effects may change."""
+        """Return a function that computes input arrays with NaN in the entries that effects may change."""
         self._slots: dict[tuple[int, int], slice] = {}
         at = 1 + FRAME
         for known, link in room.forces:
@@ -674,12 +683,12 @@ class Kernel:
 
     @cached_property
     def traced(self) -> Traced:
-        """Equations of motion as operations on symbols."""
+        """Equations of motion of the robot as operations on symbols."""
         tracer = Tracer()
         tables = dict(self._example)
         count = 0
         for name, fixed in self.fixed.items():
-            # entries for forces have a kind of their own, because even their signs are unknown
+            # entries for forces are symbols of a separate kind, because even their signs are unknown
             kind = {ACTING: "number"}.get(name, "table")
             entries = np.array(fixed, dtype=object)
             for place in np.argwhere(np.isnan(fixed)):
@@ -704,7 +713,10 @@ class Kernel:
         return Traced(_used(tracer.operations, rate), list(rate), (ends, corrected), count, 5 * driven)
 
     def _forced(self, room: Room, acting: Any) -> tuple[Any, ...]:
-        """Return forces as the engine takes them. A force that does not act is zero."""
+        """Return the forces of effects as symbols, in the form of the engine's argument ``forced``.
+
+        A force that does not act in a simulation is zero.
+        """
         slots = [acting[place] for place in self._slots.values()]
         constants = [np.append(slot[:1], slot[3:]) for slot in slots]
 
@@ -725,7 +737,9 @@ class Kernel:
     def widened(
         self, tables: Mapping[str, Any], forces: Sequence[Force], frame: Array, begin_s: float
     ) -> dict[str, Any] | None:
-        """Return the input arrays of a simulation in the form of this kernel; None if its effects do not fit.
+        """Return the input arrays of a simulation with the rows and entries for effects that this kernel has.
+
+        Return None if the kernel has no rows or entries for the effects of the simulation.
 
         Parameters
         ----------
@@ -757,10 +771,10 @@ class Kernel:
         return found if self.fits(found) else None
 
     def worth(self, derivatives: float, progress: Progress = silent) -> bool:
-        """Return whether the kernel saves time, and compile it if it does.
+        """Return whether using the kernel saves time, and compile the kernel if it does.
 
-        It saves time if it is stored on this machine already, or if compiling it takes less time than it
-        saves. Otherwise a process in the background compiles it for the next command. The environment
+        The kernel saves time if it is stored on this machine already, or if compiling it takes less time than
+        it saves. Otherwise a process in the background compiles it for the next command. The environment
         variable ``SWIMID_LANES`` overrides this decision with ``always`` or ``never``. Results of the kernel
         and the scalar engine agree to about fourteen digits.
 
@@ -789,7 +803,7 @@ class Kernel:
         return True
 
     def compiled(self) -> ModuleType:
-        """Return the compiled module. Compile it if this machine does not have it yet."""
+        """Return the compiled module of the kernel. Compile it if this machine does not have it yet."""
         with self._lock:
             if self.module is None:
                 self.module = imported(source_of(self.traced))
@@ -797,7 +811,7 @@ class Kernel:
             return self.module
 
     def run(self, runs: Sequence[tuple[Array, float, Array, Mapping[str, Any]]]) -> list[tuple[Array, Array]]:
-        """Return states and rates of each simulation, as ``engine.integrate`` does.
+        """Integrate simulations, and return the states and rates of each, as ``engine.integrate`` does.
 
         Parameters
         ----------
@@ -811,7 +825,7 @@ class Kernel:
         """
         module, traced = self.compiled(), self.traced
         found: dict[int, tuple[Array, Array]] = {}
-        # simulations of similar length share a batch
+        # put simulations of similar length into the same batch
         order = sorted(range(len(runs)), key=lambda k: len(runs[k][2]))
         for first in range(0, len(order), LANES):
             batch = order[first : first + LANES]
@@ -835,10 +849,10 @@ class Kernel:
         return [found[k] for k in range(len(runs))]
 
     def _buffer(self, shape: tuple[int, ...]) -> Array:
-        """Return an array to write into, from memory that no earlier result uses any more.
+        """Return an uninitialised array in memory that no result uses any more.
 
-        With newly allocated memory, a simulation would take one and a half times as long because of page
-        faults.
+        With newly allocated memory, a batch of simulations would take one and a half times as long because of
+        page faults.
         """
         need = math.prod(shape)
         with self._lock:
@@ -854,21 +868,24 @@ class Kernel:
         return self._entries(tables)[self._taken]
 
     def _entries(self, tables: Mapping[str, Any]) -> Array:
-        """Return all entries of the input arrays in one array."""
+        """Return all entries of the input arrays of the engine in one array, in a fixed order."""
         return np.concatenate([np.reshape(tables[name], -1) for name in self.fixed])
 
 
 def _references(arrays: Sequence[Array]) -> list[int]:
-    """Return the number of references to each array."""
+    """Return the number of Python references to each array."""
     return [sys.getrefcount(array) for array in arrays]
 
 
-#: Reference count of an array that is referenced only by a list.
+#: Reference count of an array that only a list refers to, so that its memory can be reused.
 IDLE = _references([np.empty(0)])[0]
 
 
 def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict[str, Array]:
-    """Return the input arrays with NaN for entries that are not 0, 1 or -1 for all coefficients."""
+    """Return the input arrays of an engine with the entries that are 0, 1 or -1 for all coefficients.
+
+    All other entries are NaN.
+    """
     draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, coefficients))
     samples = [tables(draw) for draw in draws]
     fixed = {}
@@ -882,7 +899,7 @@ def _fixed(tables: Callable[[Array], dict[str, Any]], coefficients: int) -> dict
 
 
 def _used(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
-    """Return the operations on which the results depend, in their order."""
+    """Return those operations on which the results depend, in the same order."""
     needed = {x.number for x in results if isinstance(x, Symbol)}
     for x in reversed(operations):
         if x.number in needed:
@@ -891,24 +908,24 @@ def _used(operations: Sequence[Symbol], results: Any) -> list[Symbol]:
 
 
 def folder() -> Path:
-    """Return the folder of generated modules, in the folder of numba's compiled engine."""
+    """Return the folder of generated modules, which lies in numba's cache folder of the scalar engine."""
     return Path(integrate.stats.cache_path) / "lanes"
 
 
 def _path(text: str) -> Path:
-    """Return the path of a module. Its name is a hash of the text, the compiler and the processor."""
+    """Return the path of a generated module. Its name is a hash of text, compiler and processor."""
     host = f"{sys.version} {numba.__version__} {llvmlite.__version__} {get_host_cpu_features()}"
     return folder() / f"lanes_{hashlib.sha256(f'{host} {text}'.encode()).hexdigest()[:16]}.py"
 
 
 def on_disk(text: str) -> bool:
-    """Return whether the module with this text is compiled on this machine."""
+    """Return whether the generated module with this text is compiled on this machine."""
     module = imported(text)
     return any(Path(module.integrate.stats.cache_path).glob(f"{module.__name__}.integrate-*.nbc"))
 
 
 def imported(text: str) -> ModuleType:
-    """Return the module with this text, and write its file if there is none.
+    """Return the generated module with this text, and write its file if there is none.
 
     The module is compiled at its first call.
     """
@@ -925,7 +942,7 @@ def imported(text: str) -> ModuleType:
 
 
 def compile_later(text: str) -> None:
-    """Compile a module for the next command, in a process that outlives this process."""
+    """Compile a generated module for the next command, in a process that outlives this process."""
     imported(text)
     command = "import sys; from swimid.swimmer import lanes; lanes.compile_file(sys.argv[1])"
     with contextlib.suppress(OSError):  # without a process the next command is as slow as this one
@@ -939,7 +956,7 @@ def compile_later(text: str) -> None:
 
 
 def compile_file(path: str) -> None:
-    """Compile the module at a path at low priority, unless another process does so already."""
+    """Compile the generated module at a path at low priority, unless another process does so already."""
     with contextlib.suppress(UsageError), atomic.locked(Path(path)):
         if hasattr(os, "nice"):
             os.nice(10)
@@ -948,9 +965,10 @@ def compile_file(path: str) -> None:
 
 
 def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64]) -> Array | None:
-    """Return rows of elements, each moved to the next row of ``places`` for its link.
+    """Return the rows of elements in the order of ``places``, which states the link of each returned row.
 
-    Rows without an element are zero. The result is None if a link has too few rows.
+    Each element takes the next free row of its link. Rows without an element are zero. The result is None if
+    a link has too few rows.
     """
     if np.array_equal(links, places):
         return rows
@@ -966,7 +984,7 @@ def _in_places(rows: Array, links: NDArray[np.int64], places: NDArray[np.int64])
 
 
 class Kernels:
-    """Kernels of one robot: one for the robot alone, and one for simulations with effects.
+    """Kernels of one robot: one for simulations without effects, and one for simulations with effects.
 
     Parameters
     ----------
@@ -978,7 +996,7 @@ class Kernels:
     Attributes
     ----------
     own, wide : Kernel or None
-        Kernels for the robot alone and with effects. They are created when first needed.
+        Kernels for simulations without and with effects. They are created when first needed.
     use_own, use_wide : bool
         Whether simulations use these kernels. Otherwise they use the scalar engine.
     """
@@ -997,7 +1015,10 @@ class Kernels:
         self.use_own = self.use_wide = False
 
     def make(self, *, effects: bool = True) -> Kernel:
-        """Create the kernels without compiling them, and return the kernel of the robot alone."""
+        """Create the kernels without compiling them.
+
+        Return the kernel for simulations without effects.
+        """
         self.own = self.own or Kernel(*self._made)
         if effects and self.wide is None and (room := self._room()) is not None:
             self.wide = Kernel(*self._made, room)

@@ -157,7 +157,7 @@ class Swimmer(Model):
         self.driven, self.passive = self.tree.driven, self.tree.passive
         # the first parameters are the coefficients of the robot file
         self.free_base, self.coefficients = self.tree.free_base, self.tree.names
-        # parameters for the offset of the start pose of each trial
+        # name the parameters for the offset of the start pose of each trial
         self.starts = tuple(f"start_{word}" for word in self.places)
         self.parameters = (*coefficients(self.tree.body.coefficients), *_trial_parameters(self))
         self.channels = _channels(self)
@@ -194,7 +194,7 @@ class Swimmer(Model):
 
     @abstractmethod
     def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the names of the initial velocities, angles and rates that these channels determine."""
+        """Return the names of the initial velocities, angles and rates that measured channels determine."""
 
     @abstractmethod
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
@@ -231,7 +231,7 @@ class Swimmer(Model):
 
     @property
     def swimmer(self) -> Self:
-        """The model itself, because it is a robot with links (see :attr:`Model.swimmer`)."""
+        """The model itself, because it is a model of a robot with links (see :attr:`Model.swimmer`)."""
         return self
 
     def stated(self) -> dict[str, float]:
@@ -330,7 +330,7 @@ class Swimmer(Model):
     # -------------------------------------------------------- simulation
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate a trial, and return its channels at the samples (see :meth:`Model.simulate`)."""
+        """Simulate a trial, and return its channels at the sampling times (see :meth:`Model.simulate`)."""
         return self.hooked(values, trial, NONE)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
@@ -407,7 +407,10 @@ class Swimmer(Model):
         return self._steady
 
     def request(self, values: Array, trial: Trial, hooks: Hooks) -> Run:
-        """Return a request with all inputs of the integration, or with the trajectory if it is cached."""
+        """Return the request for a simulation of a trial with effects.
+
+        The request has all inputs of the integration, or the trajectory if it is cached.
+        """
         if trial.swim.coefficients:
             values = values.copy()
             for name, value in trial.swim.coefficients.items():
@@ -451,7 +454,7 @@ class Swimmer(Model):
     def _simulated(
         self, runs: Sequence[tuple[Array, Trial, Hooks]]
     ) -> list[tuple[Run | None, Trajectory | None]]:
-        """Return each request and its trajectory.
+        """Simulate trials with effects, and return the request and the trajectory of each.
 
         Both are None if the simulation breaks down before its first step.
         """
@@ -460,7 +463,7 @@ class Swimmer(Model):
         return [(run, None if run is None else next(trajectories)) for run in asked]
 
     def _trajectories_of(self, runs: Sequence[Run]) -> list[Trajectory]:
-        """Return the trajectory of each request. Requests with equal keys are simulated once."""
+        """Return the trajectory of each requested simulation. Requests with equal keys are simulated once."""
         trajectories = {(run.trial.id, run.key): run.kept for run in runs if run.kept is not None}
         missing = {(run.trial.id, run.key): run for run in runs if run.kept is None}
         for at, (states, rates) in self.kernels.run(missing, self.frame).items():
@@ -521,9 +524,9 @@ def _unit(channel: str) -> str:
 
 
 def _trial_parameters(model: Swimmer) -> list[Parameter]:
-    """Return the parameters of each trial: initial state, drive phase, and those of the measurement only.
+    """Return the per-trial parameters: initial state, drive phase, start pose, clock offset and camera.
 
-    The last are start pose, clock offset and camera.
+    Start pose, clock offset and camera affect mainly how the motion is measured.
     """
     initial, view = [], []
     if model.free_base:
@@ -543,7 +546,10 @@ def _trial_parameters(model: Swimmer) -> list[Parameter]:
 
 
 def _channels(model: Swimmer) -> tuple[Channel, ...]:
-    """Return the channels: pose and velocity of a free base, angles of joints, rates of passive joints."""
+    """Return the channels of a model.
+
+    They are pose and velocity of a free base, angles of all joints, and rates of passive joints.
+    """
     found = []
     if model.free_base:
         names, words = (*model.pose, *model.velocity), (*model.places, *model.rates)
@@ -562,7 +568,7 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
 
 
 def _energetics(model: Swimmer, values: Array, run: Trajectory, last_s: float) -> Energetics:
-    """Return torques and powers over the last ``last_s`` seconds of a trajectory."""
+    """Return torques and powers of the driven joints over the last ``last_s`` seconds of a trajectory."""
     count = min(max(round(last_s / run.grid.step_s), 1), len(run.states) - 1) + 1
     rows = slice(len(run.states) - count, None)
     tables = model.tree.tables(values[: len(model.coefficients)])
@@ -578,7 +584,7 @@ def trial_parameter(name: str, unit: str, scale: float, meaning: str) -> Paramet
 
 
 def integration_grid(time_s: Array, max_step: float) -> Grid:
-    """Return the grid for the integration of a trial.
+    """Return the time grid for the integration of a trial.
 
     The median sampling interval is divided into equal steps, so that the samples of an evenly sampled log lie
     on the grid. If the sampling interval is shorter than the maximum step, the step is a whole multiple of

@@ -12,12 +12,12 @@ import swimid.options as fits
 from swimid.errors import UsageError
 from swimid.options import Options, Source, option
 
-#: Maximum integration step of a robot with links, s.
+#: Default of the maximum integration step for a robot with links, s.
 STEP_S = 0.005
 
 
 def readings() -> Any:
-    """Return the option for readings of the robot's source, by question."""
+    """Return the option ``--reading``, which selects interpretations of the robot's source."""
     return option(
         {},
         flag="--reading",
@@ -43,7 +43,7 @@ def start_state() -> Any:
     )
 
 
-#: Name of the part of the options that the search of a front depends on.
+#: Name of the group of options that affect only the search of a Pareto front.
 FRONT = "front"
 
 
@@ -133,7 +133,10 @@ class FitGrayboxOptions(
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
-        """Return the options for the provenance, with those of the front if one is searched."""
+        """Return the options that the provenance records.
+
+        The options for the search of a Pareto front are included only if a front is searched.
+        """
         every = super().settings(**found)
         if self.method != "least-squares":
             return every

@@ -35,7 +35,9 @@ DIFFERENCE_SHARE = 1e-6
 
 
 class LimitCycle(NamedTuple):
-    """Fixed point of the map from the state at the beginning of a period to the state at its end.
+    """Limit cycle of a periodically driven motion.
+
+    It is the fixed point of the map from the state at the beginning of a period to the state at its end.
 
     Attributes
     ----------
@@ -50,14 +52,17 @@ class LimitCycle(NamedTuple):
 
     @property
     def multiplier(self) -> float:
-        """Largest magnitude of an eigenvalue: the factor of the slowest perturbation in one period."""
+        """Factor by which the slowest perturbation changes in one period.
+
+        It is the largest magnitude of an eigenvalue of :attr:`slopes`.
+        """
         return float(np.max(np.abs(np.linalg.eigvals(self.slopes)), initial=0.0))
 
 
 def limit_cycle(
     period: Callable[[Array], Array], begin: Array, *, near: LimitCycle | None = None
 ) -> LimitCycle | None:
-    """Find the limit cycle to which a motion settles.
+    """Find the limit cycle to which a periodically driven motion settles.
 
     Parameters
     ----------
@@ -105,7 +110,7 @@ def limit_cycle(
 
 
 def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None) -> LimitCycle | None:
-    """Return the fixed point near a state by Newton's method; None if the iteration diverges."""
+    """Return the limit cycle near a state by Newton's method; None if the iteration does not converge."""
     before = np.inf
     for _ in range(MAX_ITERATIONS):
         states = period(state)
@@ -129,7 +134,10 @@ def _newton(period: Callable[[Array], Array], state: Array, slopes: Array | None
 
 
 def _slopes(period: Callable[[Array], Array], state: Array, end: Array, steps: Array) -> Array:
-    """Return the derivative of the map over one period, by forward differences."""
+    """Return the derivative of the state after one period with respect to the state before it.
+
+    The derivative is computed by forward differences.
+    """
     columns = [(period(state + step)[-1] - end) / np.max(step) for step in np.diag(steps)]
     return np.array(columns).T.reshape(len(state), len(state))
 
@@ -139,7 +147,7 @@ MAX_CYCLES = 64
 
 
 class Cruise(NamedTuple):
-    """Steady swimming of a model.
+    """Speed of a model in steady swimming, and time in which it settles.
 
     Attributes
     ----------
@@ -155,7 +163,7 @@ class Cruise(NamedTuple):
 
 
 class SteadySwimming:
-    """Cache of the limit cycles of a model.
+    """Computation of the steady swimming of a model, with a cache of its limit cycles.
 
     Parameters
     ----------
@@ -165,7 +173,7 @@ class SteadySwimming:
     def __init__(self, model: Swimmer) -> None:
         self.model = model
         self._cycles: TrialCache[tuple[LimitCycle | None]] = TrialCache(MAX_CYCLES)
-        # indices of the state entries on which the motion over a period depends
+        # collect the indices of the state entries on which the motion over a period depends
         passives, first = len(model.passive), model.coordinates + len(model.passive)
         angles = list(range(model.coordinates, first))
         rates = list(range(first + model.speeds, first + model.speeds + passives))
@@ -210,9 +218,9 @@ class SteadySwimming:
         return Cruise(arc / period, -period / math.log(max(cycle.multiplier, 1e-12)))
 
     def _limit_cycle(self, run: Run) -> LimitCycle | None:
-        """Return the limit cycle under the drive of a simulation, at phase zero of the drive.
+        """Return the limit cycle under the drive of a simulation, with its state at phase zero of the drive.
 
-        None if the motion never settles.
+        Return None if the motion never settles.
         """
         section = run.grid.begin_s - self._since_phase_zero(run)
         phases_and_starts = ("drive_phase", "initial_")

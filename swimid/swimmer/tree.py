@@ -24,7 +24,8 @@ from swimid.swimmer.planar.engine import PASSIVE
 
 #: Maximum number of coefficient vectors whose input arrays are cached.
 MAX_TABLES = 64
-#: Indices of the entries of a symmetric 3 by 3 matrix in its upper part, which is stored row by row.
+#: Indices that expand the upper triangle of a symmetric 3 by 3 matrix, stored row by row, to the whole
+#: matrix.
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -123,7 +124,7 @@ class Rows:
     elements: dict[str, list[tuple[int, Row]]]
 
     def add_inertia(self, link: str, terms: Row) -> None:
-        """Add terms to the apparent inertia of a link."""
+        """Add terms to the row of a link in the ``inertia`` input array."""
         row = self.inertia[self.index[link]]
         row[:] = [Polynomial.of(a) + Polynomial.of(b) for a, b in zip(row, terms, strict=True)]
 
@@ -133,13 +134,16 @@ class Rows:
 
 
 def strips(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
-    """Yield the points of Gauss's rule between two points, each with its share of the whole."""
+    """Yield the points of Gauss's quadrature rule between two positions, each with its weight.
+
+    The sum of the weights is 1.
+    """
     for node, weight in zip(*np.polynomial.legendre.leggauss(count), strict=True):
         yield low + 0.5 * (high - low) * (1.0 + float(node)), 0.5 * float(weight)
 
 
 class Table:
-    """Matrix whose entries are polynomials in the coefficients.
+    """Matrix whose entries are polynomials in the coefficients of a robot file.
 
     Parameters
     ----------
@@ -327,15 +331,15 @@ class Tree(ABC):
         unknown link, and impossible masses or inertias. The error states the dotted path.
     """
 
-    #: Name of the part of the robot file.
+    #: Name of the part of the robot file that describes the links.
     part: str
     #: Names of the input arrays for elements, in the order of the engine's arguments.
     elements: tuple[str, ...]
     #: Module of the compiled equations of motion (the engine), which defines the columns of the input arrays.
     engine: ModuleType
-    #: Functions that add the rows of an element, by kind of element.
+    #: Functions that add the rows of an element to the input arrays, by kind of element.
     adders: Mapping[str, Callable[[Any, Any, Rows], None]]
-    #: Last arguments of the engine, which do not depend on the coefficients.
+    #: Last arguments of the engine, by name. They do not depend on the coefficients.
     constants: dict[str, Any]
 
     def __init__(self, body: Any) -> None:
@@ -364,7 +368,10 @@ class Tree(ABC):
         self._evaluated = lru_cache(MAX_TABLES)(self._evaluate)
 
     def fill(self, fluid: Fluid) -> Rows:
-        """Collect the rows of links and elements, and check them at the coefficient values of the file."""
+        """Collect the rows of the input arrays from all links and elements of the robot file.
+
+        Masses and inertias are checked at the coefficient values of the file.
+        """
         engine = self.engine
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
         elements: dict[str, list[tuple[int, Row]]] = {name: [] for name in self.elements}
@@ -404,7 +411,7 @@ class Tree(ABC):
         return dict(self._evaluated(np.asarray(values, dtype=float).tobytes()))
 
     def _evaluate(self, key: bytes) -> dict[str, Any]:
-        """Return the arguments at values of the coefficients, which are given by their bytes."""
+        """Return the arguments of the engine at the coefficient values whose bytes are ``key``."""
         values = np.frombuffer(key)
         found = {
             "topology": self.topology,
@@ -457,7 +464,7 @@ def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> N
 
 
 def law_of(joint: Connection) -> list[Polynomial]:
-    """Return the row of a passive joint in the ``passive`` input array of the engine."""
+    """Return the row for the law of a passive joint in the ``passive`` input array of the engine."""
     law = joint.passive
     assert law is not None
     tendon = getattr(law, "tendon", None)

@@ -1,4 +1,4 @@
-"""Free-swimming and multibody trials of a robot with links, in a plane or in 3-D."""
+"""Reading and checking of free-swimming and multibody trials of a robot with links."""
 
 from __future__ import annotations
 
@@ -40,11 +40,12 @@ from swimid.swimmer.planar.model import MultilinkModel
 MIN_SHARE, MIN_ERRORS = 0.05, 4.0
 #: Length of the opening of a log: this time in s, or this number of sampling intervals if that is longer.
 OPENING_S, OPENING_STEPS = 0.3, 8
-#: Minimum number of samples in the opening for an estimate of position or speed.
+#: Minimum number of samples in the opening of a log for an estimate of position or speed.
 MIN_OPENING = 7
-#: Minimum F ratio at which a polynomial two orders higher replaces the simpler one in the opening of a log.
+#: Minimum F ratio at which the opening of a log is fitted by a polynomial two orders higher than the simplest
+#: one.
 MIN_F_RATIO = 6.0
-#: Maximum start time of a log that begins at rest, as a fraction of the ramp of its drive.
+#: Maximum start time of a log that begins at rest, as a fraction of the duration of its drive's ramp.
 MAX_RAMP_SHARE = 0.3
 #: Minimum number of samples of a joint angle that drives a trial, and minimum number of samples of a heading
 #: whose beat frequency is estimated.
@@ -133,7 +134,7 @@ def load(
     start_state: str = "auto",
     max_step: float = STEP_S,
 ) -> Experiment:
-    """Read a free-swim or multibody trials file of a robot with links.
+    """Read a free-swim or multibody trials file of a robot with links, with the robot and the logs.
 
     Parameters
     ----------
@@ -189,7 +190,7 @@ def load(
 def _recording(
     entry: FreeSwimTrial, path: Path, model: Swimmer, channels: Sequence[str], start_state: str
 ) -> Recording:
-    """Read the log of a trial, and return it as a recording."""
+    """Read the log of a trial, and return the trial with its log and the input of the model."""
     known = [c.name for c in model.channels]
     commands = [_command_column(axis.column) for axis in model.driven]
     log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
@@ -203,7 +204,10 @@ def _recording(
 
 
 def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> SwimInput:
-    """Return the coefficients that the entry of a trial sets, and its drive: stroke, beat or joint angles."""
+    """Return the input of the model for a trial: its drive, and the coefficients that its entry sets.
+
+    The drive is a stroke, a beat, or logged joint angles.
+    """
     for name in entry.coefficients:
         if name not in model.coefficients:
             raise InputError(
@@ -225,7 +229,7 @@ def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> 
 
 
 def _beat_of(command: Drive) -> drives.Beat:
-    """Return the drive of a trials file in SI units."""
+    """Return the beat that an entry of a trials file states, in SI units."""
     return drives.Beat(
         command.waveform,
         command.frequency_hz,
@@ -306,7 +310,7 @@ def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
 
 
 def _unwrapped(name: str, values: Array) -> Array:
-    """Remove jumps by a full rotation from an angle of the body. Other columns are unchanged."""
+    """Remove jumps by a full rotation from the column of a body angle. Other columns are unchanged."""
     known = np.isfinite(values)
     if not name.endswith("_rad") or name.startswith("joint") or not known.any():
         return values
@@ -318,7 +322,7 @@ def _unwrapped(name: str, values: Array) -> Array:
 
 
 def _default_channels(model: Swimmer, log: Log) -> list[str]:
-    """Return the columns that are fitted if the user names none."""
+    """Return the log columns that are fitted if the user names no channels."""
 
     def logged(names: Sequence[str]) -> list[str]:
         return [n for n in names if n in log and np.isfinite(log[n]).sum() > 1]
@@ -338,7 +342,10 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
 
 
 def _profile(entry: FreeSwimTrial) -> str:
-    """Return the drive of a trial in words, or the identifier of the trial if measured joints drive it."""
+    """Return the name of a trial's motion profile, which describes its drive.
+
+    If measured joint angles drive the trial, the name is the identifier of the trial.
+    """
     command = entry.drive
     if command is None:
         return entry.id
@@ -361,7 +368,7 @@ def _profile(entry: FreeSwimTrial) -> str:
 def _first_pose(model: Swimmer, log: Log) -> tuple[float, ...] | None:
     """Return the first pose in a log, with zero for coordinates that the log lacks.
 
-    None if the base is fixed, or if the log of a robot in a plane lacks the position.
+    Return None if the base is fixed, or if the log of a robot in a plane lacks the position.
     """
     if not model.free_base or (not model.in_space and any(name not in log for name in model.pose[:2])):
         return None
@@ -375,7 +382,10 @@ def _first_pose(model: Swimmer, log: Log) -> tuple[float, ...] | None:
 
 
 def _lacks_heading(model: Swimmer, log: Log) -> bool:
-    """Return whether the log of a robot in a plane has its position without its heading (a single marker)."""
+    """Return whether the log of a robot in a plane has the position but not the heading.
+
+    This is so for the track of a single marker.
+    """
     if not model.free_base or model.in_space:
         return False
     x, y, heading = (name in log and bool(np.isfinite(log[name]).any()) for name in model.pose)
@@ -383,7 +393,11 @@ def _lacks_heading(model: Swimmer, log: Log) -> bool:
 
 
 def _first_course(x: Array, y: Array) -> float:
-    """Return the direction (rad) from the first point of a track to a quarter of its extent."""
+    """Return the direction (rad) in which a track begins.
+
+    It is the direction from the first point of the track to the first point at a quarter of the largest
+    distance.
+    """
     known = np.isfinite(x) & np.isfinite(y)
     along, across = x[known] - x[known][0], y[known] - y[known][0]
     gone = np.hypot(along, across)
@@ -502,8 +516,8 @@ def _beat_error(trial: Trial, simulated: Mapping[str, Array]) -> float:
 def _begins_in_motion(trial: Trial, log: Log, model: Swimmer) -> bool:
     """Return whether a log begins in motion.
 
-    This is so if the log begins after the drive has started, or if the body or a passive joint moves at
-    first.
+    This is so if the log begins after the drive has started, or if the body or a passive joint moves in the
+    opening of the log.
     """
     beat = trial.swim.drive
     beats = getattr(beat, "amplitude_rad", 1.0) != 0.0
@@ -517,7 +531,10 @@ def _begins_in_motion(trial: Trial, log: Log, model: Swimmer) -> bool:
 
 
 def _moves(log: Log, name: str, is_joint: bool) -> bool:
-    """Return whether a channel shows motion in the opening: a velocity or rate, or a bent passive joint."""
+    """Return whether a channel shows motion in the opening of a log.
+
+    Signs of motion are a velocity, a rate, or a bent passive joint.
+    """
     values, known = log[name], np.isfinite(log[name])
     opening = _is_opening(log) & known
     count = int(opening.sum())
@@ -526,7 +543,10 @@ def _moves(log: Log, name: str, is_joint: bool) -> bool:
     time = log.time_s[opening] - log.time_s[opening][0]
 
     def is_off_zero(derivative: int, changes: Array) -> bool:
-        """Return whether a value or rate at first is significant, and not small compared with the largest."""
+        """Return whether the initial value or rate differs from zero.
+
+        It must be significant, and not small compared with the largest value or rate in the log.
+        """
         value, error = _fitted(time, values[opening], derivative)
         return abs(value) > max(MIN_ERRORS * error, MIN_SHARE * float(np.max(np.abs(changes))))
 
@@ -538,7 +558,7 @@ def _moves(log: Log, name: str, is_joint: bool) -> bool:
 
 
 def _is_opening(log: Log) -> NDArray[np.bool_]:
-    """Return which samples belong to the opening of a log, its first part (see OPENING_S)."""
+    """Return a mask of the samples in the opening of a log (see :data:`OPENING_S`)."""
     length = max(OPENING_S, OPENING_STEPS * float(np.median(np.diff(log.time_s))))
     return log.time_s <= log.time_s[0] + length
 
@@ -546,8 +566,8 @@ def _is_opening(log: Log) -> NDArray[np.bool_]:
 def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float]:
     """Return a value (derivative 0) or its rate (derivative 1) at time zero, with its standard error.
 
-    Both come from a polynomial. A polynomial two orders higher is used if it fits much better, because a
-    polynomial of low order would take a quick start from rest for initial motion.
+    Both come from a polynomial that is fitted to the samples. A polynomial two orders higher is used if it
+    fits much better, because a polynomial of low order would take a quick start from rest for initial motion.
     """
     order = 1 + derivative
     *stiff, stiff_squares = _at_zero(time_s, values, derivative, order)
@@ -559,7 +579,10 @@ def _fitted(time_s: Array, values: Array, derivative: int) -> tuple[float, float
 
 
 def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple[float, float, float]:
-    """Return a coefficient of a fitted polynomial, its standard error, and the residual sum of squares."""
+    """Return a coefficient of a polynomial, its standard error, and the residual sum of squares.
+
+    The polynomial is fitted to samples. The coefficient belongs to the power ``derivative``.
+    """
     weights, covariance = np.polyfit(time_s, values, order, cov=True)
     residuals, at = values - np.polyval(weights, time_s), order - derivative
     return float(weights[at]), math.sqrt(covariance[at, at]), float(residuals @ residuals)
@@ -571,7 +594,7 @@ def _at_zero(time_s: Array, values: Array, derivative: int, order: int) -> tuple
 def _beat(entry: FreeSwimTrial, log: Log, model: Swimmer) -> dict[str, Any] | None:
     """Return the stated frequency of a drive and the frequency found in the heading.
 
-    None if the drive is not a beat, or if the heading has too few samples.
+    Return None if the drive is not a beat, or if the heading has too few samples.
     """
     if entry.drive is None or isinstance(entry.drive, StrokeDrive) or not model.free_base:
         return None
@@ -622,7 +645,10 @@ def _check_course(path: Path, model: Swimmer, recordings: Sequence[Recording]) -
 
 
 def drive_of(trial: Trial) -> dict[str, float]:
-    """Return the quantities of a trial's drive, by name; empty if measured joints drive the trial."""
+    """Return the quantities of a trial's drive, by name.
+
+    The result is empty if measured joint angles drive the trial.
+    """
     beat, stroke = trial.swim.beat, trial.swim.stroke
     if stroke is not None:
         return {"frequency_hz": stroke.frequency_hz, "scale": stroke.scale}
@@ -645,7 +671,7 @@ def _degrees(value_rad: float) -> float:
 def driven_range(trials: Sequence[Trial]) -> dict[str, tuple[float, float]]:
     """Return the range of each drive quantity over those trials that have a drive.
 
-    Empty if measured joints drive the trials.
+    The result is empty if measured joint angles drive the trials.
     """
     found = [known for trial in trials if (known := drive_of(trial))]
     names = [name for name in next(iter(found), {}) if all(name in known for known in found)]

@@ -7,14 +7,14 @@ Kirchhoff's equations, the wrench that moves it is
 
     ``f = G nu' + (-r P_y, r P_x, u P_y - v P_x)``.
 
-A pass from the base outwards computes velocities, accelerations and wrenches with the unknown accelerations
-at zero (recursive Newton-Euler). A pass back sums the wrenches and the composite inertias. One LDL^T
-factorisation gives the accelerations. The result equals the Lagrange equations of the tendon fish (Eqs 1, 2,
-5) and of the dolphin (Eqs 3, 6).
+A pass from the base to the outer links computes velocities, accelerations and wrenches, with the unknown
+accelerations set to zero (recursive Newton-Euler). A pass back to the base sums the wrenches and the
+composite inertias. One LDL^T factorisation gives the accelerations. The result equals the Lagrange equations
+of the tendon fish (Eqs 1, 2, 5) and of the dolphin (Eqs 3, 6).
 
-The state of a robot with p passive joints, n = 3 + p, is
-``(x, y, theta, passive angles.., u, v, r, passive rates..)``: the pose in the world, and the velocity in the
-base's own axes. The functions check no index. :mod:`swimid.swimmer.planar.model` has done so.
+The state of a robot with p passive joints, n = 3 + p, is ``(x, y, theta, passive angles.., u, v, r, passive
+rates..)``: the pose in the world, and the velocity in the base's own axes. The functions do not check
+indices, because :mod:`swimid.swimmer.planar.model` has checked them.
 """
 
 from __future__ import annotations
@@ -29,13 +29,15 @@ from numpy.typing import NDArray
 
 from swimid.fitting.model import MOST_FORCES, Force, no_force
 
-#: Magnitude of a state from which a run has broken down.
+#: Magnitude of an entry of the state vector from which a simulation has broken down.
 BROKEN = 1e6
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
-    """Return ``then`` if ``asked`` is above 0, and ``otherwise`` if not, or if it is NaN. Both are computed.
+    """Return ``then`` if ``asked`` is above 0, and ``otherwise`` if it is not, or if it is NaN.
+
+    Both values are computed by the caller, whichever is returned.
 
     >>> positive(1.0, 2.0, 3.0)
     2.0
@@ -45,27 +47,32 @@ def positive(asked, then, otherwise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def settled(state):  # type: ignore[no-untyped-def]
-    """Leave the state after a step as it is."""
+    """Leave the state after an integration step unchanged.
+
+    In a plane it needs no correction. In 3-D, the function of this name scales the quaternion.
+    """
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def facing(frame, base, turn):  # type: ignore[no-untyped-def]
-    """Return the heading of a link in the world, rad, without jumps.
+    """Return the heading of a link in the world, rad.
+
+    The heading is continuous when the base turns by more than half a rotation.
 
     Parameters
     ----------
     frame : (heading in rad, its cosine, its sine)
-        Direction of the run's axes in the world.
+        Direction of the simulation's axes in the world.
     base : (heading in rad, its cosine, its sine)
-        Direction of the base in the run's axes.
+        Direction of the base in the simulation's axes.
     turn : (cosine, sine)
-        Direction of the link in the run's axes.
+        Direction of the link in the simulation's axes.
     """
     across = turn[1] * base[1] - turn[0] * base[2]
     return frame[0] + base[0] + math.atan2(across, turn[0] * base[1] + turn[1] * base[2])
 
 
-#: Columns of the tables.
+#: Columns of the input arrays of the engine. Each constant has the name of its array.
 TOPOLOGY = ("parent", "driven", "passive")
 JOINT = ("x", "y", "cos_mount", "sin_mount")
 INERTIA = ("uu", "uv", "ur", "vv", "vr", "rr")
@@ -82,7 +89,7 @@ PASSIVE = (
     "friction",
     "friction_below",
 )
-#: Entries of tables that effects may change although the robot file leaves them at zero.
+#: Entries of the input arrays that effects may change although they are zero in the robot file.
 FILLED = {"passive": slice(0, PASSIVE.index("rest") + 1)}
 DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadratic_r", "linear_r")
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
@@ -124,7 +131,7 @@ def tendon_torque(angle, spring, pretension, arm, crank):  # type: ignore[no-unt
 def passive_torque(passive, k, angle, w):  # type: ignore[no-untyped-def]
     """Return the torque (N m) of passive joint ``k`` at an angle (rad) and a rate (rad/s).
 
-    ``passive`` is the table with columns :data:`PASSIVE`.
+    ``passive`` is the input array with the columns :data:`PASSIVE`.
     """
     off = angle - passive[k, 4]
     torque = -(passive[k, 0] + passive[k, 1] * off * off) * off
@@ -138,9 +145,9 @@ def passive_torque(passive, k, angle, w):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore[no-untyped-def]
-    """Compute velocities, accelerations, wrenches and inertias of all links.
+    """Compute velocities, accelerations, wrenches and inertias of all links, from the base outwards.
 
-    Without the rate of the state (None), the unknown accelerations count as zero.
+    If the rate of the state is None, the unknown accelerations are taken as zero.
     """
     n = len(state) // 2
     for i in range(topology.shape[0]):
@@ -190,7 +197,10 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
-    """Subtract a force at a point of link ``i`` from the wrench that its motion needs."""
+    """Apply a force at a point of link ``i``.
+
+    The force is subtracted from the wrench that the motion of the link needs.
+    """
     work[i, 8] -= fx
     work[i, 9] -= fy
     work[i, 10] -= x * fy - y * fx
@@ -198,7 +208,7 @@ def _push(work, i, x, y, fx, fy):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
-    """Add Morison drag at points, and damping of rotation."""
+    """Add the Morison drag at points of the links, and the damping of the links' rotation."""
     for e in range(drag.shape[0]):
         i = drag_link[e]
         r = work[i, 4]
@@ -212,7 +222,7 @@ def _drag(drag_link, drag, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
-    """Add lift and drag of fins at their points."""
+    """Add the lift and the drag of fins, each at a point of a link."""
     for e in range(foil.shape[0]):
         i = foil_link[e]
         r = work[i, 4]
@@ -220,7 +230,7 @@ def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
         vx, vy = work[i, 2] - r * y, work[i, 3] + r * x
         square = vx * vx + vy * vy
         speed = math.sqrt(square)
-        # a point at rest has no direction of flow, and no force
+        # at a point at rest, where the force is zero, avoid a division by zero
         divisor = positive(square, square, 1.0)
         along = vx * foil[e, 6] + vy * foil[e, 7]
         across = vy * foil[e, 6] - vx * foil[e, 7]
@@ -234,7 +244,7 @@ def _foils(foil_link, foil, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
-    """Add constant forces, in the axes of a link or of the world."""
+    """Add the constant forces of the robot file, which have a fixed direction in a link or in the world."""
     for e in range(force.shape[0]):
         i = force_link[e]
         x, y = force[e, 0], force[e, 1]
@@ -247,7 +257,10 @@ def _forces(force_link, force, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
-    """Add momentum shed at trailing edges. An edge that moves backwards sheds none."""
+    """Add the reaction to the momentum that trailing edges shed into the wake.
+
+    An edge that moves backwards sheds no momentum.
+    """
     for e in range(wake.shape[0]):
         i = wake_link[e]
         r = work[i, 4]
@@ -258,7 +271,7 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
-    """Add the forces of effects (:class:`swimid.fitting.model.Force`)."""
+    """Add the external forces of effects on the links (:class:`swimid.fitting.model.Force`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
     for e in range(len(links)):
         i = links[e]
@@ -280,7 +293,10 @@ def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
-    """Compute the wrench for a unit acceleration of passive joint ``k``, and transfer it to the base."""
+    """Write the coupling of passive joint ``k`` with the base and other joints into the mass matrix.
+
+    The entries follow from the wrench for a unit acceleration of the joint, which is transferred to the base.
+    """
     hx, hy, hm = work[i, 13], work[i, 15], work[i, 16]
     at = i
     while at > 0:
@@ -305,7 +321,7 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
     work[p, 8] += gx
     work[p, 9] += gy
     work[p, 10] += work[i, 10] + jx * gy - jy * gx
-    # G in the parent's axes, then about the parent's origin
+    # rotate the inertia G into the parent's axes, then refer it to the parent's origin
     a0, a1, a3 = work[i, 11], work[i, 12], work[i, 14]
     b0 = c * c * a0 - 2.0 * c * s * a1 + s * s * a3
     b1 = c * s * (a0 - a3) + (c * c - s * s) * a1
@@ -323,9 +339,12 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
-    """Sum wrenches and composite inertias, and write the equations of the passive joints."""
+    """Sum wrenches and composite inertias from the outer links to the base.
+
+    The equations of the passive joints are written on the way.
+    """
     n = len(state) // 2
-    # joints on different branches do not couple, but the last factorisation has filled their entries
+    # clear the entries of the last factorisation, because joints on different branches do not couple
     for k in range(3, n):
         for m in range(3, k):
             matrix[k, m] = 0.0
@@ -341,7 +360,10 @@ def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ign
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def solve(matrix, right, first):  # type: ignore[no-untyped-def]
-    """Solve for the accelerations from row ``first`` on, by LDL^T in the lower triangle."""
+    """Solve the equations of motion from row ``first`` on for the accelerations.
+
+    The LDL^T factorisation overwrites the lower triangle of the matrix. The solution overwrites ``right``.
+    """
     n = len(right)
     for j in range(first, n):
         pivot = matrix[j, j]
@@ -386,7 +408,7 @@ def derivative(  # type: ignore[no-untyped-def]
     right,
     rate,
 ):
-    """Compute the rate of the state, and write it into ``rate``.
+    """Compute the time derivative of the state vector, and write it into ``rate``.
 
     Parameters
     ----------
@@ -397,11 +419,12 @@ def derivative(  # type: ignore[no-untyped-def]
     inertia : ndarray, shape (links, 6)
     passive : ndarray, shape (passive joints, 11)
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake : ndarray
-        Element lists, columns as :data:`DRAG`, :data:`FOIL`, :data:`FORCE`, :data:`WAKE`.
+        Links and properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE` and
+        :data:`WAKE`.
     free_base : bool
         Whether the base moves; otherwise it keeps its pose.
     forced : tuple or None
-        Forces of effects, as :func:`outside` packs them. None costs no time.
+        Forces of effects, as :func:`outside` packs them; None if there are none.
     time : float, s
     work : ndarray, shape (links, 19)
     matrix : ndarray, shape (n, n); right : ndarray, shape (n,)
@@ -435,7 +458,7 @@ def derivative(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def is_broken(state, rate):  # type: ignore[no-untyped-def]
-    """Return whether a state is too large, or its rate is not finite."""
+    """Return whether a simulation has broken down: a state is too large, or its rate is not finite."""
     largest = 0.0
     for j in range(len(state)):
         largest = max(largest, abs(state[j]))
@@ -466,7 +489,9 @@ def begin_stage(stage, step, here, slope, total, trial):  # type: ignore[no-unty
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
-    """Return states and rates on the step grid, by a fourth-order Runge-Kutta method with fixed steps.
+    """Integrate the equations of motion, and return the states and their rates at every step.
+
+    The method is a fourth-order Runge-Kutta method with fixed steps.
 
     Parameters
     ----------
@@ -484,7 +509,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     Returns
     -------
     states, rates : ndarray, shape (steps + 1, 2 n)
-        NaN from where the motion breaks down.
+        NaN from the step at which the simulation breaks down.
     """
     topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
     force_link, force, wake_link, wake, free_base = tables[8:]
@@ -517,10 +542,10 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
-    """Return the joint torques of a run by inverse dynamics, shape (m, links), N m.
+    """Return the joint torques in a simulation by inverse dynamics, shape (m, links), N m.
 
-    The torque of a link is the moment of the link ahead on it: the generalised force of a driven joint, the
-    law of a passive one, and zero up to rounding for a free base.
+    The torque of a link is the moment that its parent exerts on it. It is the generalised force of a driven
+    joint, or the torque from the law of a passive joint. For a free base it is zero up to rounding.
 
     Parameters
     ----------
@@ -549,18 +574,18 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
-    """Return the length of the state, and the shapes of the work arrays of :func:`derivative`."""
+    """Return the length of the state vector, and the shapes of the work arrays of :func:`derivative`."""
     n = 3 + len(tables["passive"])
     return 2 * n, [(len(tables["topology"]), 19), (n, n), (n,)]
 
 
 def placed(frame: Sequence[float], reference: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the frame of a run for the forces of effects, shape (7,).
+    """Return the coordinate frame of a simulation in the world, for the forces of effects, shape (7,).
 
     Parameters
     ----------
     frame : (x, y, heading), m and rad
-        Origin and direction of the run's axes in the world.
+        Origin and direction of the simulation's axes in the world.
     reference : (x, y), m
         Reference point in the base's axes. The forces depend on its position.
     """
@@ -568,7 +593,7 @@ def placed(frame: Sequence[float], reference: tuple[float, float]) -> NDArray[np
 
 
 def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> tuple[Any, ...]:
-    """Return forces of effects as :func:`integrate` takes them.
+    """Return the forces of effects in the form of the argument ``forced`` of :func:`integrate`.
 
     Parameters
     ----------
@@ -595,12 +620,12 @@ def outside(forces: Sequence[Force], frame: NDArray[np.float64], links: int) -> 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
-    """Return states at any times of a run, by cubic Hermite interpolation.
+    """Return the states of a simulation at given times, by cubic Hermite interpolation.
 
     Parameters
     ----------
     time : ndarray, shape (m,), s
-        Earlier times give the first state, later ones the last.
+        Times before the first step give the first state, times after the last step the last state.
     begin, step : float, s
         Time of the first state and step of the grid.
     states, rates : ndarray, shape (steps + 1, k)
@@ -617,7 +642,7 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
         place = min(max((time[i] - begin) / step, 0.0), float(last))
         k = min(int(place), max(last - 1, 0))
         f = place - k
-        # a sample on the grid, up to rounding, gives the state of the grid
+        # at a time on the grid, up to rounding, return the state of the grid
         if abs(f) < 1e-9 or abs(f - 1.0) < 1e-9 or last == 0:
             k = min(k + int(f + 0.5), last)
             for j in range(size):
@@ -634,7 +659,7 @@ def sampled(time, begin, step, states, rates):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def seen(states, speeds, reference, origin, heading, spin):  # type: ignore[no-untyped-def]
-    """Return pose and velocity of the reference point as a camera sees them.
+    """Return pose and velocity of the reference point of the robot as a camera measures them.
 
     Parameters
     ----------

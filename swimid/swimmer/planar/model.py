@@ -1,4 +1,4 @@
-"""Model of a robot in a plane: input arrays from a robot file, links as effects use them, and simulation.
+"""Model of a robot in a plane: input arrays from a robot file, interface for effects, and simulation.
 
 Each kind of element (:mod:`swimid.robots.planar`) has a function in ``ADDERS`` that adds rows to the input
 arrays of the equations of motion. :class:`Assembly` collects and checks them.
@@ -50,22 +50,22 @@ def _add_mass(
     port: Polynomial,
     turning: Polynomial,
 ) -> None:
-    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point."""
+    """Add a point mass with one value for each direction, and a moment of inertia about this point."""
     x, y = at
     about = turning + forward * y * y + port * x * x
     rows.add_inertia(link, [forward, 0.0, -(forward * y), port, port * x, about])
 
 
 def _point(station: float | str, offset: float | str) -> list[Polynomial]:
-    """Return a point of a link in the axes of the link."""
+    """Return the position of a point in the axes of its link, from its station and its offset."""
     return [-Polynomial.of(station), Polynomial.of(offset)]
 
 
 def _added_mass(element: parts.AddedMass, link: parts.Link, rows: Rows) -> None:
     """Add the added mass of a link at a station, by default at its centre of mass.
 
-    It enters the kinetic energy only (tendon fish Eq 2, dolphin Eq 3). The added-mass force of Eqs 6 and 7 in
-    these papers is a derivative of this energy, and must not be applied again.
+    The added mass enters the kinetic energy only (tendon fish Eq 2, dolphin Eq 3). The added-mass force of
+    Eqs 6 and 7 in these papers is a derivative of this energy, and must not be applied again.
     """
     station = given(element.at_m, link.com_m)
     masses = element.surge_kg, element.sway_kg, element.inertia_kg_m2
@@ -115,7 +115,7 @@ def _force(element: parts.Force, link: parts.Link, rows: Rows) -> None:
 
 
 def _hydrostatics(element: parts.Hydrostatics, link: parts.Link, rows: Rows) -> None:
-    """Add the weight of a link at its centre of mass, and the buoyancy of the link, in the vertical plane."""
+    """Add the weight of a link at its centre of mass, and its buoyancy, for motion in the vertical plane."""
     gravity = rows.gravity_m_s2
     weight = -gravity * Polynomial.of(link.mass_kg)
     rows.add("force", link.name, [*_point(link.com_m, link.com_offset_m), 0.0, weight, 1.0])
@@ -181,19 +181,20 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
 #: Minimum and maximum radius of gyration of a link, as a multiple of its length. Other values indicate a
 #: wrong unit.
 GYRATION = (0.02, 5.0)
-#: Maximum density of a link, kg/m3. The volume is a block as long as the link, and as wide and high as the
-#: robot is long. A higher density indicates a wrong unit (solid lead has 11340).
+#: Maximum density of a link, kg/m3. The density is that of a block as long as the link, and as wide and high
+#: as the robot is long. A higher density indicates a wrong unit (solid lead has 11340).
 MAX_DENSITY = 5000.0
-#: Maximum length, as a multiple of the robot's length, and maximum area, as a multiple of the square of that
-#: length.
+#: Maximum of a length in a robot file, as a multiple of the robot's length, and maximum of an area, as a
+#: multiple of the square of the robot's length.
 MAX_EXTENT = 3.0
-#: Pattern of the keys of lengths, and pattern of the paths of quantities that must not be negative.
+#: Pattern of the keys of lengths in a robot file, and pattern of the dotted paths of quantities that must not
+#: be negative.
 LENGTH = re.compile(r"(?!.*_(N|N_s|kg)_m$).*_m")
 LOSS = re.compile(
     r"multilink\.elements\..*\.\w*(area_m2|coefficient|linear|quadratic|volume|mass_kg_m)\w*"
     r"|multilink\.joints\..*\.passive\.(tendon\.)?(stiffness|damping|quadratic|spring|friction_N)\w*"
 )
-#: Maximum magnitude of any quantity.
+#: Maximum magnitude of any quantity in a robot file, in its unit.
 MAX_QUANTITY = 1e15
 
 
@@ -222,9 +223,9 @@ class Assembly(Tree):
         self.world_forces = any(row[4] == 1.0 for _, row in rows.elements["force"])
 
     def _sized(self) -> tuple[list[str], NDArray[np.intp], NDArray[np.bool_], Table]:
-        """Return paths, powers of a length, sign constraints and values of all quantities.
+        """Return path, dimension, sign constraint and value of each quantity in the robot file.
 
-        The power is 1 for a length, 2 for an area and 0 otherwise. The sign constraint is true if the
+        The dimension is 1 for a length, 2 for an area and 0 otherwise. The sign constraint is true if the
         quantity must not be negative. The values are a :class:`Table` of the coefficients.
         """
         named = list(quantities(self.body, self.part))
@@ -237,7 +238,7 @@ class Assembly(Tree):
 
     @property
     def unknowns(self) -> int:
-        """Degrees of freedom n: 3 of the base and one per passive joint."""
+        """Number of degrees of freedom: three of the base, and one for each passive joint."""
         return 3 + len(self.passive)
 
     def check(self, values: Array) -> None:
@@ -260,7 +261,7 @@ class Assembly(Tree):
             )
 
     def _check_sizes(self, values: Array) -> None:
-        """Raise an error for sizes out of proportion to the robot, and for negative areas or coefficients."""
+        """Raise an error for lengths or areas out of proportion, and for negative areas or coefficients."""
         paths, powers, one_sign, table = self._sizes
         numbers, span = table(values)[:, 0], sum(link.length_m for link in self.links)
         far = np.where(powers > 0, MAX_EXTENT * span**powers, np.inf)
@@ -335,12 +336,13 @@ def _check_link(link: parts.Link, own: Array, span: float) -> None:
 STIFFNESS, CUBIC, DAMPING = (engine.PASSIVE.index(n) for n in ("stiffness", "cubic", "damping"))
 WIRE = slice(engine.PASSIVE.index("spring"), engine.PASSIVE.index("crank") + 1)
 QUADRATIC = [engine.DRAG.index(n) for n in ("quadratic_x", "quadratic_y", "quadratic_r")]
-#: Angle at which the stiffness of a straight joint is computed, rad: torque divided by angle.
+#: Angle for the stiffness of a straight joint with a tendon, rad. The stiffness is the torque at this angle,
+#: divided by the angle.
 SMALL = 1e-4
 
 
 class Body:
-    """Links of a planar robot at the start values of its parameters, as effects use them.
+    """Interface to the links of a planar robot for effects, at the start values of the parameters.
 
     The argument ``tables`` of the methods has the input arrays of the equations of motion, by name
     (:mod:`swimid.swimmer.tree`).
@@ -386,12 +388,12 @@ class Body:
 
     @property
     def last(self) -> int:
-        """Index of the last link."""
+        """Index of the last link of the robot."""
         return len(self.lengths_m) - 1
 
     @property
     def hull(self) -> int:
-        """Index of the heaviest link."""
+        """Index of the heaviest link, which counts as the hull."""
         return int(np.argmax(self.masses_kg))
 
     def centre(self, link: int) -> Point:
@@ -406,7 +408,7 @@ class Body:
     # -------------------------------------------------------- positions of the links
 
     def frames(self, values: Array, columns: Mapping[str, Array]) -> Frames:
-        """Return front end (x, y) and heading of every link over time, m and rad, shape (links, n) each.
+        """Return position (x, y, m) of the front end and heading (rad) of each link, shape (links, n) each.
 
         Parameters
         ----------
@@ -437,13 +439,16 @@ class Body:
         return x, y, heading
 
     def rear_ends(self, frames: Frames) -> tuple[Array, Array]:
-        """Return the rear end (x, y) of every link, m, shape (links, n) each."""
+        """Return the position (x, y) of the rear end of each link, m, shape (links, n) each."""
         x, y, heading = frames
         length = np.array(self.lengths_m)[:, None]
         return x - length * np.cos(heading), y - length * np.sin(heading)
 
     def straight(self, values: Array) -> tuple[Array, Array]:
-        """Return the distance of each link's front and rear end from the straight robot's front end, m."""
+        """Return the distances of the front and rear ends of the links from the robot's front end, m.
+
+        All joints are straight.
+        """
         columns = {a.column: np.zeros(1) for a in (*self._model.driven, *self._model.passive)}
         if self.free:
             columns |= {name: np.zeros(1) for name in self.pose}
@@ -520,7 +525,7 @@ class Body:
                 continue
             c, s = np.cos(heading[link]), np.sin(heading[link])
             dx, dy = x[link] - x[root], y[link] - y[root]
-            # velocity along and across the link at a joint rate of 1 rad/s
+            # compute the velocity along and across the link at a joint rate of 1 rad/s
             along, across = s * dx - c * dy, c * dx + s * dy
             uu, uv, ur, vv, vr, rr = tables["inertia"][link]
             inertia += uu * along**2 + vv * across**2 + rr
@@ -615,7 +620,7 @@ class Body:
 
 
 class SwimmerScales(Scales):
-    """Typical scales of the trials of a planar robot."""
+    """Typical scales of mass and force in the trials of a planar robot."""
 
     model: MultilinkModel
 
@@ -660,7 +665,7 @@ class MultilinkModel(Swimmer):
     pose: tuple[str, str, str]
     velocity: tuple[str, str, str]
     tree: Assembly
-    #: The links, with the parameters from which they were computed.
+    #: Cached interface to the links, with the parameters from which it was computed.
     _body: tuple[tuple[Parameter, ...], Body] | None = None
 
     def _tree(self) -> Assembly:
@@ -683,12 +688,12 @@ class MultilinkModel(Swimmer):
 
     @property
     def reference_m(self) -> tuple[float, float]:
-        """Reference point in the axes of the base, m."""
+        """Position of the reference point in the axes of the base, m."""
         return -self.links.reference.station_m, self.links.reference.offset_m
 
     @property
     def body(self) -> Body:
-        """Links at the start values of the parameters."""
+        """Interface to the links for effects, at the start values of the parameters."""
         known = self._body
         if known is None or known[0] is not self.parameters:
             known = self._body = self.parameters, Body(self)
@@ -702,15 +707,15 @@ class MultilinkModel(Swimmer):
         return tuple(name.removesuffix("_m") for name in self.pose[:2])
 
     def scales(self, trials: Sequence[Trial]) -> SwimmerScales:
-        """Return the typical scales of trials."""
+        """Return the typical scales of quantities in these trials, such as mass and force."""
         return SwimmerScales(self, trials)
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the pose at the first sample."""
+        """Return the pose of the robot at the first sample of a trial, by channel."""
         return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
 
     def commanded(self, trial: Trial) -> bool:
-        """Return whether a drive or a logged command moves the joints, and not their measured angles."""
+        """Return whether a beat or logged commands move the joints of a trial, not their measured angles."""
         if trial.swim.joints is None:
             return trial.swim.beat is not None
         return trial.swim.commanded
@@ -725,7 +730,7 @@ class MultilinkModel(Swimmer):
         super().prepare(progress, **how)
 
     def start_velocities(self, seen: Callable[[str, int], float | None]) -> dict[str, float | None]:
-        """Return the velocities at the first sample (see :meth:`Swimmer.start_velocities`)."""
+        """Return start values of the initial velocities (see :meth:`Swimmer.start_velocities`)."""
         names = [f"initial_{name}" for name in self.rates]
         found = {name: seen(column, 0) for name, column in zip(names, self.velocity, strict=True)}
         heading = seen(self.pose[2], 0)
@@ -737,7 +742,10 @@ class MultilinkModel(Swimmer):
         return found
 
     def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the names of all initial velocities, angles and rates, since any channels determine them."""
+        """Return the names of all initial velocities, angles and rates.
+
+        For a robot in a plane, any measured channels determine all of them.
+        """
         return [p.name for p in self.parameters if p.name.startswith("initial_")]
 
     # -------------------------------------------------------- simulation
@@ -749,7 +757,10 @@ class MultilinkModel(Swimmer):
         return self._dynamic
 
     def _heading_matters(self) -> bool:
-        """Return whether forces fixed in the world, such as weight, act, so that the heading matters."""
+        """Return whether the heading affects the motion.
+
+        This is so if forces with a fixed direction in the world, such as weight, act on a free base.
+        """
         return self.tree.world_forces and self.free_base
 
     def attitude(self) -> list[int]:
@@ -757,7 +768,7 @@ class MultilinkModel(Swimmer):
         return [2] * self._heading_matters()
 
     def _heading(self, values: Array, trial: Trial) -> float:
-        """Return the heading at the first sample, rad."""
+        """Return the heading at the first sample of a trial, with its estimated offset, rad."""
         return float(trial.swim.posed()[2]) + self.value(values, self.starts[2])
 
     def _mounts(self) -> list[float]:
@@ -787,7 +798,7 @@ class MultilinkModel(Swimmer):
     def _room(self) -> Room:
         body = self.body
         links = {"base": 0, "hull": body.hull, "last": body.last}
-        # an effect may move a mass, and with it the points at which weights act
+        # include the points at which weights act, because an effect that moves a mass moves its weight, too
         filled = {"inertia": body.hull, "force": np.s_[:, :2]}
         return Room(body.room(), filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 

@@ -1,4 +1,4 @@
-"""Tree of rigid links in water, in space: compiled equations of motion and their integration.
+"""Tree of rigid links in water, in 3-D: compiled equations of motion and their integration.
 
 The unknowns are the base's pose (position and unit quaternion) and the angles of the passive hinges. Driven
 hinges enter by their angle, rate and acceleration. Every link has a constant symmetric apparent inertia for
@@ -10,14 +10,14 @@ and the wrench that moves it follows from Kirchhoff's equations,
 
     ``f = p' + w x p``,  ``m = h' + w x h + v x p``.
 
-A pass from the base outwards computes velocities, accelerations and wrenches with the unknown accelerations
-at zero (recursive Newton-Euler). A pass back sums the wrenches and the composite inertias. One LDL^T
-factorisation gives the accelerations (Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5, 6 and 9;
-Kadapa et al., sea lion, Eq 1).
+A pass from the base to the outer links computes velocities, accelerations and wrenches, with the unknown
+accelerations set to zero (recursive Newton-Euler). A pass back to the base sums the wrenches and the
+composite inertias. One LDL^T factorisation gives the accelerations (Featherstone 2008, Rigid Body Dynamics
+Algorithms, chapters 5, 6 and 9; Kadapa et al., sea lion, Eq 1).
 
 The state of a robot with p passive hinges is ``(x, y, z, qw, qx, qy, qz, passive angles.., velocity of the
-base in its own axes (u, v, w), its angular velocity, passive rates..)``. The functions check no index.
-:mod:`swimid.swimmer.spatial.model` has done so.
+base in its own axes (u, v, w), its angular velocity, passive rates..)``. The functions do not check indices,
+because :mod:`swimid.swimmer.spatial.model` has checked them.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ import numpy as np
 from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
 
 __all__ = ["FILLED"]
-#: Columns of the tables.
+#: Columns of the input array ``topology`` of the engine.
 TOPOLOGY = ("parent", "driven", "passive", "massless")
-#: Columns of the table of hinges: place on the parent, axis in the child, and rotation from child to parent
-#: row by row, ``M0 + sin M1 + (1 - cos) M2``.
+#: Columns of the input array ``joint``: position of a hinge on the parent, direction of its axis in the
+#: child, and the matrices of the rotation ``M0 + sin M1 + (1 - cos) M2`` from child to parent, row by row.
 JOINT = (
     *(f"at_{c}" for c in "xyz"),
     *(f"axis_{c}" for c in "xyz"),
     *(f"turn{m}_{r}{c}" for m in range(3) for r in range(3) for c in range(3)),
 )
-#: Columns of the table of apparent inertias: blocks A, B and D.
+#: Columns of the input array ``inertia``: blocks A, B and D of the apparent inertia matrix of a link.
 INERTIA = (
     *(f"A{p}" for p in ("00", "01", "02", "11", "12", "22")),
     *(f"B{r}{c}" for r in range(3) for c in range(3)),
     *(f"D{p}" for p in ("00", "01", "02", "11", "12", "22")),
 )
-#: Columns of the table of drag points; ``size`` is half the height over which a point leaves the water, 0 if
-#: it never does.
+#: Columns of the input array ``drag``, with one row for each drag point. The column ``size`` is half the
+#: range of height in which a point leaves the water; 0 if the point always counts as under water.
 DRAG = (*"xyz", *(f"quadratic_{c}" for c in "xyz"), *(f"linear_{c}" for c in "xyz"), "size")
 DAMPING = ("quadratic_p", "quadratic_q", "quadratic_r", "linear_p", "linear_q", "linear_r")
 FOIL = (
@@ -57,21 +57,22 @@ FOIL = (
 )  # fmt: skip
 FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
 
-#: First columns in the work array: rotation to the parent (9), v, w, v', w', f, m, A (6), B (9), D (6),
-#: rotation to the world (9), place in the world (3), and the number of columns.
+#: First columns of the quantities of a link in the work array: rotation to the parent (9 columns), v, w, v',
+#: w', f, m (3 each), A (6), B (9), D (6), rotation to the world (9) and position in the world (3). The last
+#: constant is the number of columns.
 _R, _V, _W, _DV, _DW, _F = 0, 9, 12, 15, 18, 21
 _M, _A, _B, _D, _TURN, _PLACE, _WORK = 24, 27, 33, 42, 48, 57, 60
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _at(w, k):  # type: ignore[no-untyped-def]
-    """Return a vector of a work array, which begins at column ``k``."""
+    """Return the vector that begins at column ``k`` of a row of an array."""
     return w[k], w[k + 1], w[k + 2]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _put(w, k, v):  # type: ignore[no-untyped-def]
-    """Write a vector into a work array."""
+    """Write a vector into a row of an array, from column ``k`` on."""
     w[k], w[k + 1], w[k + 2] = v
 
 
@@ -101,13 +102,13 @@ def _cross(a, b):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _apply(w, k, v):  # type: ignore[no-untyped-def]
-    """Return the product of the 3 by 3 matrix at column ``k`` and a vector."""
+    """Return the product of the 3 by 3 matrix that begins at column ``k`` of a row, and a vector."""
     return _dot(_at(w, k), v), _dot(_at(w, k + 3), v), _dot(_at(w, k + 6), v)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _transposed(w, k, v):  # type: ignore[no-untyped-def]
-    """Return the product of the transpose of the matrix at column ``k`` and a vector."""
+    """Return the product of the transpose of the 3 by 3 matrix at column ``k`` of a row, and a vector."""
     return (
         w[k] * v[0] + w[k + 3] * v[1] + w[k + 6] * v[2],
         w[k + 1] * v[0] + w[k + 4] * v[1] + w[k + 7] * v[2],
@@ -117,22 +118,27 @@ def _transposed(w, k, v):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _symmetric(w, k, v):  # type: ignore[no-untyped-def]
-    """Return the product of the symmetric matrix at column ``k``, stored by its upper part, and a vector."""
+    """Return the product of the symmetric 3 by 3 matrix at column ``k`` of a row, and a vector.
+
+    Six columns hold the upper triangle of the matrix.
+    """
     s0, s1, s2, s3, s4, s5 = w[k], w[k + 1], w[k + 2], w[k + 3], w[k + 4], w[k + 5]
     return _dot((s0, s1, s2), v), _dot((s1, s3, s4), v), _dot((s2, s4, s5), v)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _moving(w, at):  # type: ignore[no-untyped-def]
-    """Return the velocity of a point of a link."""
+    """Return the velocity of a point of a link, in the axes of the link."""
     return _plus(_at(w, _V), _cross(_at(w, _W), at))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def wet(height, size):  # type: ignore[no-untyped-def]
-    """Return the share of a point's section in the water, with its middle at ``height`` above the surface.
+    """Return the fraction of the cross-section at a point that is under water.
 
-    It falls smoothly (cubic) from 1 at ``-size`` to 0 at ``size``. It is 1 if ``size`` is 0.
+    The centre of the cross-section is at ``height`` above the water surface.
+
+    The fraction falls smoothly (cubic) from 1 at ``-size`` to 0 at ``size``. It is 1 if ``size`` is 0.
     """
     if size <= 0.0:
         return 1.0
@@ -142,9 +148,9 @@ def wet(height, size):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore[no-untyped-def]
-    """Compute velocities, accelerations, wrenches and inertias of all links.
+    """Compute velocities, accelerations, wrenches and inertias of all links, from the base outwards.
 
-    Without the rate of the state (None), the unknown accelerations count as zero.
+    If the rate of the state is None, the unknown accelerations are taken as zero.
     """
     twist = 7 + (len(state) - 13) // 2
     for i in range(topology.shape[0]):
@@ -188,13 +194,14 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
             for m in range(9):
                 w[m] = joint[i, 6 + m] + s * joint[i, 15 + m] + (1.0 - c) * joint[i, 24 + m]
             place, axis = _at(joint[i], 0), _at(joint[i], 3)
-            # velocity and acceleration of the hinge, in the axes of the link
+            # compute velocity and acceleration of the hinge, in the axes of the link
             _put(w, _V, _transposed(w, _R, _moving(u, place)))
             _put(w, _W, _transposed(w, _R, _at(u, _W)))
             _put(w, _DV, _transposed(w, _R, _plus(_at(u, _DV), _cross(_at(u, _DW), place))))
             _put(w, _DW, _transposed(w, _R, _at(u, _DW)))
             if d >= 0 or k >= 0:
-                # motion of the hinge, s = axis speed: v' += v x s, w' += w_parent x s + axis bend, w += s
+                # add the motion of the hinge, with s = axis speed: v' += v x s, w' += w_parent x s + axis
+                # bend, w += s
                 turning = _times(speed, axis)
                 _put(w, _DV, _plus(_at(w, _DV), _cross(_at(w, _V), turning)))
                 spun = _plus(_times(bend, axis), _cross(_at(w, _W), turning))
@@ -214,14 +221,14 @@ def _outwards(state, row, topology, joint, inertia, rate, work):  # type: ignore
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _momenta(w, v, spin):  # type: ignore[no-untyped-def]
-    """Return linear and angular momentum of a link at a velocity and a rate of rotation."""
+    """Return the linear and the angular momentum of a link for its linear and angular velocity."""
     p = _plus(_symmetric(w, _A, v), _apply(w, _B, spin))
     return p, _plus(_transposed(w, _B, v), _symmetric(w, _D, spin))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _newton_euler(w):  # type: ignore[no-untyped-def]
-    """Compute the wrench that the motion of a link needs, at its origin."""
+    """Compute the wrench at the origin of a link that the motion of this link needs."""
     v, spin = _at(w, _V), _at(w, _W)
     p, h = _momenta(w, v, spin)
     force, moment = _momenta(w, _at(w, _DV), _at(w, _DW))
@@ -231,7 +238,10 @@ def _newton_euler(w):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _push(w, at, force):  # type: ignore[no-untyped-def]
-    """Subtract a force at a point of a link from the wrench that its motion needs."""
+    """Apply a force at a point of a link.
+
+    The force is subtracted from the wrench that the motion of the link needs.
+    """
     w[_F] -= force[0]
     w[_F + 1] -= force[1]
     w[_F + 2] -= force[2]
@@ -240,13 +250,13 @@ def _push(w, at, force):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _share(w, at, size, surface):  # type: ignore[no-untyped-def]
-    """Return the share of a point of a link that is in the water (see :func:`wet`)."""
+    """Return the fraction of the cross-section at a point of a link that is under water (see :func:`wet`)."""
     return wet(w[_PLACE + 2] + _dot(_at(w, _TURN + 6), at) - surface, size)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _drags(drag_link, drag, surface, work):  # type: ignore[no-untyped-def]
-    """Add drag at points, along each axis of the link."""
+    """Add the drag at points of the links, along each axis of a link."""
     for e in range(drag.shape[0]):
         w, at = work[drag_link[e]], _at(drag[e], 0)
         vx, vy, vz = _moving(w, at)
@@ -258,7 +268,7 @@ def _drags(drag_link, drag, surface, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _dampings(damping_link, damping, work):  # type: ignore[no-untyped-def]
-    """Add moments against rotation."""
+    """Add the moments that damp the rotation of the links."""
     for e in range(damping.shape[0]):
         w = work[damping_link[e]]
         for m in range(3):
@@ -267,13 +277,13 @@ def _dampings(damping_link, damping, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
-    """Add lift and drag of fins at their points. Flow along the span has no effect."""
+    """Add the lift and the drag of fins, each at a point of a link. Flow along the span has no effect."""
     for e in range(foil.shape[0]):
         w, at = work[foil_link[e]], _at(foil[e], 0)
         chord, normal, v = _at(foil[e], 7), _at(foil[e], 10), _moving(w, at)
         along, across = _dot(v, chord), _dot(v, normal)
         square = along * along + across * across
-        # a point at rest has no direction of flow, and no force
+        # at a point at rest, where the force is zero, avoid a division by zero
         divisor = positive(square, square, 1.0)
         lift = 2.0 * foil[e, 4] * along * across / divisor
         resistance = foil[e, 5] + 2.0 * foil[e, 6] * across * across / divisor
@@ -285,7 +295,10 @@ def _foils(foil_link, foil, surface, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
-    """Add constant forces, in the axes of a link or of the world. Buoyancy ends above the surface."""
+    """Add the constant forces of the robot file, which have a fixed direction in a link or in the world.
+
+    Buoyancy falls to zero where a point leaves the water.
+    """
     for e in range(force.shape[0]):
         w, at, own = work[force_link[e]], _at(force[e], 0), _at(force[e], 3)
         if force[e, 6] != 0.0:
@@ -295,7 +308,10 @@ def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
-    """Compute the wrench for a unit acceleration of passive hinge ``k``, and transfer it to the base."""
+    """Write the coupling of passive hinge ``k`` with the base and other hinges into the mass matrix.
+
+    The entries follow from the wrench for a unit acceleration of the hinge, which is transferred to the base.
+    """
     axis = _at(joint[i], 3)
     force, moment = _momenta(work[i], (0.0, 0.0, 0.0), axis)
     matrix[6 + k, 6 + k] = _dot(axis, moment)
@@ -316,14 +332,17 @@ def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _add_upper(w, k, a, b, c):  # type: ignore[no-untyped-def]
-    """Add the rows of a symmetric matrix to the upper part that is stored at column ``k``."""
+    """Add a symmetric 3 by 3 matrix, given by its rows, to the upper triangle stored at column ``k``."""
     _put(w, k, _plus(_at(w, k), a))
     _put(w, k + 3, _plus(_at(w, k + 3), (b[1], b[2], c[2])))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _rotated(w, product, k):  # type: ignore[no-untyped-def]
-    """Return the rows of ``R M R'``; ``product`` multiplies the matrix M at column ``k`` and a vector."""
+    """Return the rows of ``R M R'``, with the rotation R of a link to its parent and a matrix M.
+
+    The matrix M is stored at column ``k``. The function ``product`` multiplies it by a vector.
+    """
     return (
         _apply(w, _R, product(w, k, _at(w, _R))),
         _apply(w, _R, product(w, k, _at(w, _R + 3))),
@@ -333,7 +352,10 @@ def _rotated(w, product, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
-    """Add the wrench and composite inertia of a link to those of its parent, in its axes, at its origin."""
+    """Add the wrench and composite inertia of a link to those of its parent.
+
+    They are first converted to the axes and the origin of the parent.
+    """
     w, u, place = work[i], work[p], _at(joint[i], 0)
     x, y, z = place
     force = _apply(w, _R, _at(w, _F))
@@ -359,9 +381,12 @@ def _to_parent(i, p, joint, work):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _inwards(state, topology, joint, passive, work, matrix, right):  # type: ignore[no-untyped-def]
-    """Sum wrenches and composite inertias, and write the equations of the passive hinges."""
+    """Sum wrenches and composite inertias from the outer links to the base.
+
+    The equations of the passive hinges are written on the way.
+    """
     passives = passive.shape[0]
-    # hinges on different branches do not couple, but the last factorisation has filled their entries
+    # clear the entries of the last factorisation, because hinges on different branches do not couple
     for k in range(6, 6 + passives):
         for m in range(6, k):
             matrix[k, m] = 0.0
@@ -399,7 +424,7 @@ def derivative(  # type: ignore[no-untyped-def]
     right,
     rate,
 ):
-    """Compute the rate of the state, and write it into ``rate``.
+    """Compute the time derivative of the state vector, and write it into ``rate``.
 
     Parameters
     ----------
@@ -410,7 +435,8 @@ def derivative(  # type: ignore[no-untyped-def]
     inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
         Columns of ``swimid.swimmer.planar.engine.PASSIVE``
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force : ndarray
-        Element lists, columns as :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`, :data:`FORCE`.
+        Links and properties of the elements, with the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL` and
+        :data:`FORCE`.
     surface : float, m
         Height of the water surface in the world.
     free_base : bool
@@ -461,7 +487,7 @@ def derivative(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def settled(state):  # type: ignore[no-untyped-def]
-    """Scale the quaternion of a state to length 1, in place."""
+    """Scale the quaternion in a state vector to length 1, in place."""
     length = 0.0
     for j in range(3, 7):
         length += state[j] ** 2
@@ -472,7 +498,7 @@ def settled(state):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-untyped-def]
-    """Return states and rates on the step grid (see :func:`swimid.swimmer.planar.engine.integrate`).
+    """Integrate the equations of motion (see :func:`swimid.swimmer.planar.engine.integrate`).
 
     The quaternion is scaled to length 1 after each step.
     """
@@ -506,7 +532,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
-    """Return the hinge torques of a run by inverse dynamics, shape (m, links), N m.
+    """Return the hinge torques in a simulation by inverse dynamics, shape (m, links), N m.
 
     See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.
     """
@@ -527,6 +553,6 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:
-    """Return the length of the state, and the shapes of the work arrays of :func:`derivative`."""
+    """Return the length of the state vector, and the shapes of the work arrays of :func:`derivative`."""
     n = 6 + len(tables["passive"])
     return 2 * n + 1, [(len(tables["topology"]), _WORK), (n, n), (n,)]

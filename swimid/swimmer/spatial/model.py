@@ -22,22 +22,23 @@ from swimid.swimmer.model import Swimmer
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given, strips
 
-#: Row and column indices of the entries that are stored of a symmetric 3 by 3 matrix.
+#: Row and column indices of the upper triangle of a symmetric 3 by 3 matrix, which is stored in an input
+#: array.
 UPPER = np.triu_indices(3)
 ZERO = np.zeros((3, 3))
 
 
 def _vector(entries: Sequence[Entry]) -> Any:
-    """Return an array of polynomials."""
+    """Return entries of a robot file as an array of polynomials in its coefficients."""
     return np.array([Polynomial.of(entry) for entry in entries], dtype=object)
 
 
 def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: Any = ZERO) -> None:
-    """Add a mass, with a value for each direction, at a point, and a moment of inertia about the point.
+    """Add a point mass with one value for each direction, and an inertia about this point.
 
-    The entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) are the blocks A = M, ``B = -M S`` and ``D = J
-    - S M S`` of the inertia matrix. S is the matrix of the cross product with the position of the point. The
-    velocity of the point is ``v - S w``.
+    The added entries (:data:`swimid.swimmer.spatial.engine.INERTIA`) are the blocks A = M, ``B = -M S`` and
+    ``D = J - S M S`` of the inertia matrix. S is the matrix of the cross product with the position of the
+    point. The velocity of the point is ``v - S w``.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: An
 
 
 def full(row: Array) -> Array:
-    """Return the inertia matrix of a row of the ``inertia`` input array, shape (6, 6)."""
+    """Return the inertia matrix that a row of the ``inertia`` input array represents, shape (6, 6)."""
     b = row[6:15].reshape(3, 3)
     return np.block([[row[:6][SYMMETRIC], b], [b.T, row[15:][SYMMETRIC]]])
 
@@ -172,7 +173,7 @@ def _water(element: parts.Water, body: parts.Body, rows: Rows) -> None:
 
 
 def _force(element: parts.Force, body: parts.Body, rows: Rows) -> None:
-    """Add a constant force at a point of a link."""
+    """Add a constant force at a point of a link, in the axes of the link or of the world."""
     world = float(element.frame == "world")
     rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
 
@@ -351,7 +352,7 @@ class MultibodyModel(Swimmer):
         return found
 
     def determined_starts(self, measured: Collection[str]) -> list[str]:
-        """Return the names of the initial velocities, angles and rates that these channels determine.
+        """Return the names of the initial velocities, angles and rates that measured channels determine.
 
         A side view determines only the velocities in its plane.
         """
@@ -363,7 +364,7 @@ class MultibodyModel(Swimmer):
         return [p.name for p in self.parameters if p.name.startswith("initial_") and p.name not in blind]
 
     def _posed(self, values: Array, trial: Trial) -> Array:
-        """Return the pose of the reference point at the first sample, shape (6,)."""
+        """Return the pose of the reference point at the first sample, with estimated offsets, shape (6,)."""
         pose = np.array(trial.swim.posed(6), dtype=float)
         return pose + [self.value(values, name) for name in self.starts]
 
@@ -383,7 +384,7 @@ class MultibodyModel(Swimmer):
         start[10 + passives : 13 + passives] = spin
 
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
-        """Return the channels of pose and velocity of the reference point."""
+        """Return the channels of pose and velocity of the reference point from simulated states."""
         passives = len(self.passive)
         turn = Rotation.from_quat(_sound(states[:, [4, 5, 6, 3]]))
         place = states[:, :3] + turn.apply(self.tree.reference)
@@ -399,6 +400,6 @@ class MultibodyModel(Swimmer):
 
 
 def _sound(quaternions: Array) -> Array:
-    """Return quaternions in which those of a simulation that broke down are replaced by the identity."""
+    """Return quaternions in which the NaN rows of a simulation that broke down are the identity."""
     broken = ~np.isfinite(quaternions).all(axis=1, keepdims=True)
     return np.where(broken, [0.0, 0.0, 0.0, 1.0], quaternions)
