@@ -115,7 +115,7 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Return the options with the given values; None stands for the default.
+        """Return the options with the given values. The value None stands for the default of an option.
 
         Raises
         ------
@@ -130,7 +130,7 @@ class Options(BaseModel):
 
     @classmethod
     def declared(cls) -> dict[str, Declared]:
-        """Return all options by the name of their field, in the order of declaration."""
+        """Return the declaration of each option by the name of its field, in the order of the class."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
     def settings(self, **actual: Any) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class Declared:
 
     @property
     def flag(self) -> str:
-        """Name of the option in messages."""
+        """Name of the option in messages, such as ``--start-state``."""
         return self.flags.split("/")[0].split(" ")[-1]
 
     def files(self, value: Any) -> list[Path]:
@@ -308,7 +308,7 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
 # ---------------------------------------------------------------- options that several commands share
 
 
-#: State at the start of a trial: chosen from the log, at rest, or estimated.
+#: Initial state of a trial: chosen by the fit from the log, at rest, or estimated.
 StartState = Literal["auto", "rest", "estimate"]
 
 
