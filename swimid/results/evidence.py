@@ -1,7 +1,7 @@
 """Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
 
 A command writes the evidence next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show the
-evidence of all commands with the same code. yamlio.Numbers keep all digits; NaN is written as null.
+evidence of all commands with the same code. Numbers keep all digits, and NaN is written as null.
 """
 
 from __future__ import annotations
@@ -82,9 +82,9 @@ class Heat(_Part):
 
     rows: list[str]
     columns: list[str]
-    #: yamlio.Numbers of each row; None for a cell without a number.
+    #: Numbers of each row of cells; None for a cell without a number.
     values: list[yamlio.Numbers]
-    #: Largest number of a cell without shade, with the scale ``log``.
+    #: Largest number whose cell has no shade, with the scale ``log``.
     neutral: float = Field(default=1.0, gt=0)
     scale: Literal["log", "linear"] = "log"
 
@@ -96,7 +96,7 @@ class Heat(_Part):
 
 
 class Panel(_Part):
-    """Pair of axes with its contents."""
+    """Panel of a figure: a pair of axes with traces or a heat map, labels and reference lines."""
 
     x_label: str
     y_label: str
@@ -162,7 +162,7 @@ class Verdict(_Part):
 
     level: Literal["good", "caution", "bad"]
     text: str
-    #: Word that is shown for the level; by default the level itself.
+    #: Word that reports show in place of the level; empty to show the level itself.
     word: str = ""
 
     def lowered(self, level: str, text: str) -> Verdict:
@@ -185,9 +185,9 @@ class Evidence(_Part):
     command: str
     title: str
     verdict: Verdict
-    #: Short facts: robot, model, number of trials.
+    #: Short facts about the result by name, such as robot, model and number of trials.
     facts: dict[str, str] = Field(default_factory=dict)
-    #: Sentences below the first table.
+    #: Sentences that a report shows below the first table.
     notes: list[str] = []
     checks: list[Check] = []
     tables: list[Table] = []
@@ -229,7 +229,7 @@ def check(
     otherwise: Literal["warn", "fail"] = "warn",
     reason: str = "",
 ) -> Check:
-    """Return the check of a value against a limit.
+    """Return the entry of the evidence for a check of a value against a limit.
 
     Parameters
     ----------
@@ -379,23 +379,23 @@ def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.nd
 
 #: Maximum number of points of one trial in a figure of several trials.
 POINTS = 400
-#: Number of measured points over the width of a panel that also shows a line, for a straight curve.
+#: Number of measured points that are drawn along a straight curve over the whole width of a panel.
 MAX_MARKS = 50
 #: Maximum number of trials in a figure of residuals, and largest residual in it. Each trial is a row of the
 #: figure, which shows weighted residuals between -ROW_SD and ROW_SD standard deviations of the noise.
 MAX_ROWS, ROW_SD = 12, 4.0
-#: Distance of ROW_SD standard deviations from the middle of a row, in rows.
+#: Distance from the middle of a row at which a residual of ROW_SD standard deviations is drawn, in rows.
 HALF_ROW = 0.45
 
 Cell = str | float | int | bool | None
 
 
-#: Channel of one trial, an object with ``trial``, ``role`` ("fit" or "validate"), and the arrays ``time_s``,
-#: ``measured``, ``simulated`` and ``weighted`` (measured minus simulated, divided by the standard deviation
-#: of the noise).
+#: Type of a channel of one trial with its simulation: an object with ``trial``, ``role`` ("fit" or
+#: "validate"), and the arrays ``time_s``, ``measured``, ``simulated`` and ``weighted`` (measured minus
+#: simulated, divided by the standard deviation of the noise).
 Series = Any
-#: Correlation function, an object with ``lags``, ``values`` and ``bound``. The bound is the half-width of the
-#: 95 % band of white noise.
+#: Type of a correlation function: an object with ``lags``, ``values`` and ``bound``. The bound is the
+#: half-width of the 95 % band of white noise.
 Correlogram = Any
 
 
@@ -456,7 +456,7 @@ def panels(id: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure
 
 
 def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> Panel:
-    """Return a panel. Further keyword arguments are fields of :class:`Panel`."""
+    """Return a panel of a figure. Further keyword arguments are fields of :class:`Panel`."""
     return Panel(x_label=x_label, y_label=y_label, traces=list(traces), **more)
 
 
@@ -539,7 +539,10 @@ def _rms(values: Any) -> float:
 def residuals(
     id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
-    """Return a figure of the weighted residuals of the worst trials, and of a given autocorrelation."""
+    """Return a figure of the weighted residuals of the trials with the largest errors.
+
+    If ``correlation`` is given, a second panel shows the autocorrelation of the residuals.
+    """
     worst = sorted(range(len(shown)), key=lambda k: -_rms(shown[k].weighted))[:MAX_ROWS]
     rows = [shown[k] for k in sorted(worst)]
     mixed = len({s.role for s in rows}) > 1

@@ -37,7 +37,7 @@ _UNITS = (
 )
 #: Unit of each suffix of a column or key: ``m_s2`` stands for m/s^2.
 _SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNITS)} | {"hz": "Hz"}
-#: Quantities, in words, of the columns with body-fixed speeds.
+#: Name in words of the quantity in each column with a body-fixed speed.
 BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 
 
@@ -56,7 +56,10 @@ def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """Return a value as text, rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
+    """Return a value as text with ``decimals`` decimal places.
+
+    With -1 decimal places the value is rounded to tens, with -2 to hundreds. The text is never ``-0``.
+    """
     rounded = round(float(value), decimals) + 0.0
     return f"{rounded:.{max(decimals, 0)}f}".replace("-", "−")
 
@@ -205,7 +208,7 @@ def _joined(text: str, unit: str) -> str:
 
 
 def in_degrees(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit for display: degrees in place of radians, other units unchanged.
+    """Return the conversion factor and the unit for display: degrees for radians, other units unchanged.
 
     >>> in_degrees("m/s")
     (1.0, 'm/s')

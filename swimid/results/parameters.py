@@ -104,7 +104,7 @@ class ParameterFile(yamlio.ResultFile):
     settings: dict[str, Any] = {}
     fit: Fit | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
-    #: Drag parameters that were used in the fit of the recoil law, if they were in memory.
+    #: Drag parameters that the fit of the recoil law used, if they were passed in memory.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     def write(self, path: str | Path) -> None:
@@ -127,14 +127,17 @@ Source = str | Path | ParameterFile | FileResult[ParameterFile]
 
 
 def place(source: Source) -> Path:
-    """Return the path of the parameters for messages. Paths in the parameters are relative to its folder."""
+    """Return the path that messages show for a source of parameters.
+
+    Relative paths in the parameters start at the folder of this path.
+    """
     if isinstance(source, str | Path):
         return Path(source)
     return Path("parameters")
 
 
 def _file(source: Source) -> ParameterFile:
-    """Return the content of the parameter file."""
+    """Return the content of the parameter file to which a source of parameters refers."""
     if isinstance(source, str | Path):
         return ParameterFile.read(source)
     if isinstance(source, ParameterFile):
@@ -143,7 +146,7 @@ def _file(source: Source) -> ParameterFile:
 
 
 def origin(source: Source) -> Path | Held:
-    """Return the entry of the parameters in the provenance: a path, or a name and a digest."""
+    """Return the provenance entry of a source of parameters: its path, or its name and SHA-256."""
     if isinstance(source, str | Path):
         return Path(source)
     file = _file(source)

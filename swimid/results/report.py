@@ -128,7 +128,7 @@ def report(
 
 
 def _read(path: Path) -> Result:
-    """Read a result with its evidence. Warnings that are raised meanwhile are added to the evidence.
+    """Read a result with its evidence. Warnings that occur while reading are added to the evidence.
 
     Warns
     -----
@@ -238,7 +238,7 @@ def render(
 
 
 def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> dict[str, Any]:
-    """Return the content of one result for the template. Main parts and folded parts are separate."""
+    """Return the content of one result for the template, with visible and folded parts separate."""
     panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
     n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
     tables = [table for table in content.tables if not table.folded][:MAIN_TABLES]
