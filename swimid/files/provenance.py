@@ -126,7 +126,10 @@ def says_simulated(given: Input) -> bool:
 
 
 def _head(path: Path) -> str:
-    """Return the beginning of a file as text. Metadata of a Parquet file by swimid are comment lines."""
+    """Return the beginning of a file as text.
+
+    For a Parquet file that swimid wrote, the text has its metadata as comment lines.
+    """
     with file_errors(path), path.open("rb") as stream:
         head = stream.read(NEAR)
     if head.startswith(b"PAR1"):
@@ -164,7 +167,7 @@ VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
 NEAR = 65536
 
 _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
-#: Pattern of a format that swimid writes. People also write the other formats by hand.
+#: Pattern of the formats that only swimid writes. Users also write the excluded formats by hand.
 _FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
 #: Patterns of the marks at the beginning of a file, including what precedes the mark: log, JSON, JSON Schema,
 #: findings of ``doctor``, XML, HTML, C header, CSV of a front, SVG, PNG, GIF.
@@ -188,7 +191,8 @@ _BEGINNING = re.compile(
 )  # fmt: skip
 #: Pattern of the mark at the end of a Markdown page.
 _MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
-#: Patterns of the first line of a YAML file, and of the origin of the file, which may follow anywhere.
+#: Patterns of the first line of a YAML file that swimid wrote, and of its block ``provenance``, which may
+#: follow anywhere.
 _YAML = re.compile(rf"format: *['\"]?{_FORMAT}['\"\s]")
 _ORIGIN = re.compile(r"^provenance:\n(?: .*\n)*?  version: ", re.MULTILINE)
 
@@ -216,7 +220,7 @@ def is_own(path: Path) -> bool:
 
 
 def mark_png(data: bytes) -> bytes:
-    """Return a PNG file with the mark of swimid; ``data`` is a PNG file without metadata."""
+    """Return a PNG file with the mark of swimid added. ``data`` is a PNG file without metadata."""
     content = b"tEXtSoftware\0" + SOFTWARE.encode()
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
     after_header = 8 + 25  # signature and IHDR chunk

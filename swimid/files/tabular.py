@@ -20,7 +20,7 @@ MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
 
 
 def head(path: Path) -> tuple[list[str], str, int]:
-    """Return the comment lines without ``#``, the header line, and its number (from 1).
+    """Return the comment lines of a CSV file without ``#``, its header line, and the number of this line.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def parse(
     decimal: str = ".",
     missing: Sequence[str] = MISSING,
 ) -> pd.DataFrame:
-    """Return the cells under the header as a table, one row for each line that is not blank.
+    """Return the cells below the header of a CSV file as a table, one row for each line that is not blank.
 
     A line with too few cells has missing values at its end. A line with too many cells is left out. Every
     number is the floating-point number that is nearest to the text in its cell.
@@ -140,7 +140,7 @@ def missing_column(
 
 
 def number(text: str) -> float | None:
-    """Return the number in a cell; None if the cell is not a number.
+    """Return the number in a cell of a table; None if the text is not a number.
 
     >>> number(" 1e-3 "), number("1,5"), number("1_0")
     (0.001, None, None)

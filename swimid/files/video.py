@@ -13,7 +13,7 @@ from swimid.errors import InputError
 from swimid.files.provenance import MADE_BY, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
-#: Number of ticks of the time stamps per second.
+#: Resolution of the time stamps of video frames, ticks per second.
 CLOCK = 90_000
 #: Remark for the user if browsers do not play the video.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
@@ -108,7 +108,7 @@ class Gif:
 
         if not self._frames:
             return
-        # the palette is that of the last frame, which shows the whole path
+        # all frames use the palette of the last frame, which shows the whole path of the robot
         palette = Image.fromarray(self._frames[-1]).quantize(colors=64)
         first, *rest = (
             Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in self._frames
@@ -124,7 +124,8 @@ class Gif:
         )
 
 
-#: Writer of frames of one size, shape (height, width, 3), with the colours in the order blue, green, red.
+#: Type of a video writer. All frames have the same shape (height, width, 3) and the colour order blue, green,
+#: red.
 Writer = H264 | Mpeg4 | Gif
 
 

@@ -47,7 +47,10 @@ class Document(BaseModel):
 
 
 class ResultFile(Document):
-    """Base class of the formats that commands write. The default of the field ``format`` is the format."""
+    """Base class of the file formats that commands write.
+
+    The default value of the field ``format`` is the name of the format, such as ``swimid-gap/1``.
+    """
 
     #: Name of the kind of file in messages, such as ``"comparison file"``.
     kind: ClassVar[str]
@@ -92,7 +95,7 @@ def plain(value: Any, *, finite: bool = False) -> Any:
 
 
 _known = partial(plain, finite=True)
-#: Number, or None if the number is undefined. The other types are lists, tables and pairs of such numbers.
+#: Field types for numbers of which some may be undefined (None): one number, a list, a table and a pair.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]
 Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
@@ -181,7 +184,7 @@ def _expanded(node: Any, known: dict[int, int]) -> int:
     if not isinstance(node, dict | list):
         return 1
     if id(node) not in known:
-        known[id(node)] = MAX_NODES + 1  # a node inside itself never ends
+        known[id(node)] = MAX_NODES + 1  # a node that contains itself counts as too large
         inner = node.values() if isinstance(node, dict) else node
         known[id(node)] = min(1 + sum(_expanded(part, known) for part in inner), MAX_NODES + 1)
     return known[id(node)]
@@ -219,9 +222,9 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
 
 
 def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | None]:
-    """Return the parts of a location that are in the data, the data at the location, and the line.
+    """Return the parts of an error's location that are in YAML data, the data at the location, and the line.
 
-    pydantic adds the names of the branches of a union to a location. These names are not in the data.
+    pydantic adds the names of the branches of a union to the location. These names are not in the data.
     """
     parts: list[Any] = []
     line: int | None = None
@@ -237,7 +240,7 @@ def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int |
 
 
 def line_of(data: Any, location: Sequence[Any]) -> int | None:
-    """Return the line of the deepest part of ``location`` that is in the document."""
+    """Return the line number of the deepest key of ``location`` that is in the YAML document."""
     return _followed(data, location)[2]
 
 
@@ -276,7 +279,7 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
-    """Return the keys that the schema allows at a location."""
+    """Return the keys that the schema of a model allows at a location in a document."""
     schema = model.model_json_schema()
     nodes = _branches(schema, schema)
     for part in location:
@@ -292,7 +295,7 @@ def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
 
 
 def _branches(node: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the alternatives of a part of a schema, with references resolved."""
+    """Return the alternatives that a node of a JSON Schema allows, with references resolved."""
     if "$ref" in node:
         return _branches(schema["$defs"][node["$ref"].rsplit("/", 1)[-1]], schema)
     branches = [*node.get("anyOf", []), *node.get("oneOf", [])]
@@ -320,7 +323,7 @@ def _text(styled: Any) -> str:
 
 
 def _styled(value: Any, on_one_line: Callable[[Any, int], bool], depth: int = 0) -> Any:
-    """Return the data with marks for the lists and mappings that are written on one line."""
+    """Return YAML data in which the lists and mappings to write on one line are marked."""
     styled: Any = value
     if isinstance(value, dict):
         styled = CommentedMap((k, _styled(v, on_one_line, depth + 1)) for k, v in value.items())
