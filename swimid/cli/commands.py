@@ -100,7 +100,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
-        # a class of results has the model of its file as ``file_type``
+        # a class of results refers to the model of its file by ``file_type``
         **TypeAdapter(getattr(found, "file_type", found)).json_schema(),
     }
     text = json.dumps(document, indent=2)

@@ -62,12 +62,12 @@ EVIDENCE = ".evidence.json"
 
 
 class Bug(SwimidError):
-    """Error that is a bug in swimid."""
+    """Error for an unexpected exception, which is a bug in swimid."""
 
 
 @dataclass
 class Run:
-    """Run of one command, with the values of the options that every command has."""
+    """Execution of one command, with the values of the options that every command has."""
 
     command: str
     output: Path | None = None
@@ -196,7 +196,10 @@ class Run:
 
 
 def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
-    """Yield warnings by code, wrapped. Of more than ``most`` with one code, yield three and a count."""
+    """Yield the lines that print warnings, grouped by code.
+
+    If more than ``most`` warnings have the same code, three of them and the number of the others are printed.
+    """
     wrapped = partial(
         textwrap.fill,
         width=WIDTH,
@@ -272,7 +275,7 @@ class CommandSpec:
 
 @cache
 def found() -> dict[str, CommandSpec]:
-    """Return every command by its name."""
+    """Return the declaration of every command by the name of the command."""
     specs = {}
     for path in sorted(Path(__file__).parents[1].glob("*/options.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -348,7 +351,10 @@ class Command(click.Command):
 
 
 def _argument(metavar: str) -> list[click.Parameter]:
-    """Return the positional argument: ``LOG...`` is several files, ``[NAME]`` is an optional word."""
+    """Return the positional argument of a command as click parameters; an empty list without argument.
+
+    ``LOG...`` stands for several files, ``[NAME]`` for an optional word.
+    """
     if not metavar:
         return []
     kind: click.ParamType = click.Path(path_type=Path)
@@ -362,7 +368,10 @@ def _argument(metavar: str) -> list[click.Parameter]:
 
 
 def _option(entry: Declared) -> click.Option:
-    """Return the click option. A value of several words is parsed when the command runs."""
+    """Return the click option for a declared option.
+
+    A value with several parts, such as ``NAME=VALUE``, is parsed when the command runs.
+    """
     names = [entry.flags, entry.name]
     about: dict[str, Any] = {"help": entry.help, "metavar": entry.metavar, **word_of(entry)}
     if entry.required:
@@ -482,7 +491,7 @@ def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> An
 
 
 def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
-    """Read ``NAME=VALUE`` items."""
+    """Return the values of an option of the form ``NAME=VALUE``, by name."""
     kind, named = get_args(entry.kind)[1], {}
     for text in texts:
         name, equals, value = text.partition("=")
