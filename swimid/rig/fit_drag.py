@@ -1,4 +1,4 @@
-"""``fit-drag``: drag, added mass and friction of a rig, by maximum likelihood or the boxfish paper's method.
+"""Command ``fit-drag``: drag, added mass and friction of a body on a rig, with checks of the estimates.
 
 The checks look for omitted parameters, start states, an outlier trial, a measured force of the wrong sign,
 and parameters that no body can have. Added mass, drag and driving force are compared with the largest values
@@ -15,9 +15,9 @@ compared.
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
 squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
 and hence the drag coefficient and the added mass. Slope and intercept give the pulley friction (Eq 17). The
-method assumes the same moving mass for all pulling weights. The bias is the error of
-the method on noise-free data that are simulated with its own estimates. The reported standard error includes
-the bias. The output-error fit does not assume an equal moving mass.
+method assumes the same moving mass for all pulling weights. The bias is the error of the method on noise-free
+data that are simulated with its own estimates. The reported standard error includes the bias. The
+output-error fit does not assume an equal moving mass.
 
 References
 ----------
@@ -72,9 +72,9 @@ STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their
 SHARED_RATIO = 1.1
 #: Maximum p-value of the slope of the friction over the pulling force that counts as a trend.
 TREND_P = 1e-2
-#: Reason why the two-point method has no result.
+#: Reason in messages why the two-point method has no result.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
-#: Parameters of the two-point method, in 1 (no unit), kg and N.
+#: Parameters that the two-point method estimates. Their units are 1, kg and N.
 NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
 #: Default displacements of the two-point method, as fractions of the displacement that all drops reached.
 POINT_SHARES = (0.255, 0.51)
@@ -199,7 +199,11 @@ def fit_drag(
 def _fit_best(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
 ) -> tuple[FitResult, dict[str, str], list[ev.Check]]:
-    """Return the best fit over interpretations of the logs and start states, its settings and its checks."""
+    """Return the best fit of a rig experiment, its settings and its checks.
+
+    The best fit is chosen over the possible roundings of encoder counts and over the start states of the
+    trials.
+    """
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
     known = {p.name: p.start for p in choices if not p.free}
@@ -229,7 +233,10 @@ def _fit_best(
 
 
 def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[str]:
-    """Return the sentences on the fit, and on the two-point method if its result is given."""
+    """Return sentences on the fit for the methods section of a paper.
+
+    If the result of the two-point method is given, a sentence describes this method.
+    """
     count = len([t for t in result.trials if t.role == "fit"])
     sentences = [
         f"{', '.join(result.shared)} were estimated from {count} {name} trials ({result.samples} samples) by "
@@ -243,7 +250,7 @@ def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[
 
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
-    """Return a table of the estimates of both methods together with values from theory."""
+    """Return a table of the maximum-likelihood and two-point estimates together with values from theory."""
     theory = theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result)
     rows: list[list[Any]] = []
@@ -274,12 +281,12 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
 
 @dataclass(frozen=True)
 class Omitted:
-    """A held parameter that the data support.
+    """Parameter that the fit holds at a value, although the data show that it differs from that value.
 
     Attributes
     ----------
     fit : FitResult
-        Fit with the parameter.
+        Fit in which the parameter is free, or replaces others.
     replaced : tuple of str
         Parameters that it replaces; empty if the parameter is freed in addition to the others.
     evidence : float
@@ -299,7 +306,7 @@ class Omitted:
 
     @property
     def criterion(self) -> float:
-        """BIC minus that of the reference fit, which is about -2 times the logarithm of the Bayes factor."""
+        """BIC of the fit minus BIC of the reference fit: about -2 times the logarithm of the Bayes factor."""
         return math.log(self.fit.samples) * (not self.replaced) - self.evidence
 
     @property
@@ -415,7 +422,7 @@ def find_moved(stated: FitResult, other: FitResult) -> list[str]:
 
 
 def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
-    """Check that the data support no held parameter; warn of the parameters that the data support."""
+    """Check that the fit leaves out no parameter that the data support, and warn of each such parameter."""
     name = "no parameter left out"
     limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
     if not omitted:
@@ -435,7 +442,9 @@ def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
 
 
 def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
-    """Return a fit with a start state of each trial, if the data clearly support it; else the given fit.
+    """Return a fit with a separate start state for each trial if the data clearly support it.
+
+    Otherwise return the given fit.
 
     The given fit is also returned if a friction of each trial lowers the residuals more than the start
     states, or if an omitted parameter lowers them about as much.
@@ -512,7 +521,8 @@ def _measured(fit: FitResult, label: str) -> str:
 def _friction_check(plain: FitResult) -> list[ev.Check]:
     """Return a check that fails if the friction follows the pulling force, and warns if it differs at random.
 
-    The frictions are linearised at the fit. They show that trials differ, but not by how much.
+    The friction of each trial is estimated by linearisation about the fit. It shows whether trials differ,
+    but not by how much.
     """
     from swimid.fitting import between_trials
 
@@ -612,7 +622,8 @@ MAX_SLENDERNESS = 10.0
 WATER_KG_M3, WATER_VISCOSITY_M2_S = (950.0, 1050.0), 1.0e-6
 #: Step of the finite differences of the delta method, in standard errors of the parameter.
 DELTA_STEP = 1e-4
-#: Function of the coefficients of the equation of motion; NaN if the quantity does not exist.
+#: Type of a function that computes a derived quantity from the coefficients of the equation of motion. The
+#: value is NaN if the quantity does not exist.
 Quantity = Callable[[Mapping[str, float]], float]
 
 
@@ -669,7 +680,8 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         if gradient[j] == 0:
             continue
         bound |= status == "at-bound"
-        # the value 0 at a lower bound of 0 needs no error: the errors of the other parameters allow for it
+        # A parameter at its lower bound 0 needs no standard error here, because the standard errors of the
+        # other parameters include the effect of its uncertainty.
         vanishes = status == "at-bound" and parameter.lower == 0.0 >= values[k]
         unknown |= error is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
@@ -691,7 +703,7 @@ def _rate(c: Mapping[str, float]) -> float:
 
 
 def _damping_ratio(c: Mapping[str, float], amplitude: float = 0.0) -> float:
-    """Return the damping ratio with which linear damping alone would lose the same energy in a swing.
+    """Return the damping ratio of the linear damping that dissipates the same energy in a swing.
 
     Linear, quadratic and dry damping are linearised at the given amplitude (Chakrabarti, "Empirical
     calculation of roll damping for ships and barges", Ocean Engineering 2001). At the amplitude 0 only linear
@@ -704,7 +716,7 @@ def _damping_ratio(c: Mapping[str, float], amplitude: float = 0.0) -> float:
 
 
 def _first_amplitude(result: FitResult, trial: Trial) -> float:
-    """Return the maximum displacement of the fitted decay from its rest position."""
+    """Return the maximum displacement of a simulated free decay from its rest position."""
     series = next(s for s in result.series if s.trial == trial.id)
     values = series.simulated[np.isfinite(series.simulated)]
     rest = result.values(trial.id)[result.model.index("rest_position")]
@@ -749,8 +761,8 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     return checks
 
 
-#: Name of an estimate, its maximum, the body that has this maximum, and the inputs to check if it is
-#: exceeded.
+#: Physical limit of an estimate: name of the estimate, its maximum, the body that has this maximum, and the
+#: inputs to check if the maximum is exceeded.
 Limit = tuple[str, float, str, str]
 
 
@@ -783,9 +795,10 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
 
 
 def _force_ratios(experiment: Experiment) -> list[tuple[float, float, float, str]]:
-    """Return the driving force of each drop without a pulley over its maximum, both (N), and the trial.
+    """Return force ratio, driving force (N), its maximum (N) and trial of each drop without a pulley.
 
-    The maximum is the weight of the body or its net buoyancy.
+    The ratio is the driving force divided by its maximum. The maximum is the weight of the body or its net
+    buoyancy.
     """
     forces = []
     for trial in experiment.trials:
@@ -987,12 +1000,12 @@ class TwoPointResult:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the speeds lie on rising lines, so that the standard errors are finite."""
+        """Whether the squared speeds rise with the pulling mass, so that the standard errors are finite."""
         return all(map(math.isfinite, self.stderr.values()))
 
     @property
     def text(self) -> str:
-        """Result as a sentence."""
+        """Estimates of the two-point method as a sentence."""
         if not self.is_valid:
             return f"The two-point method has no answer: {NO_ANSWER}."
         parts = [f"{n} {numbers.measured(value, self.stderr[n])}" for n, value in self.values.items()]
@@ -1002,7 +1015,7 @@ class TwoPointResult:
 def speed_at(
     time_s: Array, displacement_m: Array, point_m: float, half_width_m: float
 ) -> tuple[float, float]:
-    """Return the speed at a displacement and its standard error, m/s, by a straight-line fit around it.
+    """Return the speed at a displacement and its standard error, m/s, from a line fitted around this point.
 
     Raises
     ------
@@ -1019,8 +1032,8 @@ def speed_at(
     t, x = time_s[near] - time_s[near].mean(), displacement_m[near]
     spread = 0.0
     if len(t) > MIN_SCATTER_SAMPLES:
-        # the residuals are those of a parabola, so that curvature does not count as noise; in the middle the
-        # parabola has the slope of the line
+        # Compute the residuals of a parabola, so that curvature does not count as noise. In the middle of the
+        # interval the parabola has the slope of the line.
         residual = x - np.polyval(np.polyfit(t, x, 2), t)
         spread = math.sqrt(float(residual @ residual) / (len(t) - 3))
     return float(t @ x) / float(t @ t), spread / math.sqrt(float(t @ t))
@@ -1084,7 +1097,7 @@ def two_point(
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, lines = solve(squared)
 
-    # random error, from the residuals of the squared speeds about their lines
+    # Estimate the random error from the residuals of the squared speeds about their lines.
     scatter = squared - np.array([np.polyval(line, masses) for line in lines])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
     spread = np.maximum(squared_sd, pooled)
@@ -1114,7 +1127,9 @@ def two_point(
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
-    """Solve Eq 18 for a1, 1/m. If the second displacement is twice the first, Eq 19 is the closed form.
+    """Solve Eq 18 of the boxfish paper for the coefficient a1, 1/m.
+
+    If the second displacement is twice the first, Eq 19 is the closed form.
 
     Raises
     ------

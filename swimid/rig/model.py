@@ -45,7 +45,8 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
     "pitch_rad": ("rad", "rad/s", True),
     "yaw_rad": ("rad", "rad/s", True),
 }
-#: Groups of parameters with a similar effect. One parameter of a group may replace the others.
+#: Groups of parameters with a similar effect on the motion. In a fit, one parameter of a group can replace
+#: the others.
 ALIKE = (
     (
         *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
@@ -102,7 +103,10 @@ class RigScales(Scales):
 
     @property
     def brake(self) -> float:
-        """A tenth of the force; a hundredth in a free decay, because losses add up over many swings."""
+        """Typical force of friction or damping: a tenth of the typical applied force.
+
+        In a free decay it is a hundredth, because losses add up over many swings.
+        """
         if self.model.rig.swings:
             return 0.01 * self.force
         return 0.1 * self.force
@@ -139,13 +143,13 @@ class RigModel(Model):
 
     @property
     def rig(self) -> Rig:
-        """Coordinate of the rig."""
+        """Displacement and speed channels of the rig, and whether it rotates or swings."""
         displacement, speed = self.channels
         return Rig(displacement, speed, COORDINATES[self.coordinate][2], self.name == "free-decay")
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axis along which the body moves; empty for a rotation."""
+        """Axis along which the body moves, such as ``x``; empty for a rotation."""
         if self.rig.rotation:
             return ()
         return (self.coordinate.removesuffix("_m"),)
@@ -155,7 +159,7 @@ class RigModel(Model):
         return RigScales(self, trials)
 
     def onset(self, trial: Trial) -> float:
-        """Return the time of release, s."""
+        """Return the time at which the body of a trial is released, s."""
         return trial.rig.begin_s
 
     def origin(self, trial: Trial) -> dict[str, float]:
@@ -187,7 +191,7 @@ class RigModel(Model):
         }
 
     def _moved(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
-        """Return displacement and speed for the coefficients and the initial state of :meth:`hooked`."""
+        """Return displacement and speed of a trial for the coefficients and the initial state ``c``."""
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
             return self.broken_down(trial)
         time, measured, known = trial.time_s, trial.inputs.get("force_N"), c["force"]
@@ -220,7 +224,7 @@ class RigModel(Model):
         return self.hooked(values, trial, NONE)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return displacement and speed with effects (see :meth:`Model.hooked`).
+        """Return displacement and speed of a trial, simulated with effects (see :meth:`Model.hooked`).
 
         ``coefficients`` hooks change the values of :meth:`coefficients`, the constant ``force`` (N), and the
         initial state ``x0`` and ``v0``. Forces of effects are added afterwards.
@@ -251,7 +255,7 @@ class RigModel(Model):
         return hooks.seen(moved, trial.time_s)
 
     def refined(self) -> RigModel:
-        """Return the model with half the integration step."""
+        """Return a copy of the model with half the integration step."""
         return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
@@ -292,7 +296,7 @@ def _drag(area_known: bool, source: str = "") -> Parameter:
 
 
 def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple[Parameter, ...]:
-    """Return the parameters of each trial's start: displacement, speed, and clock offset."""
+    """Return the parameters of the initial state of each trial: displacement, speed, and clock offset."""
     unit, speed_unit, _ = COORDINATES[coordinate]
     own: dict[str, Any] = {"per_trial": True}
     return (
@@ -444,8 +448,8 @@ def restoring(x, c):  # type: ignore[no-untyped-def]
     return pull
 
 
-# ``extra`` is None in still water without further forces. Numba then compiles these functions without the
-# code for moving water and forces.
+# The argument ``extra`` is None in still water without forces of effects. Numba then compiles these functions
+# without the code for moving water and forces.
 
 
 @numba.njit(cache=True, nogil=True)
@@ -486,7 +490,10 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped-def]
-    """Integrate one step with dry friction; the step is divided where the body stops or starts to move."""
+    """Integrate the motion over one step with dry friction.
+
+    The step is divided at the times at which the body stops or starts to move.
+    """
     inertia, dry = c[0], c[3]
     slope = (f1 - f0) / h
     done = 0.0
@@ -497,7 +504,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
             if extra is None:
                 after, side = breakaway(f - restoring(x, c), slope, dry, left)
             else:
-                # the sum of all forces is assumed to be linear in time over the rest of the step
+                # assume that the sum of all forces is linear in time over the rest of the step
                 push = inertia * _acceleration(t + done, x, v, 0.0, f, w, dw, c, extra)
                 end = inertia * _acceleration(t + h, x, v, 0.0, f1, w0 + dw * h, dw, c, extra)
                 after, side = breakaway(push, (end - push) / left, dry, left)
@@ -601,7 +608,7 @@ def integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
-    """Return the limits of the integration steps of :func:`integrate` from the release on, s.
+    """Return the times at which the integration steps of :func:`integrate` begin and end, s.
 
     >>> step_ends(np.array([-1.0, 0.1, 0.15]), 0.0, 0.05)
     array([0.  , 0.05, 0.1 , 0.15])
