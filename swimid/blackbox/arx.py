@@ -47,39 +47,41 @@ from swimid.logs.sampling import rounding
 
 #: Maximum magnitude of a zero of C. The inverse of C is stable if all magnitudes are below 1.
 MAX_ZERO = 0.999
-#: Number of missing samples between two joined records, in addition to the lags of the model. It exceeds the
-#: lags of all tests of the residuals.
+#: Number of missing samples that are inserted between two joined records, in addition to the lags of the
+#: model. It exceeds the lags of all tests of the residuals.
 GAP = 100
 #: Maximum number of Gauss-Newton steps, and maximum number of halvings of one step.
 MAX_STEPS, MAX_HALVINGS = 100, 30
-#: Maximum root-mean-square residual that is taken for a rounding error, divided by the standard deviation of
-#: the output.
+#: Maximum ratio of the root-mean-square residual to the standard deviation of the output at which the
+#: residuals are taken for rounding errors.
 EXACT = 1e-9
-#: Maximum singular value of the scaled regression that counts as zero, divided by the largest singular value.
+#: Maximum ratio of a singular value of the scaled regression to the largest singular value at which the
+#: singular value counts as zero.
 RANK_RTOL = 1e-10
-#: Maximum singular value that counts as zero because of rounding, divided by the largest singular value.
+#: Maximum ratio of a singular value to the largest singular value at which rounding of the data can make the
+#: singular value count as zero.
 MAX_ROUNDING = 0.01
-#: Minimum sum of squared components of a coefficient in the directions without information, for a coefficient
-#: that is not identifiable. The sum is 1 if the data have no information about the coefficient.
+#: Minimum sum of the squared components of a coefficient in the directions without information at which the
+#: coefficient is not identifiable. The sum is 1 if the data have no information about the coefficient.
 MIN_SHARE = 1e-3
-#: Minimum variance inflation factor of nearly dependent columns. The standard errors are then 100 times those
-#: of independent columns.
+#: Minimum variance inflation factor at which the columns of a regression count as nearly dependent. The
+#: standard errors are then 100 times those of independent columns.
 NEARLY_DEPENDENT = 1e4
 #: Default of a in P(0) = a^2 I. The paper recommends values above 10^3.
 PRIOR_SCALE = 1e6
-#: Maximum of the elements of the diagonal factor D, in units of a^2. With forgetting, P grows without limit
-#: in directions that the input does not excite. In excited directions D stays below this limit.
+#: Maximum of the elements of the factor D of the matrix P, in units of a^2. With forgetting, P grows without
+#: limit in directions that the input does not excite. In excited directions D stays below this limit.
 MAX_GROWTH = 1e6
 
 
 @dataclass(frozen=True)
 class Recursion:
-    """Result of a recursion over n rows with p coefficients."""
+    """Result of recursive least squares over n rows with p coefficients."""
 
     #: Last estimate of the coefficients, shape (p,).
     theta: np.ndarray
-    #: P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P multiplied
-    #: by the noise variance and the weight.
+    #: Matrix P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P
+    #: multiplied by the noise variance and the weight.
     covariance: np.ndarray
     #: One-step errors ``z(k) - h(k)' theta(k-1)``, shape (n,).
     innovations: np.ndarray
@@ -133,9 +135,9 @@ def recursive_least_squares(
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
-    """Run the recursion as one compiled loop, because function calls and branches would cost time.
+    """Run recursive least squares as one compiled loop without function calls, which would cost time.
 
-    Row j of ``factors`` holds column j of U.
+    Row j of ``factors`` holds column j of the factor U.
     """
     n, p = h.shape
     ceiling = MAX_GROWTH * prior
@@ -190,7 +192,10 @@ def warm_up() -> None:
 
 @dataclass(frozen=True)
 class Regression:
-    """Regression ``z = H theta + e`` for the coefficients of A and B. The columns of C are not data."""
+    """Regression ``z = H theta + e`` for the coefficients of A and B from measured inputs and outputs.
+
+    The matrix has no columns for the coefficients of C, because the noise is not measured.
+    """
 
     orders: Orders
     #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
@@ -198,9 +203,9 @@ class Regression:
     outputs: np.ndarray
     #: Index of the sample that each row predicts, in the joined records, shape (n,).
     sample: np.ndarray
-    #: Input of the joined records, with NaN between two records.
+    #: Input signal of the joined records, with NaN between two records.
     source: np.ndarray
-    #: Number of rows there would be without missing samples.
+    #: Number of rows that the regression would have without missing samples.
     possible: int
 
     def __len__(self) -> int:
@@ -208,11 +213,14 @@ class Regression:
 
     @cached_property
     def fresh(self) -> np.ndarray:
-        """True where a row does not directly follow the previous row in time, shape (n,)."""
+        """Flag of each row that does not directly follow the previous row in time, shape (n,)."""
         return np.diff(self.sample, prepend=-2) != 1
 
     def on_grid(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the rows, shape (n,) or (n, p), on the grid of the joined records, with NaN."""
+        """Return values of the rows on the time grid of the joined records, with NaN where there is no row.
+
+        The shape of ``values`` is (n,) or (n, p).
+        """
         result = np.full((len(self.source), *np.shape(values)[1:]), np.nan)
         result[self.sample] = values
         return result
@@ -265,17 +273,17 @@ def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray
 
 
 def invertible(c: np.ndarray) -> np.ndarray:
-    """Return the coefficients of C after its zeros outside the unit circle are reflected to the inside."""
+    """Return the coefficients of the noise polynomial C with its zeros reflected into the unit circle."""
     roots = np.roots(np.concatenate(([1.0], c)))
     roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
     roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
     coefficients = np.real(np.poly(roots))[1:]
-    # np.roots drops zeros at the origin: the missing last coefficients are zero
+    # set the last coefficients to zero, which are missing because np.roots drops zeros at the origin
     return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
 def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarray:
-    """Return the coefficients with the minimum weighted sum of squared one-step errors.
+    """Return the coefficients of A, B and C with the minimum weighted sum of squared one-step errors.
 
     The search uses Gauss-Newton steps with step halving.
 
@@ -326,7 +334,8 @@ class Identifiability:
 
     #: Whether the data determine each coefficient, shape (p,).
     determined: np.ndarray
-    #: Number of independent directions in the space of the coefficients that the data determine.
+    #: Number of independent directions in the space of the coefficients about which the data have
+    #: information.
     rank: int
     #: Condition number of the regression in the determined directions, with columns scaled to length one.
     condition: float
@@ -337,7 +346,7 @@ class Identifiability:
 
 
 def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
-    """Find the directions in the space of the coefficients about which a regression has information.
+    """Find out which coefficients a regression determines, from its directions with information.
 
     Parameters
     ----------
@@ -368,13 +377,13 @@ def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
 
 
 def _lengths(rows: np.ndarray) -> np.ndarray:
-    """Return the lengths of the columns; 1 for columns of zeros."""
+    """Return the Euclidean lengths of the columns of a regression; 1 for columns of zeros."""
     length = np.linalg.norm(rows, axis=0)
     return np.where(length > 0, length, 1.0)
 
 
 def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiability:
-    """Find the coefficients of A and B that the rows determine. Those of C are always determined.
+    """Find the coefficients of A and B that the data determine. Those of C always count as determined.
 
     Parameters
     ----------
@@ -392,14 +401,14 @@ def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiab
 def exclude_collinear(
     known: Identifiability, data: Regression, theta: np.ndarray, stderr: np.ndarray, noise_sd: float
 ) -> Identifiability:
-    """Flag coefficients as not determined if noise makes them indistinguishable despite full rank.
+    """Mark coefficients as not determined if noise makes them indistinguishable although the rank is full.
 
-    If the input is a measured single sine, the sensor noise excites every coefficient of B a little. The
-    estimates are then large and cancel each other. A coefficient of A or B is a candidate if its column is
-    nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error, times the length of its
-    column, exceeds the contribution of the whole polynomial to the prediction. All candidates of a polynomial
-    are excluded if any of them has a standard error above half of its magnitude. A coefficient that is known
-    to be small is not excluded.
+    If the input is a measured sine, its sensor noise weakly excites every coefficient of B. The estimates are
+    then large and cancel each other. A coefficient of A or B is a candidate if its column is nearly dependent
+    on the others (:data:`NEARLY_DEPENDENT`) and its standard error, times the length of its column, exceeds
+    the contribution of the whole polynomial to the prediction. All candidates of a polynomial are excluded if
+    any of them has a standard error above half of its magnitude. A coefficient that is known to be small is
+    not excluded.
     """
     orders, count = data.orders, data.rows.shape[1]
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
@@ -424,7 +433,7 @@ def exclude_collinear(
 
 @dataclass(frozen=True)
 class ArxEstimate:
-    """Estimated model with p coefficients, from n rows of the regression."""
+    """Estimate of an ARX or ARMAX model with p coefficients from n rows of a regression."""
 
     orders: Orders
     #: Coefficients, and their standard errors, shape (p,). Standard errors are NaN for coefficients that the
@@ -459,7 +468,7 @@ class ArxEstimate:
 
 
 def check_enough(data: Regression, orders: Orders) -> None:
-    """Raise an error for a regression that cannot give a result.
+    """Raise an error for a regression with too few rows or with a constant output.
 
     Raises
     ------
@@ -581,7 +590,7 @@ def covariance(
     inverse = np.linalg.pinv(r)
     whitened = (jacobian * weights[:, None]) @ inverse
     middle = whitened.T @ whitened
-    # effective number of samples minus effective number of parameters: n - p without forgetting
+    # compute the effective number of samples minus that of parameters, which is n - p without forgetting
     remaining = max(float(np.sum(weights)) - float(np.trace(middle)), 1e-12)
     variance = float(np.sum(weights * residuals**2)) / remaining
     middle = middle * variance
