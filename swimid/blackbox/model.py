@@ -92,7 +92,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Numbers of coefficients of A, B and C (``na``, ``nb``, ``nc``), and delay ``nk`` of b1 in samples."""
+    """Orders of a model: numbers ``na``, ``nb``, ``nc`` of coefficients of A, B, C; delay ``nk``, samples."""
 
     na: int
     nb: int
