@@ -1,4 +1,4 @@
-"""Names of the public API, and public functions that belong to no single package."""
+"""Names of the public API of swimid, and the public functions that read trials, logs and robots."""
 
 from __future__ import annotations
 

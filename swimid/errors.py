@@ -154,7 +154,7 @@ class InputError(SwimidError, ValueError):
 
 
 class NoTrustworthyResult(SwimidError):
-    """Error for a computation that ended without a result that can be trusted.
+    """Error for a computation that ended without a trustworthy result, such as a fit that identifies nothing.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class Interrupted(NoTrustworthyResult):
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an exception's message, or its class name if the message is empty."""
+    """Return the first line of the message of an exception, or the name of its class without a message."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
@@ -229,7 +229,7 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 
 @contextmanager
 def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
-    """Convert an error of the operating system into an :class:`InputError`.
+    """Convert an error of the operating system for a file into an :class:`InputError`.
 
     The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why.
 
