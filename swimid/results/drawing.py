@@ -1,4 +1,4 @@
-"""Drawing of figures with matplotlib. A panel has the width of one journal column.
+"""Drawing of the figures of results with matplotlib. A panel is as wide as one journal column.
 
 The same function draws a panel for a notebook, for ``swimid plot`` and for a report. In a report, a panel is
 an SVG element with the colours of the page, so that one drawing serves the light, the dark and the printed
@@ -44,7 +44,7 @@ TALLEST, LOW = 5.1, 1.2
 FRAME = 0.6
 #: Font size in ``figure.mplstyle``, points.
 FONT = 8.0
-#: Approximate width of a letter, as a fraction of the font size.
+#: Approximate width of a letter, as a fraction of the font size, for estimates of the length of a text.
 LETTER = 0.58
 #: Resolution of a PNG, pixels per inch.
 DPI = 300
@@ -191,7 +191,7 @@ def _trace(
         edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
         about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
         if compact and len(x) >= MIN_CLOUD:
-            # draw the points as one path of very short strokes with round ends
+            # draw the points as one path of very short strokes with round ends, which saves space in an SVG
             end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
             dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
             (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
@@ -316,7 +316,7 @@ def _heat(axes: Axes, heat: Heat) -> None:
 
 
 def _height(panel: Panel, panels: int = 1) -> float:
-    """Return the height of a panel in a figure of several panels, inches."""
+    """Return the height of a panel in a figure with ``panels`` panels, inches."""
     if panel.heat is not None:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
@@ -327,7 +327,7 @@ def _height(panel: Panel, panels: int = 1) -> float:
 
 
 def _shape(panel: Panel) -> float:
-    """Return the ratio of height to width of the data of a panel."""
+    """Return the ratio of the range of y to the range of x over all traces of a panel."""
     spans = []
     for name in ("x", "y"):
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]

@@ -1,4 +1,4 @@
-"""Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
+"""Evidence file of a result (``swimid-evidence/1``): its verdict, checks, tables and figures as data.
 
 A command writes the evidence next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show the
 evidence of all commands with the same code. Numbers keep all digits, and NaN is written as null.
@@ -33,17 +33,17 @@ class _Part(BaseModel):
 
 
 class Trace(_Part):
-    """Curve or set of points in a panel."""
+    """Trace in a panel of a figure: a curve or a set of points."""
 
     x: yamlio.Numbers
     y: yamlio.Numbers
     label: str = ""
     style: Literal["line", "dashed", "points", "step", "stems", "arrows"] = "line"
-    #: Traces with the same group number share a colour (a measurement and its model).
+    #: Number of a group of traces that share a colour, such as a measurement and its simulation.
     group: int | None = None
-    #: Half-width of the error bars of ``points``, same length as y.
+    #: Half-widths of error bars, with one number for each point of the trace.
     y_error: yamlio.Numbers | None = None
-    #: Lower and upper end of a shaded band in the colour of the trace, each as long as x.
+    #: Lower and upper limits of a shaded band in the colour of the trace, with one number for each point.
     lower: yamlio.Numbers | None = None
     upper: yamlio.Numbers | None = None
 
@@ -57,7 +57,7 @@ class Trace(_Part):
 
 
 class Mark(_Part):
-    """Horizontal or vertical reference line."""
+    """Horizontal or vertical reference line in a panel of a figure."""
 
     at: float
     axis: Literal["x", "y"] = "y"
@@ -65,7 +65,7 @@ class Mark(_Part):
 
 
 class Span(_Part):
-    """Shaded interval of an axis, for instance a gap in the data."""
+    """Shaded interval of an axis of a panel, for instance a gap in the data."""
 
     start: float
     end: float
@@ -116,7 +116,7 @@ class Panel(_Part):
 
 
 class Figure(_Part):
-    """Figure of one or several panels, with a caption."""
+    """Figure of a report, with one or several panels and a caption."""
 
     id: str
     title: str
@@ -135,7 +135,7 @@ class Image(_Part):
 
 
 class Table(_Part):
-    """Table of texts and numbers. A folded table opens on demand and is not printed."""
+    """Table of a report with texts and numbers. A folded table opens on demand and is not printed."""
 
     id: str
     title: str
@@ -146,14 +146,14 @@ class Table(_Part):
 
 
 class Check(_Part):
-    """Test of one property of the result against a limit."""
+    """Check of one property of a result against a limit."""
 
     name: str
     value: str
     limit: str = ""
     verdict: Literal["pass", "warn", "fail", "info"]
     text: str = ""
-    #: Clause for the verdict of the result, used as the reason if the check does not pass.
+    #: Reason for the verdict of the result if the check does not pass, as a clause.
     reason: str = ""
 
 
@@ -176,7 +176,7 @@ NoticeRecord = Notice
 
 
 class Evidence(_Part):
-    """Content of a report on a result, in addition to the content of the result file."""
+    """Evidence of a result: what a report shows in addition to the content of the result file."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
     #: Name of the result file, and SHA-256 of its content. Both are empty for a result in memory.
@@ -247,7 +247,7 @@ def check(
 
 
 def judged(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict of a result: the answer, followed by the reasons of checks that do not pass.
+    """Return the verdict of a result: its answer, followed by the reasons of the checks that do not pass.
 
     The level is bad if a check fails, caution if a check warns, and good otherwise.
     """
@@ -328,7 +328,7 @@ def _owner(path: Path) -> str:
 
 
 def read(path: str | Path) -> Evidence:
-    """Read evidence written by :func:`write`.
+    """Read an evidence file that :func:`write` has written.
 
     Raises
     ------
@@ -346,7 +346,7 @@ def read(path: str | Path) -> Evidence:
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most ``points`` samples of x and y that preserve the envelope of y.
+    """Reduce a curve to at most ``points`` samples that preserve the envelope of y.
 
     The record is divided into segments of equal length. The samples with the smallest and the largest y of
     each segment are retained in their order, so that no peak is lost.
@@ -451,7 +451,7 @@ def figure(
 
 
 def panels(id: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure:
-    """Return a figure with several panels."""
+    """Return a figure with the given panels."""
     return Figure(id=id, title=title, caption=caption, panels=list(panels))
 
 
@@ -461,7 +461,7 @@ def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> P
 
 
 def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
-    """Return a curve with a band of half-width ``half`` around the curve."""
+    """Return a trace with a curve and a shaded band of half-width ``half`` around the curve."""
     return Trace(x=x, y=y, lower=y - half, upper=y + half, **trace)
 
 
@@ -499,7 +499,9 @@ def measured_and_simulated(
 
 
 def apart(x: Any, y: Any) -> Any:
-    """Return the indices of samples that are 1 / MAX_MARKS of the panel's width apart along the curve.
+    """Return the indices of samples of a curve at distances of 1 / MAX_MARKS of the panel's width.
+
+    The distances are measured along the curve.
 
     A curve that rises and falls gets more points than a straight one, at most :data:`POINTS`. The panel is
     twice as wide as it is high.
@@ -517,7 +519,10 @@ def apart(x: Any, y: Any) -> Any:
 
 
 def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
-    """Return the worst and the best fitted trial and the worst held-out trial, by panel title."""
+    """Return the fitted trials with the largest and the smallest error, and the worst held-out trial.
+
+    The keys are the titles of their panels.
+    """
     ranked = sorted(shown, key=lambda s: _rms(s.weighted))
     fitted = [s for s in ranked if s.role == "fit"]
     held_out = [s for s in ranked if s.role != "fit"]

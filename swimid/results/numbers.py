@@ -28,7 +28,7 @@ _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺
 #: Limits of the decimal exponent. A number whose exponent is at least ``_LARGE``, or below ``_SMALL``, is
 #: written with a factor ``× 10ⁿ``.
 _LARGE, _SMALL = 6, -3
-#: Maximum number of significant digits; a float64 has no more.
+#: Maximum number of significant digits of a number in a text. A float64 has no more digits.
 _MOST_DIGITS = 15
 
 _UNITS = (
@@ -162,7 +162,7 @@ def confidence95(value: float | None, stderr: float | None) -> tuple[float, floa
 
 
 def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] | None) -> str:
-    """Return the allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
+    """Return the bounds of a parameter as text: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
     low, high = bounds or (None, None)
     if _is_number(low) and _is_number(high):
         return f"{number(low)} … {number(high)}"
@@ -172,7 +172,7 @@ def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] |
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """Return a fraction as a percentage. A fraction below 1 is never shown as ``100 %``.
+    """Return a fraction as text in percent. A fraction below 1 is never shown as ``100 %``.
 
     >>> percent(0.142), percent(0.99998), percent(1.0)
     ('14.2 %', '> 99.9 %', '100 %')
@@ -230,12 +230,12 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def quantity(name: str) -> str:
-    """Return the quantity in a column in words: ``yaw_rate_rad_s`` is ``yaw rate``."""
+    """Return the name in words of the quantity in a column: ``yaw rate`` for ``yaw_rate_rad_s``."""
     return BODY_SPEEDS.get(name, split_unit(name)[0].replace("_", " "))
 
 
 def column_title(name: str) -> str:
-    """Return a column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
+    """Return the axis label for a column: ``yaw rate (rad/s)`` for ``yaw_rate_rad_s``."""
     printed = unit_text(split_unit(name)[1])
     if not printed:
         return quantity(name)

@@ -102,13 +102,13 @@ class Result:
     evidence: ev.Evidence | None = None
     document: Any = None
 
-    #: Name of this kind of result in reports.
+    #: Name in reports of the kind of result, such as ``Parameter file``.
     kind: ClassVar[str] = "Result"
-    #: Default ending of the result file.
+    #: Default ending of the name of a result file.
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
-        """Return the answer in plain text, as the command prints it."""
+        """Return the answer of the result in plain text, as the command prints it."""
         if self.text or self.evidence is None:
             return self.text
         shown = self.content()
@@ -136,7 +136,7 @@ class Result:
         return NEXT.get(self.command, "").format(file=file, trials=trials, params=params)
 
     def content(self) -> ev.Evidence:
-        """Return the content of a report: the evidence, preceded by facts and tables from the result file.
+        """Return the content of a report on the result: its evidence, with facts and tables of its file.
 
         Without evidence, the verdict is not better than caution.
         """
@@ -164,26 +164,26 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """``"good"``, ``"caution"`` or ``"bad"``; empty for a result without evidence."""
+        """Level of the verdict: ``"good"``, ``"caution"`` or ``"bad"``; empty without evidence."""
         return "" if self.evidence is None else self.evidence.verdict.level
 
     @property
     def warnings(self) -> pd.DataFrame:
-        """Warnings raised during the computation: ``code``, ``text`` (``docs/warnings.md``)."""
+        """Table of the warnings of the computation: columns ``code`` and ``text`` (``docs/warnings.md``)."""
         return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
 
     def checks(self) -> pd.DataFrame:
-        """Return a table of all checks: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
+        """Return a table of all checks, with the name, value, limit and verdict of each check."""
         names = list(ev.Check.model_fields)
         return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Return the tables of the report by their id."""
+        """Return the tables that a report shows for the result, by their id."""
         return {table.id: _frame(table.columns, table.rows) for table in self.content().tables}
 
     @property
     def figure_names(self) -> list[str]:
-        """Ids of the figures that :meth:`plot` draws."""
+        """Names of the figures of the result that :meth:`plot` draws."""
         return [figure.id for figure in self._shown("figures")]
 
     def figures(self) -> dict[str, Canvas]:
@@ -400,13 +400,13 @@ class FileResult(Result, Generic[File]):
 
     @property
     def file(self) -> File:
-        """Content of the file that :meth:`save` writes."""
+        """Content of the result file that :meth:`save` writes."""
         file: File = self.document
         return file
 
     @classmethod
     def of(cls, file: File, evidence: ev.Evidence) -> Self:
-        """Return the result with the given file content and evidence."""
+        """Return a result with the given content of its file and the given evidence."""
         return cls(evidence.command, "", cls._plain(file), evidence=evidence, document=file)
 
     @classmethod
@@ -437,7 +437,7 @@ def cell_text(value: Any) -> str:
 
 
 def is_numeric(table: ev.Table) -> list[bool]:
-    """Return for each column whether all its cells are numbers, so that it is aligned to the right."""
+    """Return for each column of a table whether all cells are numbers, which are aligned to the right."""
     right = []
     for k in range(len(table.columns)):
         column = [row[k] for row in table.rows]
