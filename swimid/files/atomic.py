@@ -77,7 +77,7 @@ def is_device(path: Path) -> bool:
 
 @dataclass
 class _Group:
-    """Files that are written under temporary names and then renamed to their final names together."""
+    """Group of files that are written under temporary names, and renamed to their final names together."""
 
     #: Temporary path of each written file by its final path; None for a file that will be removed.
     pending: dict[Path, Path | None] = field(default_factory=dict)
@@ -263,8 +263,8 @@ def _second_name(path: Path) -> Path:
 # ---------------------------------------------------------------- one run at a time
 
 
-#: Each lock of this process and the thread that took it last, by the path of the lock file. Without a
-#: reference to it, a lock would be released.
+#: Locks of this process, by the path of the lock file, each with the thread that took it last. A lock without
+#: a reference would be released.
 _TAKEN: dict[Path, tuple[BaseFileLock, threading.Thread]] = {}
 
 
@@ -307,7 +307,7 @@ def lock(output: Path) -> BaseFileLock:
 
 @contextmanager
 def locked(output: Path | None) -> Iterator[None]:
-    """Hold the lock of an output during the block. A device or a stream is not locked."""
+    """Hold the lock of an output file during the block. Nothing is locked for a device or a stream."""
     stored = output is not None and (output.is_dir() or not is_device(output))
     if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
         yield
@@ -326,7 +326,7 @@ DIGITS = 32
 
 
 def place(output: Path) -> Path:
-    """Return the path of the checkpoint of an output."""
+    """Return the path of the checkpoint file of an output: ``map.yaml.partial`` for ``map.yaml``."""
     return output.with_name(f"{output.name}.partial")
 
 
@@ -401,7 +401,7 @@ class Checkpoint:
         with self._writing:
             try:
                 with self.path.open("a", encoding="utf-8") as stream:
-                    # the last line may be incomplete after a failed write: begin a new line
+                    # begin a new line after a failed write, because the last line may be incomplete
                     stream.write("\n" * self._full + json.dumps(line) + "\n")
             except OSError as error:
                 if not self._full:

@@ -32,7 +32,7 @@ def sha256(path: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Held:
-    """Name and SHA-256 of an input in memory."""
+    """Input of a result that was in memory: its name and the SHA-256 of its content."""
 
     name: str
     sha256: str
@@ -52,7 +52,9 @@ def path_of(given: Input) -> Path:
 
 
 def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
-    """Return the SHA-256 of each input by its name. The name of a file is relative to the working folder.
+    """Return the SHA-256 of each input of a result by its name.
+
+    The name of a file is its path relative to the working folder.
 
     Different inputs in memory that have the same name are numbered.
     """
@@ -147,7 +149,7 @@ def command_line() -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions of Python and of the imported libraries."""
+    """Return the versions of Python and of the imported libraries, by name."""
     versions = {"python": sys.version.split()[0]}
     for name in ("numpy", "scipy", "numba", "pandas", "cv2", "control"):
         if name in sys.modules:

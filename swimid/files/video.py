@@ -1,4 +1,4 @@
-"""Writing of videos frame by frame: H.264 if PyAV is installed, else MPEG-4; or an animated GIF."""
+"""Writers of videos frame by frame: H.264 (with PyAV), MPEG-4 (without PyAV), and animated GIF."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[vide
 
 
 class H264:
-    """Writer of H.264 with PyAV. Browsers play the video, and every frame has its own time.
+    """Writer of an H.264 video with PyAV. Browsers play the video, and every frame has its own time.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class H264:
 
 
 class Mpeg4:
-    """Writer of MPEG-4 with OpenCV, if PyAV is not installed. Most players show it, browsers do not."""
+    """Writer of an MPEG-4 video with OpenCV, used without PyAV. Most players show it, browsers do not."""
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
         self._path, self._count = path, 0
@@ -130,7 +130,7 @@ Writer = H264 | Mpeg4 | Gif
 
 
 def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:
-    """Return a writer for the ending of ``path``; :class:`Mpeg4` if PyAV is not installed.
+    """Return a video writer for the ending of ``path``: a GIF writer, or else H.264 or MPEG-4.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Reading and writing of YAML: comments are preserved, floats are not rounded, errors name the line."""
+"""Reading and writing of YAML files. Comments are preserved, floats are not rounded, errors name the line."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ruamel.yaml.constructor import DuplicateKeyError
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
 
-#: Maximum size of a file, bytes. A larger file is refused before it is parsed.
+#: Maximum size of a YAML file, bytes. A larger file is refused before it is parsed.
 MAX_BYTES = 20_000_000
-#: Maximum number of nodes of a document with all its aliases written out. A larger document is refused.
+#: Maximum number of nodes of a YAML document with all aliases written out. A larger document is refused.
 MAX_NODES = 500_000
 
 M = TypeVar("M", bound=BaseModel)
@@ -37,7 +37,7 @@ class Document(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
-        """Return the SHA-256 of the keys and values in hexadecimal digits.
+        """Return the SHA-256 of the keys and values of the document in hexadecimal digits.
 
         The order of keys, comments, keys without a value, and keys with their default value have no effect.
         """
@@ -52,7 +52,7 @@ class ResultFile(Document):
     The default value of the field ``format`` is the name of the format, such as ``swimid-gap/1``.
     """
 
-    #: Name of the kind of file in messages, such as ``"comparison file"``.
+    #: Name of the file format in messages, such as ``"comparison file"``.
     kind: ClassVar[str]
 
     def write(self, path: str | Path) -> None:
@@ -180,7 +180,7 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 
 
 def _expanded(node: Any, known: dict[int, int]) -> int:
-    """Return the number of nodes of a document with every alias written out."""
+    """Return the number of nodes of a YAML document with every alias written out."""
     if not isinstance(node, dict | list):
         return 1
     if id(node) not in known:
@@ -196,7 +196,7 @@ def validated(path: str | Path, model: type[M]) -> M:
 
 
 def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
-    """Check loaded data against a pydantic model.
+    """Check data of a YAML file against a pydantic model, and return them as an object of this model.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def _key(data: Any, problem: Any) -> list[Any]:
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
-    """Return the message and the hint for a validation error."""
+    """Return the message and the hint for the user about a validation error of pydantic."""
     kind, location, value = problem["type"], problem["loc"], problem.get("input")
     hint = None
     if kind == "extra_forbidden":
