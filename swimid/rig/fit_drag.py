@@ -56,21 +56,22 @@ from swimid.rig.model import ALIKE, COORDINATES, falling_weight_closed_form, ter
 from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
-#: Start values of a freed parameter, as multiples of its typical scale from the value at which it was held.
+#: Start values of a parameter that is freed in a test. They are distances from the value at which it was
+#: held, in multiples of its typical scale.
 FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
-#: Minimum of twice the logarithm of a likelihood ratio that counts as strong evidence [1]_.
+#: Minimum of twice the logarithm of a likelihood ratio at which evidence counts as strong [1]_.
 STRONG = 6.0
 #: Maximum number of parameters that a warning names.
 MAX_NAMED = 3
-#: Maximum p-value, and maximum ratio of the sums of squared residuals with and without start parameters, at
-#: which each trial gets its own start state.
+#: Maximum p-value, and maximum ratio of the sums of squared residuals with and without parameters of the
+#: start state, at which each trial gets a start state of its own.
 START_P, START_RATIO = 1e-6, 0.8
 #: Parameters of the start state of a trial, and their descriptions in a warning.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: Maximum ratio of the squared residuals with one more shared parameter to those with a parameter for each
-#: trial. Up to this ratio the shared parameter is preferred.
+#: Maximum ratio of the squared residuals with one more shared parameter to those with one more parameter for
+#: each trial. Up to this ratio the shared parameter is preferred.
 SHARED_RATIO = 1.1
-#: Maximum p-value of the slope of the friction over the pulling force that counts as a trend.
+#: Maximum p-value at which the slope of the pulley friction over the pulling force counts as a trend.
 TREND_P = 1e-2
 #: Reason in messages why the two-point method has no result.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
@@ -78,11 +79,11 @@ NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
 NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
 #: Default displacements of the two-point method, as fractions of the displacement that all drops reached.
 POINT_SHARES = (0.255, 0.51)
-#: Half-width of the interval of displacement around a point in which the speed is fitted, as a fraction of
-#: the first displacement.
+#: Half-width of the interval around a displacement of the two-point method in which the speed is fitted, as a
+#: fraction of the first displacement.
 HALF_WIDTH = 1 / 6
-#: Minimum number of samples in the interval around a point. The noise is estimated from more than
-#: ``MIN_SCATTER_SAMPLES`` samples.
+#: Minimum number of samples in the interval around a displacement of the two-point method. The noise is
+#: estimated if there are more than ``MIN_SCATTER_SAMPLES`` samples.
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
@@ -300,7 +301,7 @@ class Omitted:
 
     @property
     def text(self) -> str:
-        """Name and estimate of the parameter as text."""
+        """Name, estimate and standard error of the parameter as text."""
         place = f" in the place of {', '.join(self.replaced)}" * bool(self.replaced)
         return _measured(self.fit, self.parameter.name) + place
 
@@ -354,14 +355,17 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
 
 
 def fit_freed(stated: FitResult, name: str) -> FitResult | None:
-    """Return the best fit with one more free parameter, from several start values; None if all fail."""
+    """Return the best of several fits in which one more parameter is free; None if all of them fail.
+
+    The fits differ in the start value of this parameter.
+    """
     held = [p for p in stated.parameters if p.name == name and not p.free]
     freed = [_fit_from_starts(stated, p, chosen(stated.parameters, freed=(name,))) for p in held]
     return next((omitted.fit for omitted in freed if omitted is not None), None)
 
 
 def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
-    """Return the fit in which a parameter replaces those with a similar effect.
+    """Return a fit in which a parameter replaces the parameters with a similar effect; None if not tested.
 
     A parameter is not tested if only the user, and not the model, holds it.
     """
@@ -384,7 +388,7 @@ def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
 def _fit_from_starts(
     stated: FitResult, held: Parameter, parameters: tuple[Parameter, ...], replaced: tuple[str, ...] = ()
 ) -> Omitted | None:
-    """Return the best fit with the given parameters, from several start values of the parameter ``held``."""
+    """Return the best of several fits with different start values of the parameter ``held``."""
     free = any(p.name == held.name and p.free for p in parameters)
     here = {p.name: stated.value(p.name) for p in parameters if p.free and p.name in stated.labels}
     fits, steps = [], FREED_STARTS
@@ -407,7 +411,7 @@ def _fit_from_starts(
 
 
 def compute_evidence(stated: FitResult, fit: FitResult) -> float:
-    """Return twice the logarithm of the likelihood ratio of a fit to the reference fit."""
+    """Return twice the logarithm of the likelihood ratio of a fit to the reference fit ``stated``."""
     return stated.samples * math.log(max(stated.cost, 1e-300) / max(fit.cost, 1e-300))
 
 
@@ -488,7 +492,7 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
 
 
 def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
-    """Return a check if the friction differs between trials, and one if a trial contradicts the others.
+    """Return checks that fail or warn if the friction differs between trials, or if a trial is an outlier.
 
     Both are tested only if the residuals of the plain fit are coloured or trials disagree.
     """
@@ -514,7 +518,7 @@ def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
 
 
 def _measured(fit: FitResult, label: str) -> str:
-    """Return the name, the estimate and the standard error of a parameter as text."""
+    """Return the name, the estimate and the standard error of a fitted parameter as text."""
     return f"{label} {numbers.measured(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
 
 
@@ -546,7 +550,7 @@ def _friction_check(plain: FitResult) -> list[ev.Check]:
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:
-    """Return whether an F-test that allows for coloured noise prefers a fit with more unknowns."""
+    """Return whether an F-test prefers the fit ``rival`` with more unknowns. It allows for coloured noise."""
     extra = len(rival.labels) - len(plain.labels)
     before, after = squared_error(plain), squared_error(rival)
     if after <= 0 or before <= after or after > START_RATIO * before:
@@ -562,7 +566,7 @@ def _is_significant(plain: FitResult, rival: FitResult) -> bool:
 
 
 def squared_error(result: FitResult) -> float:
-    """Return the sum of squared residuals of the fitted trials."""
+    """Return the sum of squared residuals of a fit over the fitted trials."""
     return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 
@@ -615,7 +619,7 @@ def sign_check(result: FitResult) -> ev.Check:
 PRISM = np.array(
     [[1.0, 0.68], [2.0, 0.36], [3.0, 0.24], [4.0, 0.19], [5.0, 0.15], [6.0, 0.13], [7.0, 0.11], [10.0, 0.08]]
 )
-#: Maximum length of a body, in diameters of a circle with the frontal area of the body.
+#: Maximum length that a body can have, in diameters of a circle with the frontal area of the body.
 MAX_SLENDERNESS = 10.0
 #: Minimum and maximum density of water (fresh to salt, kg/m3), and kinematic viscosity of water at 20 degrees
 #: Celsius (m2/s).
@@ -767,7 +771,7 @@ Limit = tuple[str, float, str, str]
 
 
 def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
-    """Yield the limits of the added mass or the added moment of inertia, and of the drag coefficient."""
+    """Yield the physical limits of added mass or added moment of inertia, and of the drag coefficient."""
     density, box = experiment.robot.fluid.density_kg_m3, _box(experiment.robot.body)
     known = {name for name, status in result.status.items() if status != "unidentifiable"}
     along = result.model.channels[0].name == "x_m"
@@ -959,7 +963,7 @@ def max_drag_coefficient(reynolds_number: float) -> float:
 
 
 def theory_estimates(robot: Robot) -> list[Theory]:
-    """Return the theoretical estimates of the robot file, and the added mass of a prism of its size."""
+    """Return the theoretical estimates in a robot file, and the added mass of a prism of the robot's size."""
     quoted = list(robot.theory)
     box = _box(robot.body)
     if box is not None:
@@ -975,7 +979,7 @@ def theory_estimates(robot: Robot) -> list[Theory]:
 
 @dataclass(frozen=True)
 class TwoPointResult:
-    """Result of the two-point method.
+    """Result of the two-point method of the boxfish paper.
 
     Attributes
     ----------
@@ -1077,7 +1081,7 @@ def two_point(
         raise NoTrustworthyResult(f"the two displacements must rise from zero: {points[0]:g} {points[1]:g}")
 
     def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the speeds at the points and their standard errors, each shape (2, k)."""
+        """Return the speeds at the two displacements and their standard errors, each of shape (2, k)."""
         pairs = list(zip(times, displacements, strict=True))
         width = points[0] * HALF_WIDTH
         fits = np.array([[speed_at(t, x, point, width) for t, x in pairs] for point in points])
@@ -1087,7 +1091,7 @@ def two_point(
         lines = np.array([np.polyfit(masses, v, 1) for v in squared])
         slopes, intercepts = lines.T
         a1 = solve_a1(slopes[0] / slopes[1], points)
-        # tanh^2 phi(x) = 1 - exp(-2 a1 x), from Eq 14
+        # compute tanh^2 phi(x) = 1 - exp(-2 a1 x), which follows from Eq 14
         saturation = -np.expm1(-2 * a1 * np.array(points))
         drag = float(np.mean(2 * gravity * saturation / (density * area * slopes)))
         added = density * drag * area / (2 * a1) - mass - float(masses.mean())

@@ -1,4 +1,4 @@
-"""Model of the rig with one degree of freedom: falling weight, towing and free decay, with compiled kernels.
+"""Model of a test rig with one degree of freedom: falling weight, towing and free decay.
 
 One equation of motion describes the falling weight, towing and free decay::
 
@@ -74,7 +74,10 @@ class RigScales(Scales):
 
     @property
     def speed(self) -> float:
-        """Typical speed; in a free decay, the range of the motion times the natural angular frequency."""
+        """Typical speed of the body.
+
+        In a free decay it is the range of motion times the natural angular frequency.
+        """
         if not self.model.rig.swings:
             return super().speed
         rate = math.sqrt(max(self.stiffness, 1e-12) / self.inertia)
@@ -82,12 +85,12 @@ class RigScales(Scales):
 
     @property
     def stiffness(self) -> float:
-        """Stiffness of small swings, N/m or N m/rad."""
+        """Typical stiffness for small swings, N/m or N m/rad."""
         return self.model.start("stiffness") + self.model.start("gravity_stiffness")
 
     @property
     def inertia(self) -> float:
-        """Sum of known and added inertia, kg or kg m2; 1 if unknown."""
+        """Typical inertia, including added inertia, kg or kg m2; 1 if the inertia is unknown."""
         known = [t.rig.inertia for t in self.trials if not math.isnan(t.rig.inertia)]
         if not known:
             return 1.0
@@ -95,7 +98,10 @@ class RigScales(Scales):
 
     @property
     def force(self) -> float:
-        """Typical applied force; in a free decay the restoring force at the range of motion, N or N m."""
+        """Typical applied force, N or N m.
+
+        In a free decay it is the restoring force at the range of motion.
+        """
         if self.model.rig.swings:
             return max(self.stiffness, 1e-12) * self.span
         known = [float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.rig.pull))))) for t in self.trials]
@@ -163,7 +169,7 @@ class RigModel(Model):
         return trial.rig.begin_s
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the displacement at the start of a trial, by channel."""
+        """Return the initial displacement of a trial by the name of its channel."""
         return {self.coordinate: trial.rig.x0}
 
     def _value(self, values: Array, *names: str) -> float:
@@ -259,7 +265,7 @@ class RigModel(Model):
         return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the derivatives of the channels by time: the speed, and its numerical derivative."""
+        """Return the time derivatives of the channels of a trial: the speed, and its numerical derivative."""
         simulated = self.simulate(values, trial)
         rate = np.zeros(1)
         if len(trial.time_s) > 1:
@@ -268,7 +274,7 @@ class RigModel(Model):
 
 
 def terminal_speed(c: Mapping[str, float], force: float) -> float:
-    """Return the speed at which drag and friction balance a force, m/s; NaN if no such speed exists."""
+    """Return the terminal speed, at which drag and friction balance a force, m/s; NaN if there is none."""
     push = force - c["dry"]
     brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
     return 2 * push / brake if push > 0 and brake > 0 else math.nan
@@ -277,17 +283,17 @@ def terminal_speed(c: Mapping[str, float], force: float) -> float:
 def _parameter(
     name: str, unit: str, start: float, scale: float, meaning: str, *, lower: float = 0.0, **more: Any
 ) -> Parameter:
-    """Return a parameter without an upper bound, and by default with the lower bound 0."""
+    """Return a parameter of a rig model without an upper bound. Its lower bound is 0 by default."""
     return Parameter(name, unit, lower, math.inf, start, scale, meaning=meaning, **more)
 
 
 def _signed(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Parameter:
-    """Return a parameter without bounds, whose start value is zero."""
+    """Return a parameter of a rig model without bounds and with the start value zero."""
     return _parameter(name, unit, 0.0, scale, meaning, lower=-math.inf, **more)
 
 
 def _drag(area_known: bool, source: str = "") -> Parameter:
-    """Return the drag coefficient; the quadratic drag if the frontal area is unknown."""
+    """Return the parameter for quadratic drag: the drag coefficient if the frontal area is known."""
     if area_known:
         return Parameter(
             "drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source=source
@@ -309,7 +315,7 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
 def falling_weight(
     *, mass_kg: float, force_N: float, area_known: bool, pulley: bool, speed_m_s: float = 0.3
 ) -> RigModel:
-    """Return the falling-weight model (boxfish paper, Eqs 7, 8) for typical inertia, force and speed.
+    """Return the falling-weight model (boxfish paper, Eqs 7, 8), scaled by typical inertia, force and speed.
 
     Parameters
     ----------
@@ -335,7 +341,7 @@ def falling_weight(
 
 
 def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
-    """Return the model of a body under a measured force, with added mass and drag as free parameters."""
+    """Return the model of a body towed by a measured force, with added mass and drag as free parameters."""
     half = 0.5 * max(mass_kg, 0.1)
     parameters = (
         _drag(area_known),
@@ -358,7 +364,7 @@ def free_decay(
     amplitude: float,
     gravity: float = 0.0,
 ) -> RigModel:
-    """Return the model of a free decay in one of :data:`COORDINATES`.
+    """Return the model of a free decay in one coordinate (one of :data:`COORDINATES`).
 
     Parameters
     ----------
@@ -406,7 +412,7 @@ def free_decay(
 # ---------------------------------------------------------------- integration
 
 
-#: Maximum number of times that the body stops or starts within one integration step.
+#: Maximum number of times that dry friction stops or releases the body within one integration step.
 MAX_EVENTS = 8
 
 
@@ -661,11 +667,11 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
         t = max(time[i] - start, 0.0)
         phi = rate * t
         if phi < 1e-4:
-            # Taylor series of ln cosh and tanh, which avoid a division by zero drag
+            # use the Taylor series of ln cosh and tanh, which need no division by the drag
             x[i] = 0.5 * a2 * t * t * (1.0 - phi * phi / 6.0)
             v[i] = a2 * t * (1.0 - phi * phi / 3.0)
         else:
-            # ln cosh (without overflow) and tanh are computed from the same exponential
+            # compute ln cosh (without overflow) and tanh from the same exponential
             decay = math.exp(-2.0 * phi)
             x[i] = (phi + math.log1p(decay) - math.log(2.0)) / a1
             v[i] = math.sqrt(a2 / a1) * (1.0 - decay) / (1.0 + decay)

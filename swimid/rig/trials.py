@@ -1,4 +1,4 @@
-"""Read the trials of a rig with one degree of freedom: falling weight, towing and free decay."""
+"""Reading of the trials of a rig with one degree of freedom: falling weight, towing and free decay."""
 
 from __future__ import annotations
 
@@ -123,9 +123,9 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
         model.parameters,
-        # the release lies within one trial duration of the start of the log
+        # assume that the release is within one duration of a trial from the start of the log
         bounds={"clock_offset": (-span, span)},
-        # if a drop starts outside the origin, its start position has the noise of the first sample
+        # estimate the start position of drops that start outside the origin, because it has measurement noise
         freed=("start_offset",) * any(k.x0 != 0 for k in known),
     )
 
@@ -220,7 +220,8 @@ def _drop(
     # from the time that the force needs.
     quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
     at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
-    # only a count of the encoder shows for certain that the body has moved; a camera position has noise
+    # only the count of an encoder shows for certain that the body has moved, because a camera position has
+    # noise
     counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
     release, x0 = float(time[0]), float(position[0])
     if at_zero:
@@ -374,7 +375,8 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
             if len(extremes) < 3:
                 break
             found = crossings, extremes
-            # the rest position is a weighted mean of extremes, with an error of second order in the decay
+            # estimate the rest position by a weighted mean of extremes, whose error is of second order in the
+            # decay
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
@@ -387,7 +389,7 @@ def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Arra
     """Return the indices at which a record crosses a level, and the extreme of each part between them."""
     away = values - level
     amplitude = float(np.max(np.abs(away)))
-    # values within the band around the level are ignored, so that noise does not count as a change of side
+    # ignore values within a band around the level, so that noise does not count as a crossing
     band = min(max(0.1 * amplitude, 4.0 * noise), 0.25 * amplitude)
     state = np.sign(away) * (np.abs(away) > band)
     marked = np.flatnonzero(state)
@@ -458,7 +460,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
 
 @dataclass(frozen=True)
 class Displacement:
-    """Displacement record of an experiment, with its known errors.
+    """Displacement record of a trial on a rig, with its known measurement errors.
 
     Attributes
     ----------
@@ -493,7 +495,7 @@ ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.
 
 
 def read_encoder(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
-    """Detect an encoder in a displacement record without missing samples, and return its errors.
+    """Detect an encoder in a displacement record, and return the record with its measurement errors.
 
     Parameters
     ----------
@@ -514,7 +516,7 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
     if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
         at = np.flatnonzero(moves) + 1
         gap = time_s[at] - time_s[at - 1]
-        # a count that changed by m passed m steps within the interval; use the middle step
+        # use the middle one of the m steps that a count has passed within an interval if it changed by m
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
         # the time of the change is uniformly distributed between the two samples
@@ -539,7 +541,7 @@ def third_difference_sd(values: Array) -> float:
 
 
 def true_position(record: Displacement, rounding: str) -> Array:
-    """Return the true positions of a record, shape (n,), for one of the :data:`ROUNDINGS` of its counts."""
+    """Return the true positions of a displacement record for one of the :data:`ROUNDINGS` of its counts."""
     if record.rounded is None or record.resolution is None:
         return record.position
     return record.position + ROUNDINGS[rounding][record.rounded] * record.resolution
