@@ -148,7 +148,7 @@ def fit_propulsion(
 def _fit_surge(
     experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
 ) -> Made:
-    """Fit thrust and drag to the surge averaged over tail beats.
+    """Fit thrust and drag of straight swimming to the surge averaged over tail beats.
 
     The initial speed of each trial is estimated, unless the user holds it.
 
@@ -323,7 +323,10 @@ def _find_departures(
 
 
 def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
-    """Return the mean relative deviation of the runs at a frequency from the law; None without a speed."""
+    """Return the mean relative deviation of the speeds at a frequency from the recoil law, with its error.
+
+    The result is None if no speed was measured at this frequency.
+    """
     shares, spread = [], []
     size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
     reference = fitted.noise[SPEED].value_sd

@@ -86,7 +86,7 @@ def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
 
 
 def _root(step: Callable[[Array], Array], start: Array) -> Array:
-    """Return the root that Newton's method finds; ``step`` is the function divided by its derivative."""
+    """Return a root of a function by Newton's method. ``step`` is the function divided by its derivative."""
     for _ in range(MAX_ITERATIONS):
         change = step(start)
         start = start - change
@@ -149,12 +149,12 @@ class RecoilScales(Scales):
 
     @property
     def inertia(self) -> float:
-        """Moving mass, including added mass, kg."""
+        """Moving mass: sum of the mass of the robot and its added mass, kg."""
         return self.model.drag_area_kg_m / self.model.b1
 
     @property
     def force(self) -> float:
-        """Drag at the typical speed, N."""
+        """Typical force, the drag at the typical speed, N."""
         return self.model.drag_area_kg_m * self.speed**2
 
 
@@ -163,7 +163,7 @@ class SurgeScales(Scales):
 
     @property
     def force(self) -> float:
-        """Drag per mass at the typical speed, m/s2."""
+        """Typical force per mass, the drag at the typical speed, m/s2."""
         return max(self.model.start("surge_drag"), 0.1) * self.speed**2
 
 
@@ -255,7 +255,7 @@ class RecoilModel(Model):
         return hooks.seen({SPEED: speed}, trial.time_s)
 
     def apart(self, trial: Trial) -> list[Trial]:
-        """Split the trial of a fin into one trial for each run, with the ids ``fin/1``, ``fin/2``, ..."""
+        """Split the trial of a fin into one trial for each cruise run, named ``fin/1``, ``fin/2``, ..."""
 
         def cut(columns: Mapping[str, Any], k: int) -> dict[str, Any]:
             return {name: np.broadcast_to(v, len(trial.time_s))[k : k + 1] for name, v in columns.items()}

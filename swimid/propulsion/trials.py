@@ -1,4 +1,4 @@
-"""Read the trials for the propulsion of a fin: cruise tables and logs of straight free swimming."""
+"""Reading of the trials for ``fit-propulsion``: cruise tables and logs of straight free swimming."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 TIME_SD_S, SPEED_RSD = 0.1, 0.01
 #: Models of the parameter files that can be used as a drag file.
 RIGS = ("falling-weight", "towed", "free-decay")
-#: Minimum number of whole tail beats in a trial.
+#: Minimum number of whole tail beats in a free-swim trial.
 MIN_BEATS = 4
 #: Keys of a trials file that have an effect, by experiment. The keys of all drives are included, so that a
 #: stroke, which is not supported, gets a specific error message.
@@ -48,7 +48,7 @@ USES = {
 
 
 def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None = None) -> Experiment:
-    """Read the trials file of a cruise or of free swimming.
+    """Read the trials file of a cruise or free-swim experiment.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     averaged = values[-1]
     if len(values) > 1:
         averaged = np.unwrap(averaged)
-    # integrate to the exact ends of a beat, because one sample more or less would cause an error
+    # integrate to the exact ends of each beat, because one sample more or less would cause an error
     speeds = over_beats(cumulative_trapezoid(averaged, time, initial=0.0)) / period_s
     if len(values) > 1:
         heading, (x, y) = speeds, (over_beats(place) for place in values[:2])
