@@ -45,12 +45,13 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import uncertainty as rt
 from swimid.logs.sampling import rounding
 
-#: Maximum magnitude of a zero of C. The inverse of C is stable if all magnitudes are below 1.
+#: Maximum magnitude of a zero of the noise polynomial C. The inverse of C is stable if all magnitudes are
+#: below 1.
 MAX_ZERO = 0.999
 #: Number of missing samples that are inserted between two joined records, in addition to the lags of the
 #: model. It exceeds the lags of all tests of the residuals.
 GAP = 100
-#: Maximum number of Gauss-Newton steps, and maximum number of halvings of one step.
+#: Maximum number of Gauss-Newton steps in the search for C, and maximum number of halvings of one step.
 MAX_STEPS, MAX_HALVINGS = 100, 30
 #: Maximum ratio of the root-mean-square residual to the standard deviation of the output at which the
 #: residuals are taken for rounding errors.
@@ -67,7 +68,8 @@ MIN_SHARE = 1e-3
 #: Minimum variance inflation factor at which the columns of a regression count as nearly dependent. The
 #: standard errors are then 100 times those of independent columns.
 NEARLY_DEPENDENT = 1e4
-#: Default of a in P(0) = a^2 I. The paper recommends values above 10^3.
+#: Default of a in the initial matrix P(0) = a^2 I of the recursion. The long-fin paper recommends values
+#: above 10^3.
 PRIOR_SCALE = 1e6
 #: Maximum of the elements of the factor D of the matrix P, in units of a^2. With forgetting, P grows without
 #: limit in directions that the input does not excite. In excited directions D stays below this limit.
@@ -97,7 +99,9 @@ def recursive_least_squares(
     forgetting: float = 1.0,
     prior_scale: float = PRIOR_SCALE,
 ) -> Recursion:
-    """Return the recursive estimate of theta in ``outputs = regressors @ theta + noise``, from theta(0) = 0.
+    """Estimate theta in ``outputs = regressors @ theta + noise`` by recursive least squares.
+
+    The recursion starts from theta(0) = 0.
 
     Parameters
     ----------
@@ -147,7 +151,7 @@ def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
     gain, f = np.empty(p), np.empty(p)
     limited = 0
     for k in range(n):
-        # compute the innovation, and f = U' h
+        # compute the innovation, and the vector f = U' h
         error = z[k]
         for j in range(p):
             error -= h[k, j] * theta[j]
@@ -198,10 +202,10 @@ class Regression:
     """
 
     orders: Orders
-    #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
+    #: Matrix H, shape (n, na + nb), and vector z, shape (n,), of the regression.
     rows: np.ndarray
     outputs: np.ndarray
-    #: Index of the sample that each row predicts, in the joined records, shape (n,).
+    #: Index in the joined records of the sample that each row predicts, shape (n,).
     sample: np.ndarray
     #: Input signal of the joined records, with NaN between two records.
     source: np.ndarray
@@ -227,7 +231,7 @@ class Regression:
 
 
 def regression(records: Sequence[Record], orders: Orders) -> Regression:
-    """Return all complete rows of the regression over several records with one sample time.
+    """Return the regression of several records with one sample time, with all complete rows.
 
     Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
     """
@@ -330,7 +334,7 @@ def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Identifiability of the p coefficients of a regression."""
+    """Identifiability of the p coefficients of a regression from its data."""
 
     #: Whether the data determine each coefficient, shape (p,).
     determined: np.ndarray
@@ -341,7 +345,8 @@ class Identifiability:
     condition: float
     #: Factor R of the QR decomposition of the scaled regression, shape (p, p).
     factor: np.ndarray
-    #: Number of directions that the input columns determine (order of persistent excitation).
+    #: Number of independent directions that the columns of the input determine (order of persistent
+    #: excitation).
     input_rank: int = 0
 
 
@@ -454,12 +459,12 @@ class ArxEstimate:
     whiteness: rt.TestResult
     #: Whether the covariance allows for correlated residuals (sandwich form).
     robust: bool
-    #: Whether the residuals are no larger than rounding errors.
+    #: Whether the residuals are not larger than rounding errors.
     exact: bool
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation matrix of the m coefficients that the data determine, shape (m, m)."""
+        """Correlation matrix of the estimates of the m coefficients that the data determine, shape (m, m)."""
         use = np.isfinite(self.stderr)
         sd = np.where(self.stderr[use] > 0, self.stderr[use], 1.0)
         matrix = self.covariance[np.ix_(use, use)] / np.outer(sd, sd)

@@ -78,12 +78,12 @@ MAX_MISSING = 1e-3
 class Record:
     """Record of input and output on a time grid, each of shape (n,). Missing samples are NaN."""
 
-    #: Name of the log.
+    #: Name of the log from which the record was read.
     name: str
     time_s: np.ndarray
-    #: Input u.
+    #: Samples of the input u.
     source: np.ndarray
-    #: Output y.
+    #: Samples of the output y.
     output: np.ndarray
 
     def __len__(self) -> int:
@@ -101,7 +101,7 @@ class Orders:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the coefficients: a1, ..., b1, ..., c1, ..."""
+        """Names of the coefficients of the model: a1, ..., b1, ..., c1, ..."""
         counts = {"a": self.na, "b": self.nb, "c": self.nc}
         return tuple(f"{letter}{i}" for letter, count in counts.items() for i in range(1, count + 1))
 
@@ -116,7 +116,7 @@ class Orders:
         return max(self.na, self.nk + self.nb - 1)
 
     def split(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the coefficients of A, of B and of C, from one vector of all coefficients."""
+        """Split the vector of all coefficients into the coefficients of A, of B and of C."""
         theta = np.asarray(theta, dtype=float)
         return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
 
@@ -392,7 +392,7 @@ class ArxModel(Model):
         return hooks.seen(channels, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
-        """Return the input of a trial at ``time`` (s), shape (n,), NaN where missing.
+        """Return the input signal of a trial at ``time`` (s), shape (n,), NaN where missing.
 
         Raises
         ------
@@ -603,7 +603,7 @@ class Columns:
 
     @property
     def unit(self) -> str:
-        """Unit of the output, from the ending of its name; ``"1"`` if the name has no unit."""
+        """Unit of the output column, from the ending of its name; ``"1"`` if the name has no unit."""
         return numbers.split_unit(self.output)[1] or "1"
 
     @property
@@ -631,12 +631,12 @@ class Data:
     fit: list[Record]
     #: Held-out records by the name of the log or of the part of a log.
     held_out: dict[str, list[Record]]
-    #: Names of the fitted logs.
+    #: Names of the logs to which the model is fitted.
     logs: list[str]
-    #: Paths or objects of all inputs, for the provenance.
+    #: Paths or objects of all input files, for the provenance.
     files: list[Input]
     robot: str | None
-    #: Sentences about repeated samples, one for each column that has them.
+    #: Sentences about repeated samples, one for each column with repeated samples.
     repeats: list[str]
 
 

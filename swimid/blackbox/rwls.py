@@ -249,7 +249,7 @@ def _checks(m: Identified) -> list[Check]:
 
 
 def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
-    """Yield the code and the text of each warning about the data and the model."""
+    """Yield the code and the text of each warning about the data and the identified model."""
     fitted, data, point = m.estimate, m.data, m.point
     known, nb = fitted.known, fitted.orders.nb
     unit = numbers.unit_text(data.columns.unit)
@@ -476,7 +476,7 @@ class WorkingPoint:
 
     source: float
     output: float
-    #: Constant term of the regression divided by its standard error.
+    #: t value of the constant term: its estimate in the regression divided by its standard error.
     t: float
     removed: bool
 
@@ -518,7 +518,7 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
 def _helps(
     records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
 ) -> bool:
-    """Return whether subtracting the means improves the free run, or removes a spurious pole at 1.
+    """Return whether subtraction of the means improves the free run, or removes a spurious pole at 1.
 
     Parameters
     ----------
@@ -545,7 +545,7 @@ def _helps(
 def constant_term(data: Regression) -> tuple[float, float]:
     """Return a constant term that is fitted together with A and B, and its t value.
 
-    They are NaN and 0 if the data do not determine the constant term.
+    The constant term is NaN and its t value 0 if the data do not determine it.
     """
     n, p = data.rows.shape
     rows = np.hstack((data.rows, np.ones((n, 1))))
@@ -562,7 +562,7 @@ def constant_term(data: Regression) -> tuple[float, float]:
 
 
 def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
-    """Return the records as deviations from a working point."""
+    """Return records of deviations from a working point."""
     if not point.removed:
         return list(records)
     return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
@@ -596,7 +596,7 @@ class Part:
     records: list[Record]
     one_step: Score
     free_run: Score
-    #: Whether the model is not stable and its free run diverges from the data.
+    #: Whether the model is not stable and its free run diverges from the measured output.
     diverged: bool
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
@@ -641,7 +641,7 @@ def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) 
 
 @dataclass(frozen=True)
 class Identified:
-    """Identified model with its data and prediction errors."""
+    """Identified ARX or ARMAX model with its data and its prediction errors."""
 
     options: RwlsOptions
     data: Data
@@ -652,7 +652,7 @@ class Identified:
     estimate: ArxEstimate
     #: Poles of the model, the largest magnitude first.
     poles: list[Pole]
-    #: Orders of the order search with their BIC, lowest first; empty without a search.
+    #: Orders tried in a search with their BIC, lowest BIC first; empty without a search.
     candidates: Sequence[tuple[Orders, float]]
 
     @property
@@ -667,7 +667,7 @@ class Identified:
 
     @cached_property
     def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """One-step residuals and input of the fitted records on one time grid, and number of lags to test."""
+        """One-step residuals and input of the fitted records on a time grid, and number of lags to test."""
         data = self.estimate.data
         return data.on_grid(self.estimate.residuals), data.source, rt.default_lags(len(data))
 
@@ -777,7 +777,7 @@ def search_orders(
     check_enough(data, widest)
     n = len(data)
     factor = np.asarray(np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r"))
-    # without this minimum, noise-free data would always favour more coefficients
+    # limit the residuals from below, because noise-free data would otherwise favour more coefficients
     floor = max(n * (EXACT * float(np.std(data.outputs))) ** 2, float(np.finfo(float).tiny))
     grid = list(product(range(largest + 1), range(1, largest + 1), delays))
     found = []
