@@ -339,7 +339,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
 
 
 def answer(file: GaitFile) -> str:
-    """Return the best gait as a sentence."""
+    """Return a sentence with the best gait, its goal and its active limits."""
     place = ", ".join(f"{n} {numbers.number(v, 4, file.vary[n].unit)}" for n, v in file.at.items())
     held = f", limited by {', '.join(file.held_by)}" * bool(file.held_by)
     return f"Best gait: {place}; {file.goal} {value_text(file.best, file.unit, digits=4)}{held}."

@@ -33,7 +33,7 @@ N_MODEL_POINTS, N_ZOOMS = 512, 3
 #: Factor of the penalty for violating a limit. The penalty is this factor times the typical scale of the goal
 #: times the relative violation.
 PENALTY = 10.0
-#: Maximum relative violation at which a limit still counts as satisfied.
+#: Maximum relative violation at which a limit of a gait still counts as satisfied.
 LIMIT_RTOL = 1e-3
 #: Type of an objective function. Its arguments are points in the unit cube, shape (n, d), and the index of
 #: the search to which each point belongs, shape (n,). It returns the goal and the violation of each limit,
@@ -70,7 +70,7 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
     lower = np.array([model.parameters[k].lower for k in index])
     upper = np.array([model.parameters[k].upper for k in index])
     sd = np.sqrt(np.diag(covariance))
-    # no Cholesky factor exists if coefficients share a value, because the correlation matrix is then singular
+    # use eigenvectors, because the correlation matrix is singular if coefficients share a value
     values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(seed)
@@ -322,7 +322,7 @@ class Problem:
         return np.hstack(found)
 
     def keeps_limits(self, table: Array) -> NDArray[np.bool_]:
-        """Return whether each simulation satisfies all limits, shape (n,)."""
+        """Return for each simulation whether it satisfies all limits, shape (n,)."""
         return np.asarray((self.violations(table) <= LIMIT_RTOL).all(axis=1))
 
     def parts(self, table: Array) -> Array:
@@ -344,7 +344,7 @@ class Problem:
         return descend(evaluate, starts, **how)
 
     def front(self, population: int, generations: int, seed: int, first: Array) -> Array:
-        """Search the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.
+        """Search for the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.
 
         Returns
         -------

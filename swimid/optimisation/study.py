@@ -37,7 +37,7 @@ from swimid.swimmer.model import Swimmer
 
 #: Minimum and maximum allowed values of drive parameters.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
-#: Number of gaits that are simulated together.
+#: Number of gaits that are simulated in one batch.
 BATCH = 8
 
 Point = Mapping[str, float]
@@ -46,7 +46,7 @@ Point = Mapping[str, float]
 DOUBTFUL_CODES = ("SWM053", "SWM062")
 #: Default values of drive parameters that a gait does not state.
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
-#: Minimum fraction of the random coefficient samples that lie within the bounds of the coefficients.
+#: Minimum fraction of random samples of the coefficients that must lie within the bounds of the coefficients.
 MIN_INSIDE = 0.5
 REFERENCES = [
     "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
@@ -110,7 +110,7 @@ class Performance:
 
     @cached_property
     def values(self) -> Array:
-        """Parameter vector with the given coefficients. Per-trial parameters have their neutral values."""
+        """Parameter vector of the model with the given coefficients. Per-trial parameters are neutral."""
         return self.applied.values()
 
     @cached_property
@@ -127,7 +127,7 @@ class Performance:
 
     @property
     def identified(self) -> dict[str, tuple[float, float]]:
-        """Range of each drive parameter in the identification trials; empty if unknown."""
+        """Range of each drive parameter in the identification trials; empty if the trials are unknown."""
         file = self.applied.file
         if file is None or file.fit is None:
             return {}
@@ -167,7 +167,7 @@ class Performance:
         return swim_input(self.model, self.options, {**self.drive, **varied})
 
     def run(self, point: Point) -> SwimRun:
-        """Return the simulation settings of a gait."""
+        """Return the settings of the simulation of a gait."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
         return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
@@ -182,7 +182,7 @@ class Performance:
         return moved
 
     def table(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """Return the quantities of gaits, shape (n, quantities); NaN for a quantity that is not available.
+        """Simulate gaits, and return their quantities, shape (n, quantities). Unavailable quantities are NaN.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class Performance:
         return found
 
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """Return the quantities of gaits as :meth:`table` does, computed in several threads."""
+        """Simulate gaits in several threads, and return their quantities as :meth:`table` does."""
         given = [self.values] * len(points) if values is None else values
         parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
         tables = in_parallel(
@@ -206,7 +206,7 @@ class Performance:
         return np.concatenate(tables)
 
     def with_errors(self, point: Point) -> Array:
-        """Return the quantities of a gait and their standard errors, shape (quantities, 2)."""
+        """Simulate a gait, and return its quantities and their standard errors, shape (quantities, 2)."""
         return np.column_stack(
             self.applied.with_errors(
                 self.at(point), lambda vectors: self.table([point] * len(vectors), vectors)
@@ -214,7 +214,7 @@ class Performance:
         )
 
     def insist(self, table: Array) -> None:
-        """Raise an error if every simulation breaks down, or if the robot never moves.
+        """Raise an error if every simulation in a table has broken down, or if the robot never moves.
 
         Parameters
         ----------
