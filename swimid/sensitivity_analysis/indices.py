@@ -157,7 +157,7 @@ def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         first = np.mean((b - mean[:, None]) * (ab - a), axis=-1) / variance
         total = 0.5 * np.mean((a - ab) ** 2, axis=-1) / variance
-    # the indices of an output without variance are set to zero
+    # set the indices of an output without variance to zero
     indices = np.nan_to_num([first.T, total.T], posinf=0.0, neginf=0.0)
     parts = [indices]
     for members in groups:

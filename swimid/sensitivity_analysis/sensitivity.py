@@ -122,7 +122,7 @@ class SensitivityFile(yamlio.ResultFile):
     robot: str
     experiment: str
     params: str | None = None
-    #: Number of rows of the Sobol design.
+    #: Number of rows of the Sobol design of the analysis.
     samples: int
     trials: list[str]
     ranges: dict[str, Range]
@@ -624,7 +624,7 @@ def _answer(file: SensitivityFile) -> str:
 
 
 def _totals(file: SensitivityFile) -> ev.Table:
-    """Return a table of the most influential coefficients of each output."""
+    """Return a table of the coefficients with the largest total indices for each output."""
     ranks = ("largest", "second", "third")
     rows: list[dict[str, ev.Cell]] = []
     for o in _headline(file):
