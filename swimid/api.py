@@ -1,4 +1,4 @@
-"""Names of the public API, and public functions that belong to no single package."""
+"""Names of the public API of swimid, and the public functions that read trials, logs and robots."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
     from swimid.logs.trials import TrialSet
     from swimid.robots.file import Robot
 
-#: Public names of each module.
+#: Public names of swimid, by the module that defines them.
 _NAMES_OF = {
-    # reading of trials, logs, robots and results
+    # Functions that read trials, logs and robots.
     "swimid.api": ("load", "read_log", "read_robot", "built_in_robots"),
     "swimid.logs.log": ("Log",),
     "swimid.logs.trials": ("TrialSet",),
     "swimid.robots.file": ("Robot",),
-    # creation of logs from videos and recordings
+    # Functions that create logs from videos and from recordings of other programs.
     "swimid.tracking.track_video": ("track_video",),
     "swimid.tracking.track_setup": ("track_setup",),
     "swimid.inertial.track_imu": ("track_imu",),
     "swimid.logs.import_log": ("import_log",),
     "swimid.logs.mapping": ("guess_mapping",),
-    # identification
+    # Functions that identify models.
     "swimid.rig.fit_drag": ("fit_drag",),
     "swimid.propulsion.fit_propulsion": ("fit_propulsion",),
     "swimid.swimmer.fit_graybox": ("fit_graybox",),
     "swimid.blackbox.rwls": ("rwls",),
     "swimid.fitting.fit_common": ("fit_model",),
-    # simulation, diagnosis, optimisation and publication, with the classes of their results
+    # Functions for simulation, diagnosis, optimisation and publication, with the classes of their results.
     "swimid.simulation.simulate": ("simulate", "Simulation"),
     "swimid.simulation.compare": ("compare", "Comparison"),
     "swimid.diagnosis.diagnose": ("diagnose",),
@@ -50,7 +50,7 @@ _NAMES_OF = {
     "swimid.results.parameters": ("Fitted",),
     "swimid.logs.plot": ("plot",),
     "swimid.logs.tracks": ("Logged",),
-    # classes for models and effects of the user, errors and warnings
+    # Base classes for models and effects that a user writes; classes of errors and warnings.
     "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),
     "swimid.effects.base": ("Effect",),
     "swimid.errors": ("SwimidError", "InputError", "UsageError", "NoTrustworthyResult"),
@@ -62,7 +62,7 @@ NAMES = {name: module for module, names in _NAMES_OF.items() for name in names}
 
 
 def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
-    """Read the log of one trial, CSV or Parquet.
+    """Read the log of one trial from a CSV or Parquet file.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def load(
         raise UsageError("name the experiment and the robot of these trials")
     given: Any = trials
     if not isinstance(trials, Sequence):
-        given, keys = [], {**keys, "table": trials}  # the table of a cruise
+        given, keys = [], {**keys, "table": trials}  # a cruise experiment has one table for all trials
     return TrialSet.of(list(given), experiment=experiment, robot=str(robot), **keys)
 
 

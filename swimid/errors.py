@@ -21,13 +21,13 @@ from typing import Any
 #: Argument name of each option of the running function. None on the command line, where messages name the
 #: options as they are typed.
 _ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
-#: Pattern of a whole command, which is left unchanged, or of one option.
+#: Pattern that finds options in messages. It also matches whole commands, in which options stay unchanged.
 _OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
 
 
 @contextmanager
 def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
-    """Replace option names (``--start-state``) by argument names (``start_state``) in messages of this block.
+    """Name options as Python arguments (``raw`` for ``--raw``) in errors and warnings raised in the block.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
 
 
 def in_words_of_the_caller(text: str) -> str:
-    """Return a message in which each option has the name that the caller uses.
+    """Return a message with each option named as the caller typed it, as an option or as a Python argument.
 
     >>> with naming({"--start-state": "start_state", "--raw": "clean=False"}):
     ...     in_words_of_the_caller("give --start-state rest, or --raw")
@@ -154,7 +154,7 @@ class InputError(SwimidError, ValueError):
 
 
 class NoTrustworthyResult(SwimidError):
-    """Error for a computation that ended without a result that can be trusted.
+    """Error for a computation that ended without a trustworthy result, such as a fit that identifies nothing.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class Interrupted(NoTrustworthyResult):
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an exception's message, or its class name if the message is empty."""
+    """Return the first line of the message of an exception, or the name of its class without a message."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
@@ -206,7 +206,7 @@ def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "the
 
 @contextmanager
 def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> Iterator[None]:
-    """Convert the failed import of an optional library into an error that names the extra to install.
+    """Convert the failed import of an optional library into an error that names the pip extra to install.
 
     The error is an :class:`InputError` if a file needs the library, and a :class:`UsageError` otherwise.
 
@@ -229,7 +229,7 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 
 @contextmanager
 def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
-    """Convert an error of the operating system into an :class:`InputError`.
+    """Convert an error of the operating system for a file into an :class:`InputError`.
 
     The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why.
 

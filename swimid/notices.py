@@ -1,8 +1,8 @@
-"""Warnings with stable codes, which a command prints at its end and stores in its results; progress of loops.
+"""Warnings with stable codes, and progress bars of long loops.
 
-Library code calls :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. The command line collects
-the warnings with :func:`recorded`, and the report repeats them. The caller of a long loop decides whether and
-how its progress is shown.
+Library code calls :func:`warn`. A command prints the warnings at its end and stores them in its results. In
+Python, the user sees a :class:`SwimidWarning`. The command line collects the warnings with :func:`recorded`,
+and the report repeats them. The caller of a long loop decides whether and how its progress is shown.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def warn(code: str, text: str) -> None:
 
 @contextmanager
 def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
-    """Collect the warnings of class :class:`SwimidWarning` in the block, without duplicates.
+    """Collect the warnings of class :class:`SwimidWarning` that the block issues, without duplicates.
 
     With ``repeat`` the collected warnings are issued again at the end of the block, even after an error, so
     that an outer block records them too.
@@ -180,7 +180,7 @@ def show(step: Step, text: str) -> None:
 
 
 def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:
-    """Show no progress. Library functions do this by default."""
+    """Return a progress bar that shows nothing. It is the default of all library functions."""
 
     def step(amount: int = 1) -> None:
         return None

@@ -1,4 +1,4 @@
-"""Declaration of all options of a command in one class.
+"""Declaration of all options of a command in one class, for Python and for the command line.
 
 A class of options derives from :class:`Options` and has one field for each option, declared with
 :func:`option`. The class determines the keyword arguments and the docstring of the function (:func:`takes`),
@@ -115,7 +115,7 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Return the options with the given values; None stands for the default.
+        """Return the options with the given values. The value None stands for the default of an option.
 
         Raises
         ------
@@ -130,11 +130,11 @@ class Options(BaseModel):
 
     @classmethod
     def declared(cls) -> dict[str, Declared]:
-        """Return all options by the name of their field, in the order of declaration."""
+        """Return the declaration of each option by the name of its field, in the order of the class."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
     def settings(self, **actual: Any) -> dict[str, Any]:
-        """Return the options that the provenance records, as plain data.
+        """Return the options that are recorded in the provenance of a result, as plain data.
 
         Parameters
         ----------
@@ -146,7 +146,9 @@ class Options(BaseModel):
 
 
 class Declared:
-    """Declaration of one option. Attributes that are not listed are the arguments of :func:`option`.
+    """Declaration of one option of a command.
+
+    Attributes that are not listed are the arguments of :func:`option`.
 
     Attributes
     ----------
@@ -178,7 +180,7 @@ class Declared:
 
     @property
     def flag(self) -> str:
-        """Name of the option in messages."""
+        """Name of the option in messages, such as ``--start-state``."""
         return self.flags.split("/")[0].split(" ")[-1]
 
     def files(self, value: Any) -> list[Path]:
@@ -190,7 +192,7 @@ class Declared:
         return [Path(one) for one in value if isinstance(one, str | Path)]
 
     def type_text(self) -> str:
-        """Return the type of the value as text for a docstring."""
+        """Return the type of the option's value as text for a docstring."""
         text = re.sub(r"\b(?:\w+\.)+", "", inspect.formatannotation(self.kind))
         text = re.sub(r"Literal\[(.*?)\]", r"{\1}", text)
         text = text.replace("Union[Path, Any]", "path or its content").replace("Path", "path")
@@ -260,7 +262,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
 
 
 def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
-    """Return a docstring with the options in its Parameters section, before the arguments in ``rest``."""
+    """Return a docstring with the options added to its Parameters section before the arguments ``rest``."""
     if text is None:
         return None
     lines = inspect.cleandoc(text).splitlines()
@@ -308,25 +310,28 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
 # ---------------------------------------------------------------- options that several commands share
 
 
-#: State at the start of a trial: chosen from the log, at rest, or estimated.
+#: Initial state of a trial: chosen by the fit from the log, at rest, or estimated.
 StartState = Literal["auto", "rest", "estimate"]
 
 
 def fixed() -> Any:
-    """Return the option for parameters that are held at a value."""
+    """Return the declaration of the option ``--fix``, which holds parameters at a value."""
     return option({}, flag="--fix", metavar="NAME=VALUE", help="Hold a parameter at a value.")
 
 
 def freed() -> Any:
-    """Return the option for parameters that are estimated although they are fixed by default."""
+    """Return the declaration of the option ``--free``, which frees parameters that are fixed by default."""
     return option((), flag="--free", metavar="NAME", help="Estimate a parameter that is fixed by default.")
 
 
 def bounds() -> Any:
-    """Return the option for bounds that replace those of a parameter."""
+    """Return the declaration of the option ``--bounds``, which replaces the bounds of parameters."""
     return option({}, metavar="NAME=LOW,HIGH", help="Change a parameter's bounds.")
 
 
 def jobs(help: str = "Threads; default one per processor.") -> Any:
-    """Return the option for the number of threads, which changes no result and is not recorded."""
+    """Return the declaration of the option ``--jobs`` for the number of threads.
+
+    The number of threads changes no result and is not recorded.
+    """
     return option(None, ge=1, help=help, recorded=False)

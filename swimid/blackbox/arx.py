@@ -45,41 +45,45 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import uncertainty as rt
 from swimid.logs.sampling import rounding
 
-#: Maximum magnitude of a zero of C. The inverse of C is stable if all magnitudes are below 1.
+#: Maximum magnitude of a zero of the noise polynomial C. The inverse of C is stable if all magnitudes are
+#: below 1.
 MAX_ZERO = 0.999
-#: Number of missing samples between two joined records, in addition to the lags of the model. It exceeds the
-#: lags of all tests of the residuals.
+#: Number of missing samples that are inserted between two joined records, in addition to the lags of the
+#: model. It exceeds the lags of all tests of the residuals.
 GAP = 100
-#: Maximum number of Gauss-Newton steps, and maximum number of halvings of one step.
+#: Maximum number of Gauss-Newton steps in the search for C, and maximum number of halvings of one step.
 MAX_STEPS, MAX_HALVINGS = 100, 30
-#: Maximum root-mean-square residual that is taken for a rounding error, divided by the standard deviation of
-#: the output.
+#: Maximum ratio of the root-mean-square residual to the standard deviation of the output at which the
+#: residuals are taken for rounding errors.
 EXACT = 1e-9
-#: Maximum singular value of the scaled regression that counts as zero, divided by the largest singular value.
+#: Maximum ratio of a singular value of the scaled regression to the largest singular value at which the
+#: singular value counts as zero.
 RANK_RTOL = 1e-10
-#: Maximum singular value that counts as zero because of rounding, divided by the largest singular value.
+#: Maximum ratio of a singular value to the largest singular value at which rounding of the data can make the
+#: singular value count as zero.
 MAX_ROUNDING = 0.01
-#: Minimum sum of squared components of a coefficient in the directions without information, for a coefficient
-#: that is not identifiable. The sum is 1 if the data have no information about the coefficient.
+#: Minimum sum of the squared components of a coefficient in the directions without information at which the
+#: coefficient is not identifiable. The sum is 1 if the data have no information about the coefficient.
 MIN_SHARE = 1e-3
-#: Minimum variance inflation factor of nearly dependent columns. The standard errors are then 100 times those
-#: of independent columns.
+#: Minimum variance inflation factor at which the columns of a regression count as nearly dependent. The
+#: standard errors are then 100 times those of independent columns.
 NEARLY_DEPENDENT = 1e4
-#: Default of a in P(0) = a^2 I. The paper recommends values above 10^3.
+#: Default of a in the initial matrix P(0) = a^2 I of the recursion. The long-fin paper recommends values
+#: above 10^3.
 PRIOR_SCALE = 1e6
-#: Maximum of the elements of the diagonal factor D, in units of a^2. With forgetting, P grows without limit
-#: in directions that the input does not excite. In excited directions D stays below this limit.
+#: Maximum of the elements of the factor D of the matrix P, in units of a^2. With forgetting, P grows without
+#: limit in directions that the input does not excite. In excited directions D stays below this limit.
 MAX_GROWTH = 1e6
 
 
 @dataclass(frozen=True)
 class Recursion:
-    """Result of a recursion over n rows with p coefficients."""
+    """Result of recursive least squares over n rows with p coefficients."""
 
     #: Last estimate of the coefficients, shape (p,).
     theta: np.ndarray
-    #: P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P multiplied
-    #: by the noise variance and the weight.
+    #: Matrix P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P
+    #: multiplied by the noise variance and the weight.
     covariance: np.ndarray
     #: One-step errors ``z(k) - h(k)' theta(k-1)``, shape (n,).
     innovations: np.ndarray
@@ -95,7 +99,9 @@ def recursive_least_squares(
     forgetting: float = 1.0,
     prior_scale: float = PRIOR_SCALE,
 ) -> Recursion:
-    """Return the recursive estimate of theta in ``outputs = regressors @ theta + noise``, from theta(0) = 0.
+    """Estimate theta in ``outputs = regressors @ theta + noise`` by recursive least squares.
+
+    The recursion starts from theta(0) = 0.
 
     Parameters
     ----------
@@ -133,9 +139,9 @@ def recursive_least_squares(
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
-    """Run the recursion as one compiled loop, because function calls and branches would cost time.
+    """Run recursive least squares as one compiled loop without function calls, which would cost time.
 
-    Row j of ``factors`` holds column j of U.
+    Row j of ``factors`` holds column j of the factor U.
     """
     n, p = h.shape
     ceiling = MAX_GROWTH * prior
@@ -145,7 +151,7 @@ def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
     gain, f = np.empty(p), np.empty(p)
     limited = 0
     for k in range(n):
-        # compute the innovation, and f = U' h
+        # compute the innovation, and the vector f = U' h
         error = z[k]
         for j in range(p):
             error -= h[k, j] * theta[j]
@@ -190,17 +196,20 @@ def warm_up() -> None:
 
 @dataclass(frozen=True)
 class Regression:
-    """Regression ``z = H theta + e`` for the coefficients of A and B. The columns of C are not data."""
+    """Regression ``z = H theta + e`` for the coefficients of A and B from measured inputs and outputs.
+
+    The matrix has no columns for the coefficients of C, because the noise is not measured.
+    """
 
     orders: Orders
-    #: Matrix H, shape (n, na + nb), and vector z, shape (n,).
+    #: Matrix H, shape (n, na + nb), and vector z, shape (n,), of the regression.
     rows: np.ndarray
     outputs: np.ndarray
-    #: Index of the sample that each row predicts, in the joined records, shape (n,).
+    #: Index in the joined records of the sample that each row predicts, shape (n,).
     sample: np.ndarray
-    #: Input of the joined records, with NaN between two records.
+    #: Input signal of the joined records, with NaN between two records.
     source: np.ndarray
-    #: Number of rows there would be without missing samples.
+    #: Number of rows that the regression would have without missing samples.
     possible: int
 
     def __len__(self) -> int:
@@ -208,18 +217,21 @@ class Regression:
 
     @cached_property
     def fresh(self) -> np.ndarray:
-        """True where a row does not directly follow the previous row in time, shape (n,)."""
+        """Flag of each row that does not directly follow the previous row in time, shape (n,)."""
         return np.diff(self.sample, prepend=-2) != 1
 
     def on_grid(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the rows, shape (n,) or (n, p), on the grid of the joined records, with NaN."""
+        """Return values of the rows on the time grid of the joined records, with NaN where there is no row.
+
+        The shape of ``values`` is (n,) or (n, p).
+        """
         result = np.full((len(self.source), *np.shape(values)[1:]), np.nan)
         result[self.sample] = values
         return result
 
 
 def regression(records: Sequence[Record], orders: Orders) -> Regression:
-    """Return all complete rows of the regression over several records with one sample time.
+    """Return the regression of several records with one sample time, with all complete rows.
 
     Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
     """
@@ -265,17 +277,17 @@ def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray
 
 
 def invertible(c: np.ndarray) -> np.ndarray:
-    """Return the coefficients of C after its zeros outside the unit circle are reflected to the inside."""
+    """Return the coefficients of the noise polynomial C with its zeros reflected into the unit circle."""
     roots = np.roots(np.concatenate(([1.0], c)))
     roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
     roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
     coefficients = np.real(np.poly(roots))[1:]
-    # np.roots drops zeros at the origin: the missing last coefficients are zero
+    # set the last coefficients to zero, which are missing because np.roots drops zeros at the origin
     return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
 def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarray:
-    """Return the coefficients with the minimum weighted sum of squared one-step errors.
+    """Return the coefficients of A, B and C with the minimum weighted sum of squared one-step errors.
 
     The search uses Gauss-Newton steps with step halving.
 
@@ -322,22 +334,24 @@ def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Identifiability of the p coefficients of a regression."""
+    """Identifiability of the p coefficients of a regression from its data."""
 
     #: Whether the data determine each coefficient, shape (p,).
     determined: np.ndarray
-    #: Number of independent directions in the space of the coefficients that the data determine.
+    #: Number of independent directions in the space of the coefficients about which the data have
+    #: information.
     rank: int
     #: Condition number of the regression in the determined directions, with columns scaled to length one.
     condition: float
     #: Factor R of the QR decomposition of the scaled regression, shape (p, p).
     factor: np.ndarray
-    #: Number of directions that the input columns determine (order of persistent excitation).
+    #: Number of independent directions that the columns of the input determine (order of persistent
+    #: excitation).
     input_rank: int = 0
 
 
 def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
-    """Find the directions in the space of the coefficients about which a regression has information.
+    """Find out which coefficients a regression determines, from its directions with information.
 
     Parameters
     ----------
@@ -368,13 +382,13 @@ def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
 
 
 def _lengths(rows: np.ndarray) -> np.ndarray:
-    """Return the lengths of the columns; 1 for columns of zeros."""
+    """Return the Euclidean lengths of the columns of a regression; 1 for columns of zeros."""
     length = np.linalg.norm(rows, axis=0)
     return np.where(length > 0, length, 1.0)
 
 
 def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiability:
-    """Find the coefficients of A and B that the rows determine. Those of C are always determined.
+    """Find the coefficients of A and B that the data determine. Those of C always count as determined.
 
     Parameters
     ----------
@@ -392,14 +406,14 @@ def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiab
 def exclude_collinear(
     known: Identifiability, data: Regression, theta: np.ndarray, stderr: np.ndarray, noise_sd: float
 ) -> Identifiability:
-    """Flag coefficients as not determined if noise makes them indistinguishable despite full rank.
+    """Mark coefficients as not determined if noise makes them indistinguishable although the rank is full.
 
-    If the input is a measured single sine, the sensor noise excites every coefficient of B a little. The
-    estimates are then large and cancel each other. A coefficient of A or B is a candidate if its column is
-    nearly dependent on the others (:data:`NEARLY_DEPENDENT`) and its standard error, times the length of its
-    column, exceeds the contribution of the whole polynomial to the prediction. All candidates of a polynomial
-    are excluded if any of them has a standard error above half of its magnitude. A coefficient that is known
-    to be small is not excluded.
+    If the input is a measured sine, its sensor noise weakly excites every coefficient of B. The estimates are
+    then large and cancel each other. A coefficient of A or B is a candidate if its column is nearly dependent
+    on the others (:data:`NEARLY_DEPENDENT`) and its standard error, times the length of its column, exceeds
+    the contribution of the whole polynomial to the prediction. All candidates of a polynomial are excluded if
+    any of them has a standard error above half of its magnitude. A coefficient that is known to be small is
+    not excluded.
     """
     orders, count = data.orders, data.rows.shape[1]
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
@@ -424,7 +438,7 @@ def exclude_collinear(
 
 @dataclass(frozen=True)
 class ArxEstimate:
-    """Estimated model with p coefficients, from n rows of the regression."""
+    """Estimate of an ARX or ARMAX model with p coefficients from n rows of a regression."""
 
     orders: Orders
     #: Coefficients, and their standard errors, shape (p,). Standard errors are NaN for coefficients that the
@@ -445,12 +459,12 @@ class ArxEstimate:
     whiteness: rt.TestResult
     #: Whether the covariance allows for correlated residuals (sandwich form).
     robust: bool
-    #: Whether the residuals are no larger than rounding errors.
+    #: Whether the residuals are not larger than rounding errors.
     exact: bool
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation matrix of the m coefficients that the data determine, shape (m, m)."""
+        """Correlation matrix of the estimates of the m coefficients that the data determine, shape (m, m)."""
         use = np.isfinite(self.stderr)
         sd = np.where(self.stderr[use] > 0, self.stderr[use], 1.0)
         matrix = self.covariance[np.ix_(use, use)] / np.outer(sd, sd)
@@ -459,7 +473,7 @@ class ArxEstimate:
 
 
 def check_enough(data: Regression, orders: Orders) -> None:
-    """Raise an error for a regression that cannot give a result.
+    """Raise an error for a regression with too few rows or with a constant output.
 
     Raises
     ------
@@ -581,7 +595,7 @@ def covariance(
     inverse = np.linalg.pinv(r)
     whitened = (jacobian * weights[:, None]) @ inverse
     middle = whitened.T @ whitened
-    # effective number of samples minus effective number of parameters: n - p without forgetting
+    # compute the effective number of samples minus that of parameters, which is n - p without forgetting
     remaining = max(float(np.sum(weights)) - float(np.trace(middle)), 1e-12)
     variance = float(np.sum(weights * residuals**2)) / remaining
     middle = middle * variance

@@ -1,4 +1,4 @@
-"""Difference equation of ARX and ARMAX models, the model of swimid, and its trials.
+"""ARX and ARMAX models: difference equation, simulation, and reading of trials and records.
 
     A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
     A = 1 + a1 z^-1 + ... + a_na z^-na
@@ -9,8 +9,8 @@ Eqs 4 to 7 of the long-fin paper (Robotica 30 (2012) 913-923, doi:10.1017/S02635
 with a delay and a noise polynomial added. y is the output, u the input and e white noise. The folder
 ``published`` contains the models of Tables II and III of this paper.
 
-The trials of the model, and the records that ``swimid rwls`` fits or holds out, lie on a time grid at the
-rate of their measurements.
+Trials and records are read on a time grid at the rate of their measurements. Records are the input and output
+data that ``swimid rwls`` fits or holds out.
 """
 
 from __future__ import annotations
@@ -45,45 +45,45 @@ from swimid.results.parameters import ParameterFile
 if TYPE_CHECKING:
     import control
 
-#: Name of the model in parameter files.
+#: Name of ARX and ARMAX models in parameter files.
 NAME = "arma"
-#: Names of the quantities of a computed sine.
+#: Names of the settings of a sine that is computed in place of an input column.
 SINE = ("amplitude", "frequency_hz", "phase_rad")
-#: Source of the equations, for the parameters.
+#: Source of the equations, which the parameters cite.
 PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
     "undulating long-fins, Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159"
 )
-#: Folder of the published parameter files.
+#: Folder of the parameter files of published models.
 PUBLISHED = Path(__file__).with_name("published")
-#: Minimum magnitude of a pole that counts as integrating, whatever its standard error is.
+#: Magnitude above which a pole counts as integrating, whatever its standard error is.
 INTEGRATING = 0.999
-#: Maximum standard error of a pole's magnitude for a test of integration. Larger standard errors are not
-#: reliable, because the linearisation behind them fails, above all for nearly double poles.
+#: Maximum standard error of a pole's magnitude at which the pole is tested for integration. Larger standard
+#: errors are unreliable, because they follow from a linearisation, which fails for nearly double poles.
 MAX_POLE_STDERR = 0.05
-#: Maximum distance of a free run from the measured output, divided by the range of that output. At a larger
-#: distance the free run is stopped.
+#: Maximum distance of a simulated output from the measured output, divided by the range of the measured
+#: output. At a larger distance the simulation is stopped.
 MAX_DISTANCE = 100.0
-#: Minimum fraction of the measurements that are repeated for the same number of samples, for a constant
-#: measurement rate.
+#: Minimum fraction of the measurements that span the same number of samples in the log. With a smaller
+#: fraction the rate of the measurements is not constant.
 REGULAR_SHARE = 0.9
-#: Minimum median change between measurements, in rounding steps. With smaller changes, rounding alone causes
-#: many repeated samples.
+#: Minimum median change between measurements, in rounding steps, at which repeated samples count as repeated
+#: measurements. With smaller changes, rounding alone causes many repeated samples.
 MIN_CHANGE = 5.0
-#: Maximum fraction of an averaging interval of the input, in time, in which samples are missing.
+#: Maximum fraction of time with missing samples in an interval over which the input is averaged.
 MAX_MISSING = 1e-3
 
 
 @dataclass(frozen=True)
 class Record:
-    """Input and output on a grid of constant rate, each of shape (n,); NaN where a sample is missing."""
+    """Record of input and output on a time grid, each of shape (n,). Missing samples are NaN."""
 
-    #: Name of the log.
+    #: Name of the log from which the record was read.
     name: str
     time_s: np.ndarray
-    #: Input u.
+    #: Samples of the input u.
     source: np.ndarray
-    #: Output y.
+    #: Samples of the output y.
     output: np.ndarray
 
     def __len__(self) -> int:
@@ -92,7 +92,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Numbers of coefficients of A, B and C (``na``, ``nb``, ``nc``), and delay ``nk`` of b1 in samples."""
+    """Orders of a model: numbers ``na``, ``nb``, ``nc`` of coefficients of A, B, C; delay ``nk``, samples."""
 
     na: int
     nb: int
@@ -101,22 +101,22 @@ class Orders:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the coefficients: a1, ..., b1, ..., c1, ..."""
+        """Names of the coefficients of the model: a1, ..., b1, ..., c1, ..."""
         counts = {"a": self.na, "b": self.nb, "c": self.nc}
         return tuple(f"{letter}{i}" for letter, count in counts.items() for i in range(1, count + 1))
 
     @property
     def count(self) -> int:
-        """Total number of coefficients."""
+        """Total number of coefficients of A, B and C."""
         return self.na + self.nb + self.nc
 
     @property
     def lag(self) -> int:
-        """Number of past samples that a row of the regression contains."""
+        """Number of past samples that the prediction of one sample needs."""
         return max(self.na, self.nk + self.nb - 1)
 
     def split(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the coefficients of A, of B and of C, from one vector of all coefficients."""
+        """Split the vector of all coefficients into the coefficients of A, of B and of C."""
         theta = np.asarray(theta, dtype=float)
         return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
 
@@ -126,25 +126,25 @@ class Orders:
 
 
 class Pole(parameters_format.Pole):
-    """Pole in the z plane. The standard error of its magnitude is None for a repeated pole."""
+    """Pole of the model in the z plane. The standard error of its magnitude is None for a repeated pole."""
 
     @property
     def integrating(self) -> bool:
-        """Whether the magnitude differs from 1 by at most two standard errors, or is very close to 1."""
+        """Whether the magnitude of the pole is 1 within two standard errors, or is very close to 1."""
         stderr = self.stderr_magnitude
         near = stderr is not None and stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * stderr
         return near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING
 
     @property
     def state(self) -> Literal["stable", "integrating", "unstable"]:
-        """Effect of the pole on a free run. A pole on or outside the unit circle is unstable."""
+        """Stability of the mode of the pole. A pole on or outside the unit circle is unstable."""
         if self.magnitude >= 1.0:
             return "unstable"
         return "integrating" if self.integrating else "stable"
 
 
 def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
-    """Return the roots of A with the standard errors of their magnitudes, the largest magnitude first.
+    """Return the poles of a model, which are the roots of A, sorted by descending magnitude.
 
     Parameters
     ----------
@@ -177,14 +177,14 @@ def lagged(x: np.ndarray, lag: int) -> np.ndarray:
 
 
 def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Simulate A(z^-1) y = B(z^-1) u from the input and the first measured outputs of a record.
+    """Simulate the output of a model from the input and the first measured outputs of a record.
 
     Returns
     -------
     ndarray, shape (n,)
-        Simulated output. It is NaN at the samples that start the simulation and where nothing is simulated.
-        It is also NaN after its distance from the measured output exceeds :data:`MAX_DISTANCE` ranges of that
-        output.
+        Simulated output. It is NaN at the samples that start the simulation, and at samples that depend on a
+        missing input. It is also NaN after its distance from the measured output exceeds :data:`MAX_DISTANCE`
+        times the range of the measured output.
 
     Notes
     -----
@@ -196,7 +196,7 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     a, b, _ = orders.split(theta)
     measured, na = record.output, orders.na
     values = measured[np.isfinite(measured)]
-    limit = 1e150  # prevents overflow if the output has no range (a start from rest)
+    limit = 1e150  # this limit prevents overflow if the measured output has no range
     if len(values) and np.ptp(values) > 0:
         limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
     driven = np.zeros(len(record))
@@ -212,7 +212,7 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
             continue
         state = lfiltic([1.0], np.append(1.0, a), measured[first - na : first][::-1])
         run, _ = lfilter([1.0], np.append(1.0, a), driven[first : piece.stop], zi=state)
-        # a comparison with an overflowed (NaN) value is false
+        # values that overflow to NaN count as outside the limit, because a comparison with NaN is false
         within = np.logical_and.accumulate(np.abs(run) <= limit)
         result[first : piece.stop] = np.where(within, run, np.nan)
     return result
@@ -221,16 +221,16 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
 def simulate_all(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the measured outputs and the free runs of several records, each concatenated."""
+    """Return the measured outputs of several records, and their simulated outputs, each as one array."""
     runs = [simulate(r, orders, theta) for r in records]
     return np.concatenate([r.output for r in records]), np.concatenate(runs)
 
 
 def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
-    """Return the output level that minimises the sum of squared errors of the free run.
+    """Return the output level of the working point that minimises the squared error of the simulation.
 
-    The result is 0 if the level has no effect. A free run is linear in its initial samples, so that at level
-    L it is ``run + L (raised - run)``.
+    The result is 0 if the level has no effect. A simulation (free run) is linear in its initial samples, so
+    that at level L it is ``run + L (raised - run)``.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> flo
 
 
 class ArxModel(Model):
-    """Discrete-time model from one input column to one output column.
+    """ARX or ARMAX model from one input column to one output column, as fits and comparisons use it.
 
     Parameters
     ----------
@@ -278,8 +278,8 @@ class ArxModel(Model):
         self.orders, self.sample_time_s = Orders(na, nb, delay), step_s
         settings = parameters.settings
         self.source, self.output = str(settings.get("input", "u")), str(settings.get("output", "y"))
-        #: Working point. ``source_level`` is subtracted from the input, ``output_level`` is added to the
-        #: simulated output.
+        #: Levels of the working point. ``source_level`` is subtracted from the input, ``output_level`` is
+        #: added to the simulated output.
         self.source_level = float(settings.get("input_level", 0.0))
         self.output_level = float(settings.get("output_level", 0.0))
         #: Amplitude, frequency (Hz) and phase (rad) of a computed input, if no column holds the input.
@@ -299,28 +299,28 @@ class ArxModel(Model):
         self.channels = (Channel(self.output, unit, "output of the model"),)
 
     def commanded(self, trial: Trial) -> bool:
-        """Return whether the input column is a command, and not a measured joint angle."""
+        """Return whether the input column has commands and not measured joint angles."""
         return not self.source.startswith("joint")
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield times, values and 0.0 (the rate of change is unknown) of the known input samples."""
+        """Yield the times and values of the known input samples, and 0.0 as their unknown rate of change."""
         time = np.asarray(trial.time_s, dtype=float)
         signal = self.input_of(trial, time)
         known = np.isfinite(signal)
         yield time[known], signal[known], 0.0
 
     def onset(self, trial: Trial) -> float:
-        """Return minus infinity, because the model has no body that starts from rest."""
+        """Return minus infinity as the start of the motion, because the model has no start from rest."""
         return -np.inf
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """Return the frequency of a computed input, Hz; empty for an input column."""
+        """Return a list with the frequency of a computed input, Hz; an empty list for an input column."""
         if self.sine is None:
             return []
         return [self.sine[1]]
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the free run of one trial: the simulation from the input and the first outputs.
+        """Return the free run of a trial: a simulation from its input and its first measured outputs.
 
         The simulation starts from the first na measured outputs, which are returned unchanged. Without a
         measured output it starts from the working point. The result is NaN after a missing input until the
@@ -356,7 +356,7 @@ class ArxModel(Model):
         return {self.output: result}
 
     def at_own_level(self, values: Array, trial: Trial) -> tuple[ArxModel, dict[str, float]]:
-        """Return the model with an output level estimated from one trial, and this level.
+        """Return the model with the output level of its working point estimated from a trial, and this level.
 
         The level minimises the sum of squared errors of the free run. A model without a working point is
         unchanged.
@@ -374,7 +374,7 @@ class ArxModel(Model):
         return moved
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the free run with effects on the input column, on the clock and on the output.
+        """Return the free run of a trial with effects on the input column, on the clock and on the output.
 
         See :meth:`Model.hooked`. A delay of the clock is applied to the output by linear interpolation.
         """
@@ -392,7 +392,7 @@ class ArxModel(Model):
         return hooks.seen(channels, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
-        """Return the input of a trial at ``time`` (s), shape (n,), NaN where missing.
+        """Return the input signal of a trial at ``time`` (s), shape (n,), NaN where missing.
 
         Raises
         ------
@@ -409,7 +409,10 @@ class ArxModel(Model):
 
 
 def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: float) -> Array:
-    """Return ``A sin(2 pi f t + phase)`` in the unit of A: the input F_u of Eq 3, without its noise."""
+    """Return the sine ``A sin(2 pi f t + phase)`` that replaces an input column, in the unit of A.
+
+    It is the input F_u of Eq 3 of the long-fin paper, without noise.
+    """
     return amplitude * np.sin(2 * np.pi * frequency_hz * np.asarray(time_s, dtype=float) + phase_rad)
 
 
@@ -430,7 +433,9 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
 
 
 def published(name: str) -> ParameterFile:
-    """Return a model of the long-fin paper by its name (see :func:`published_names`), without uncertainties.
+    """Return a published model of the long-fin paper by its name (see :func:`published_names`).
+
+    The model has no standard errors.
 
     The model of the rotating motion is unstable.
     """
@@ -440,7 +445,7 @@ def published(name: str) -> ParameterFile:
 
 
 def published_names() -> tuple[str, ...]:
-    """Return the names of the published models."""
+    """Return the names of the published models of the long-fin paper."""
     return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))
 
 
@@ -451,9 +456,9 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     """Return a log at the rate of its measurements, and a sentence for each column with repeated samples.
 
     If a log contains each measurement several times, a discrete-time model fitted to it describes the logger,
-    and its poles are wrong. Columns with a value in every n-th row only are also resampled. An input with few
-    levels, or with independent levels, is a command that is constant by design. It is not resampled for its
-    own sake.
+    and its poles are wrong. Columns that have a value only in every n-th row are also resampled. An input
+    with few levels, or with independent levels, is a command that is constant by design. It is resampled only
+    together with the output.
 
     Parameters
     ----------
@@ -474,7 +479,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     for column in [c for c in (output, source) if c is not None]:
         values = log[column]
         held, empty = find_held(log.time_s, [values]), np.isnan(values)
-        # independent values between the repeated samples are the levels of a random command
+        # an input whose levels are independent is a random command, whose repeated samples are intended
         if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
             continue
         own = _even_times(log.time_s, values, held)
@@ -503,7 +508,7 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
 
 
 def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the rows and the times (s) of a column's measurements if their rate is constant.
+    """Return the rows and the times (s) of the measurements in a column if their rate is constant.
 
     The result is None if the rate is not constant, or if it is the rate of the log.
     """
@@ -512,7 +517,7 @@ def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.
     if not (lasts > 1).any():
         return None
     factor = int(np.median(lasts[lasts > 1]))
-    # samples at which a resting robot repeats its value are new measurements, so they are not counted
+    # do not count successive samples with equal values, which are new measurements of a resting robot
     shown = lasts[(lasts > 1) | (values[rows[1:]] != values[rows[1:] - 1])]
     if np.mean(shown == factor) >= REGULAR_SHARE:
         kept: list[int] = []
@@ -527,7 +532,10 @@ def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.
 
 
 def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return the mean of a held signal from each time to the next; NaN if too many samples are missing."""
+    """Return the mean of a piecewise constant signal from each time to the next.
+
+    The mean is NaN if too many samples are missing (:data:`MAX_MISSING`).
+    """
     steps, missing = np.diff(time_s), np.isnan(values)
     held = np.column_stack([np.where(missing, 0.0, values), missing])
     total = np.vstack([[0.0, 0.0], np.cumsum(held[:-1] * steps[:, None], axis=0)])
@@ -539,12 +547,12 @@ def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndar
 
 
 def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:
-    """Return whether a signal repeats samples although its other changes are larger than its rounding."""
+    """Return whether a signal repeats samples although its other changes exceed its rounding step."""
     changes = np.abs(np.diff(values[~repeated]))
     return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
 
 
-#: Keys of a trials file that are used, by experiment.
+#: Keys of a trials file that have an effect, by experiment.
 USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
 
 
@@ -586,7 +594,7 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
 
 @dataclass(frozen=True)
 class Columns:
-    """Names of the input and output columns, and the sine that replaces the input column, if any."""
+    """Names of the input and output columns of the logs, and the sine that may replace the input column."""
 
     source: str
     output: str
@@ -595,7 +603,7 @@ class Columns:
 
     @property
     def unit(self) -> str:
-        """Unit of the output, from the ending of its name; ``"1"`` if the name has no unit."""
+        """Unit of the output column, from the ending of its name; ``"1"`` if the name has no unit."""
         return numbers.split_unit(self.output)[1] or "1"
 
     @property
@@ -616,19 +624,19 @@ class Columns:
 
 @dataclass(frozen=True)
 class Data:
-    """Records of the fitted logs and of the held-out data."""
+    """Data for an identification: records of the fitted logs and of the held-out data."""
 
     columns: Columns
     sample_time_s: float
     fit: list[Record]
-    #: Held-out records by the name of the data.
+    #: Held-out records by the name of the log or of the part of a log.
     held_out: dict[str, list[Record]]
-    #: Names of the fitted logs.
+    #: Names of the logs to which the model is fitted.
     logs: list[str]
-    #: Paths or objects of all inputs, for the provenance.
+    #: Paths or objects of all input files, for the provenance.
     files: list[Input]
     robot: str | None
-    #: Sentences about repeated samples, one for each column that has them.
+    #: Sentences about repeated samples, one for each column with repeated samples.
     repeats: list[str]
 
 
@@ -637,7 +645,7 @@ Source = Any
 
 
 def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
-    """Read logs or a trials file of the experiment ``arma``, and hold out parts of them.
+    """Read logs or a trials file of the experiment ``arma``, and set the held-out data aside.
 
     Parameters
     ----------
@@ -702,7 +710,7 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
 
 
 def _single(source: Source, role: Any, name: str) -> TrialEntry:
-    """Return the entry of a log without a trials file; ``name`` is the name of a table without a name."""
+    """Return a trial entry for a log that no trials file lists. ``name`` names a table without a name."""
     if isinstance(source, str | Path):
         return TrialEntry(id=Path(source).name, log=str(source), role=role)
     held = source if isinstance(source, Log) else Log.from_frame(source, name=name)
@@ -712,7 +720,7 @@ def _single(source: Source, role: Any, name: str) -> TrialEntry:
 
 
 def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source]]:
-    """Return the fraction to hold out (0 if none is given), and the logs to hold out."""
+    """Return the fraction of each log to hold out (0 if none is given), and the logs to hold out."""
     shares: list[float] = []
     logs: list[Source] = []
     for item in given:
@@ -730,7 +738,7 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
 
 
 def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns:
-    """Return the columns that the options or the trials file name."""
+    """Return the input and output columns that the options or the trials file name."""
     source, output = options.input_column, options.output_column
     if listed is not None:
         source, output = source or listed.input, output or listed.output
@@ -746,7 +754,7 @@ def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns
 
 
 def _check_distinct(log: Log, columns: Columns) -> None:
-    """Raise an error if the output is a copy of the input and not constant."""
+    """Raise an error if the output column is a copy of the input column. Constant columns are allowed."""
     if columns.sine:
         return
     u, y = log[columns.source], log[columns.output]
@@ -758,7 +766,7 @@ def _check_distinct(log: Log, columns: Columns) -> None:
 
 
 def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
-    """Return the common sample time of all logs, s; raise an error if the rates differ or vary."""
+    """Return the common sample time of all logs, s. Raise an error if the sampling rates differ or vary."""
     rates = [sampling.rate(log.time_s) for log in logs]
     first_s = rates[0].step_s
     for name, log, rate in zip(names, logs, rates, strict=True):
@@ -779,7 +787,7 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
 
 
 def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
-    """Return the gap-free parts of the given rows of a log, on the time grid."""
+    """Return the given rows of a log as records on a time grid, divided at long gaps."""
     time = log.time_s[rows]
     if len(time) < 2:
         return []

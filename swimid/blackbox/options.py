@@ -1,4 +1,4 @@
-"""The options of ``rwls``."""
+"""Options of the command ``swimid rwls``."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class RwlsOptions(
 
     @property
     def delay(self) -> int:
-        """Delay of b1, samples."""
+        """Delay of the first input coefficient b1, samples."""
         return self.nk if self.nk is not None else 1
 
     @model_validator(mode="after")

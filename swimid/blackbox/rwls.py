@@ -1,10 +1,10 @@
-"""Command ``swimid rwls``: identifies a discrete-time model from an input and an output column.
+"""Command ``swimid rwls``: identification of a discrete-time model from an input and an output column.
 
 The command chooses the working point and the orders, estimates the model, and computes its prediction errors.
 A model without a constant term describes deviations from a working point. If data are recorded around a
 working point (20 degrees, half throttle), the means must be subtracted. If data obey the model without a
-constant term, they must not be changed. Predictions are one step ahead, and the free run (simulation), which
-uses no measured output after its start.
+constant term, they must not be changed. Two kinds of predictions are computed: one step ahead, and the free
+run. The free run is a simulation that uses no measured output after its start.
 """
 
 from __future__ import annotations
@@ -57,28 +57,29 @@ from swimid.results import numbers, parameters
 from swimid.results.evidence import Check, Evidence, Figure, Table, Trace
 from swimid.results.parameters import Fitted
 
-#: Minimum |t| of the constant term at which the working point is subtracted without further conditions.
+#: Minimum absolute t value of a constant term at which the working point is subtracted without further
+#: conditions.
 CLEAR_T = 5.0
-#: Minimum |t| of the constant term at which the working point is subtracted if this improves the free run by
-#: :data:`CLEAR_GAIN`. Data that need no constant term reach both thresholds by chance in less than one of a
-#: hundred records, also for slow systems.
+#: Minimum absolute t value of a constant term at which the working point is subtracted if this improves the
+#: free run by :data:`CLEAR_GAIN`. Data that need no constant term reach both thresholds by chance in less
+#: than one of a hundred records, also for slow systems.
 LIKELY_T = 3.5
-#: Minimum |t| of the constant term at which the working point is subtracted if the output is far from zero
-#: and the free run improves at all. A missing constant term then biases the other coefficients (a spurious
-#: pole at 1), so that the |t| of the constant term is small.
+#: Minimum absolute t value of a constant term at which the working point is subtracted if the output is far
+#: from zero and the free run improves at all. A missing constant term then biases the other coefficients (a
+#: spurious pole at 1), so that its t value is small.
 WEAK_T = 2.0
 #: Minimum relative reduction of the root-mean-square error of the free run that counts as a clear
 #: improvement.
 CLEAR_GAIN = 0.1
-#: Minimum ratio of the absolute mean of the output to its standard deviation, for an output that is far from
-#: zero.
+#: Minimum ratio of the absolute mean of the output to its standard deviation at which the output counts as
+#: far from zero.
 FAR = 3.0
 #: Maximum ratio of the root-mean-square error of the free run on held-out data to that on the fitted data
 #: (SWM015).
 MAX_RATIO = 2.0
-#: Codes of the warnings whose text is the reason of a check, by the name of the check.
+#: Warning codes by the name of a check. The text of the warning is the reason of the check.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
-#: Minimum NRMSE fit of a free run that counts as reproducing the output, %.
+#: Minimum NRMSE fit at which a free run counts as reproducing the output, %.
 MIN_FIT_PERCENT = 50.0
 #: Maximum condition number of the scaled regression. A regression with a larger condition number is reported
 #: as ill-conditioned.
@@ -248,7 +249,7 @@ def _checks(m: Identified) -> list[Check]:
 
 
 def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
-    """Yield the code and the text of each warning about the data and the model."""
+    """Yield the code and the text of each warning about the data and the identified model."""
     fitted, data, point = m.estimate, m.data, m.point
     known, nb = fitted.known, fitted.orders.nb
     unit = numbers.unit_text(data.columns.unit)
@@ -296,7 +297,7 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
 
 
 def _parameter_file(m: Identified) -> parameters.ParameterFile:
-    """Return the parameter file. Its settings have the orders, columns and levels in use."""
+    """Return the parameter file of an identified model. Its settings have the orders, columns and levels."""
     fitted, data, columns = m.estimate, m.data, m.data.columns
     orders, names, lost = fitted.orders, fitted.orders.names, m.undetermined
     unit, channel = columns.unit, columns.output
@@ -331,7 +332,7 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         together = score(*simulate_all(held_out, orders, fitted.theta))
         by_set = {name: part.as_dict(unit) for name, part in m.held_out.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
-    # held-out data are named by a fraction, a file, or a log in memory
+    # the provenance names held-out data by a fraction, by a file, or by a log in memory
     shares = [
         str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in m.options.held_out
     ]
@@ -400,7 +401,10 @@ def _errors(m: Identified) -> Table:
 
 
 def _modes(m: Identified) -> Table:
-    """Return the table of the poles, with frequency and damping of the continuous-time pole log(z) / Ts."""
+    """Return the table of the poles.
+
+    Frequency and damping are those of the continuous-time pole ``log(z) / Ts``.
+    """
     rows: list[list[ev.Cell]] = []
     for p in m.poles:
         size = numbers.measured(p.magnitude, p.stderr_magnitude)
@@ -434,7 +438,7 @@ def _methods(m: Identified) -> list[str]:
 
 
 def _free_run(m: Identified) -> Figure:
-    """Return the figure of measured output and free run, for the worst and the best data set."""
+    """Return the figure of measured output and free run, for the worst and the best of the data sets."""
     parts = m.judged
     ranked = sorted(parts, key=lambda name: parts[name].free_run.fit_percent)
     panels = []
@@ -468,17 +472,17 @@ def _residuals(m: Identified) -> Figure:
 
 @dataclass(frozen=True)
 class WorkingPoint:
-    """Means that are subtracted from input and output; zero if none are subtracted."""
+    """Working point: means that are subtracted from input and output, or zeros if none are subtracted."""
 
     source: float
     output: float
-    #: Constant term of the regression divided by its standard error.
+    #: t value of the constant term: its estimate in the regression divided by its standard error.
     t: float
     removed: bool
 
 
 def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
-    """Decide whether the means of the fitted records must be subtracted.
+    """Return the working point of the fitted records, after deciding whether their means must be subtracted.
 
     Parameters
     ----------
@@ -514,7 +518,7 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
 def _helps(
     records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
 ) -> bool:
-    """Return whether subtracting the means improves the free run, or removes a spurious pole at 1.
+    """Return whether subtraction of the means improves the free run, or removes a spurious pole at 1.
 
     Parameters
     ----------
@@ -539,9 +543,9 @@ def _helps(
 
 
 def constant_term(data: Regression) -> tuple[float, float]:
-    """Return the constant term that is fitted together with A and B, and its t value.
+    """Return a constant term that is fitted together with A and B, and its t value.
 
-    They are NaN and 0 if the data do not determine the constant term.
+    The constant term is NaN and its t value 0 if the data do not determine it.
     """
     n, p = data.rows.shape
     rows = np.hstack((data.rows, np.ones((n, 1))))
@@ -558,14 +562,14 @@ def constant_term(data: Regression) -> tuple[float, float]:
 
 
 def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
-    """Return the records as deviations from a working point."""
+    """Return records of deviations from a working point."""
     if not point.removed:
         return list(records)
     return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
 
 
 def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Return the prediction one sample ahead, shape (n,); NaN where a sample that it needs is missing."""
+    """Return the output predicted one sample ahead, shape (n,); NaN where a past sample is missing."""
     data = regression([record], orders)
     errors, _ = errors_and_gradient(theta, data)
     return data.on_grid(data.outputs - errors)
@@ -574,7 +578,7 @@ def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
 def about_own_level(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[list[Record], float]:
-    """Return records relative to the output level that minimises the free-run error, and this level.
+    """Return records with the output level subtracted that minimises the free-run error, and this level.
 
     Held-out data can have another working point than the fitted data. The level is subtracted from all
     outputs, also from those that start the free run.
@@ -587,12 +591,12 @@ def about_own_level(
 
 @dataclass(frozen=True)
 class Part:
-    """Records of one set of data, relative to the working point, and the prediction errors on them."""
+    """Prediction errors of a model on one set of records, with the records relative to the working point."""
 
     records: list[Record]
     one_step: Score
     free_run: Score
-    #: Whether the model is not stable and its free run diverges from the data.
+    #: Whether the model is not stable and its free run diverges from the measured output.
     diverged: bool
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
@@ -601,7 +605,7 @@ class Part:
     strict: Score | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """Return the errors in the form in which the parameter file contains them."""
+        """Return the prediction errors as plain data for the parameter file."""
         free = {**self.free_run.as_dict(unit), "diverged": self.diverged}
         if self.strict is not None:
             free |= {"level_shift": self.level, "at_predicted_level": self.strict.as_dict(unit)}
@@ -609,7 +613,7 @@ class Part:
 
 
 def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) -> Part:
-    """Return records with the prediction errors one step ahead and of the free run.
+    """Return the prediction errors of a model on a set of records, one step ahead and for the free run.
 
     Raises
     ------
@@ -637,18 +641,18 @@ def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) 
 
 @dataclass(frozen=True)
 class Identified:
-    """Identified model with its data and prediction errors."""
+    """Identified ARX or ARMAX model with its data and its prediction errors."""
 
     options: RwlsOptions
     data: Data
     point: WorkingPoint
     fit: Part
-    #: Held-out records by the name of the data.
+    #: Held-out records with their prediction errors, by the name of the data.
     held_out: Mapping[str, Part]
     estimate: ArxEstimate
     #: Poles of the model, the largest magnitude first.
     poles: list[Pole]
-    #: Orders of the order search with their BIC, lowest first; empty without a search.
+    #: Orders tried in a search with their BIC, lowest BIC first; empty without a search.
     candidates: Sequence[tuple[Orders, float]]
 
     @property
@@ -658,12 +662,12 @@ class Identified:
 
     @property
     def judged(self) -> dict[str, Part]:
-        """Data by which the model is judged: the held-out data, or the fitted data if none are held out."""
+        """Data sets by which the model is judged: held-out data, or the fitted data if none are held out."""
         return dict(self.held_out) or {"the fitted part": self.fit}
 
     @cached_property
     def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """One-step residuals and input of the fitted records on one time grid, and number of lags to test."""
+        """One-step residuals and input of the fitted records on a time grid, and number of lags to test."""
         data = self.estimate.data
         return data.on_grid(self.estimate.residuals), data.source, rt.default_lags(len(data))
 
@@ -681,24 +685,27 @@ class Identified:
 
     @property
     def undetermined(self) -> list[str]:
-        """Names of the coefficients that the data do not determine."""
+        """Names of the coefficients that the fitted data do not determine."""
         pairs = zip(self.estimate.orders.names, self.estimate.stderr, strict=True)
         return [name for name, stderr in pairs if not math.isfinite(stderr)]
 
     @property
     def critical_pole(self) -> Pole | None:
-        """Pole that determines the stability: an unstable one, else an integrating one, else the largest."""
+        """Pole that determines the stability of the model; None without a pole.
+
+        It is an unstable pole, else an integrating pole, else the pole of the largest magnitude.
+        """
         states = ("unstable", "integrating", "stable")
         return min(self.poles, key=lambda pole: states.index(pole.state), default=None)
 
 
 def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified:
-    """Choose the orders if they are not given, fit the model, and compute its prediction errors.
+    """Choose the orders of a model if they are not given, fit the model, and compute its prediction errors.
 
     Raises
     ------
     NoTrustworthyResult
-        The errors of :func:`swimid.blackbox.arx.estimate`.
+        If the estimation fails; see :func:`swimid.blackbox.arx.estimate`.
     """
     candidates: list[tuple[Orders, float]] = []
     if options.na is None or options.nb is None:
@@ -723,7 +730,7 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
 
 
 def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[Orders, float]]:
-    """Rank the orders of the search grid by BIC; warn if the best orders lie at the edge of the grid."""
+    """Rank the model orders of a search grid by BIC. Warn if the best orders lie at the edge of the grid."""
     largest = options.max_order
     delays = range(options.max_nk + 1)
     if options.nk is not None:
@@ -770,7 +777,7 @@ def search_orders(
     check_enough(data, widest)
     n = len(data)
     factor = np.asarray(np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r"))
-    # without this minimum, noise-free data would always favour more coefficients
+    # limit the residuals from below, because noise-free data would otherwise favour more coefficients
     floor = max(n * (EXACT * float(np.std(data.outputs))) ** 2, float(np.finfo(float).tiny))
     grid = list(product(range(largest + 1), range(1, largest + 1), delays))
     found = []

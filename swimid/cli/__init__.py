@@ -1,4 +1,4 @@
-"""Command line: it parses the arguments, calls one function and prints the result. It computes nothing.
+"""Command line of swimid. It parses arguments, calls one function and prints the result.
 
 - ``main`` finds the commands in the ``options.py`` of every package, lists them by purpose, reads the values
   of their options, and has the shared options, the output streams and the exit statuses. It imports few

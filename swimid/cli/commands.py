@@ -1,4 +1,4 @@
-"""Commands ``swimid import``, ``swimid schema`` and ``swimid doctor``, which belong to no other package."""
+"""Functions of the commands ``swimid import``, ``swimid schema`` and ``swimid doctor``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from swimid.results.result import FORMATS, Result
 def import_log(
     file: Path, *, options: ImportLogOptions, output: Path | None, progress: Progress = silent
 ) -> Result:
-    """Import a file of another program, or draft its mapping.
+    """Import a recording of another program as a log, or draft the mapping that the import needs.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def import_log(
 
 # ---------------------------------------------------------------- schema
 
-#: Model of each format that is not a result, as ``module:attribute``.
+#: Model of each file format that is not the format of a result, as ``module:attribute``.
 OTHERS = {
     "trials": "swimid.logs.trials:AnyTrials",
     "robot": "swimid.robots.file:schema_of",
@@ -73,7 +73,7 @@ OTHERS = {
 
 @takes(SchemaOptions)
 def schema(name: str | None = None, *, options: SchemaOptions, output: Path | None = None) -> Result:
-    """Return the JSON Schema of one format, or the list of formats.
+    """Return the JSON Schema of one file format, or the list of all file formats.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
-        # a class of results has the model of its file as ``file_type``
+        # a class of results refers to the model of its file by ``file_type``
         **TypeAdapter(getattr(found, "file_type", found)).json_schema(),
     }
     text = json.dumps(document, indent=2)
@@ -112,7 +112,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
 
 # ---------------------------------------------------------------- doctor
 
-#: Use of each optional package.
+#: Use of each optional Python package, and the command that installs it.
 OPTIONAL = {
     "av": "overlay videos that browsers play (pip install 'swimid[video]')",
     "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
@@ -123,7 +123,7 @@ OPTIONAL = {
     "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
     "pymoo": "genetic searches (pip install 'swimid[search]')",
 }
-#: Modules with compiled kernels; each has a ``warm_up()`` that compiles all of them.
+#: Modules with compiled kernels. The function ``warm_up`` of each module compiles its kernels.
 KERNELS = (
     "swimid.rig.model",
     "swimid.swimmer.planar.model",
@@ -135,7 +135,9 @@ KERNELS = (
 
 @takes(DoctorOptions)
 def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
-    """Check versions, video decoding and optional packages. With ``warm_up``, compile the kernels.
+    """Check the installation of swimid: versions, video decoding and optional packages.
+
+    With ``warm_up``, also compile the kernels.
 
     Parameters
     ----------
@@ -187,17 +189,17 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
 
 
 def _required() -> list[str]:
-    """Return the packages that every command needs, from the metadata of the installed swimid."""
+    """Return the Python packages that every command needs, from the metadata of the installed swimid."""
     try:
         stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
     except metadata.PackageNotFoundError:
-        # swimid runs from its source and is not installed
+        # without metadata, swimid runs from its source and is not installed
         return ["swimid"]
     return [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in stated]
 
 
 def _versions(names: Iterable[str]) -> dict[str, str | None]:
-    """Return the version of each package; None for a package that is not installed."""
+    """Return the version of each Python package; None for a package that is not installed."""
     versions: dict[str, str | None] = dict.fromkeys(names)
     for name in versions:
         with suppress(metadata.PackageNotFoundError):

@@ -37,15 +37,15 @@ if TYPE_CHECKING:
     from swimid.options import Declared, Options
     from swimid.results.result import Result
 
-#: Terminal codes that move up one line and clear it.
+#: Terminal codes that erase a progress bar: they move up one line and clear it.
 ERASE_BAR = "\x1b[1A\x1b[2K"
 #: Maximum width of a line on the terminal.
 WIDTH = 100
-#: Maximum number of warnings of one code that are all printed. If there are more, three of them and a count
-#: are printed, unless -v is given.
+#: Maximum number of warnings with the same code that are all printed. If there are more, three of them and
+#: the number of the others are printed, unless -v is given.
 MAX_ALIKE = 5
 _flag = partial(click.Option, is_flag=True)
-#: Options of every command, in addition to ``-o``.
+#: Options that every command has in addition to ``-o``.
 SHARED = (
     _flag(["--json", "as_json"], help="Print the result as one JSON document on stdout."),
     _flag(["--force"], help="Overwrite an output that swimid did not write."),
@@ -55,19 +55,19 @@ SHARED = (
     _flag(["--debug"], help="Show tracebacks."),
 )
 
-#: Ending of an evidence file.
+#: Ending of the name of an evidence file.
 EVIDENCE = ".evidence.json"
 
 # ---------------------------------------------------------------- run of one command
 
 
 class Bug(SwimidError):
-    """Error that is a bug in swimid."""
+    """Error for an unexpected exception, which is a bug in swimid."""
 
 
 @dataclass
 class Run:
-    """Run of one command, with the values of the options that every command has."""
+    """Execution of one command, with the values of the options that every command has."""
 
     command: str
     output: Path | None = None
@@ -80,13 +80,13 @@ class Run:
 
     @property
     def progress(self) -> Progress:
-        """Progress bars on stderr if stderr is a terminal, else no progress."""
+        """Function that opens progress bars on stderr. They show nothing if stderr is not a terminal."""
         if self.no_progress or self.quiet or not sys.stderr.isatty() or os.environ.get("CI"):
             return silent
         return _bar
 
     def __call__(self, work: Callable[[], Result]) -> None:
-        """Call ``work``, print its outcome and warnings, and convert errors to exit statuses.
+        """Execute the command: call ``work``, print result and warnings, and convert errors to exit statuses.
 
         The exit status is 0 for success, 2 for wrong usage, 3 for an invalid input, 4 for no trustworthy
         result, 1 for a bug, and 130 for an interrupt.
@@ -126,7 +126,7 @@ class Run:
         self._print({"result": outcome.data}, notices, outcome.outputs, outcome)
 
     def _as_error(self, caught: BaseException, written: list[Path]) -> SwimidError:
-        """Return the exception that ended the command as an error of swimid."""
+        """Convert the exception that ended the command into an error of swimid."""
         if isinstance(caught, SwimidError):
             return caught
         if isinstance(caught, MemoryError):
@@ -148,7 +148,7 @@ class Run:
         outputs: Iterable[Path],
         outcome: Result | None = None,
     ) -> None:
-        """Print the answer on stdout, and warnings, written files and the next command on stderr."""
+        """Print the result or error on stdout, and warnings, written files and the next command on stderr."""
         if not self.quiet:
             for line in _warning_lines(notices, (MAX_ALIKE, sys.maxsize)[self.verbose > 0]):
                 click.echo(line, err=True)
@@ -196,7 +196,10 @@ class Run:
 
 
 def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
-    """Yield warnings by code, wrapped. Of more than ``most`` with one code, yield three and a count."""
+    """Yield the lines that print warnings, grouped by code.
+
+    If more than ``most`` warnings have the same code, three of them and the number of the others are printed.
+    """
     wrapped = partial(
         textwrap.fill,
         width=WIDTH,
@@ -216,7 +219,7 @@ def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
 
 @contextmanager
 def _bar(description: str, total: int | None = None) -> Iterator[Step]:
-    """Draw a progress bar on stderr, and remove it at the end."""
+    """Draw a progress bar on stderr, and erase it at the end of the block."""
     steps = range(total or 0)
     if total is None:
         steps = count()  # type: ignore[assignment]
@@ -235,7 +238,7 @@ def _bar(description: str, total: int | None = None) -> Iterator[Step]:
 
 @dataclass(frozen=True)
 class CommandSpec:
-    """Declaration of a command by its class of options; see :class:`swimid.options.Options`.
+    """Declaration of a command, read from its class of options (see :class:`swimid.options.Options`).
 
     Attributes
     ----------
@@ -260,19 +263,19 @@ class CommandSpec:
     module: str = ""
 
     def model(self) -> type[Options]:
-        """Import and return the class of the options."""
+        """Import the class of the command's options, and return it."""
         loaded: type[Options] = getattr(importlib.import_module(f"{self.package}.options"), self.options)
         return loaded
 
     def run(self) -> Any:
-        """Import and return the function of the command."""
+        """Import the function that the command calls, and return it."""
         name = self.function or re.sub("[ -]", "_", self.command)
         return getattr(importlib.import_module(f"{self.package}.{self.module or name}"), name)
 
 
 @cache
 def found() -> dict[str, CommandSpec]:
-    """Return every command by its name."""
+    """Return the declaration of every command by the name of the command."""
     specs = {}
     for path in sorted(Path(__file__).parents[1].glob("*/options.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -305,11 +308,11 @@ class Command(click.Command):
         return [*_argument(self.spec.argument), *map(_option, self.spec.model().declared().values())]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the file argument, the options of this command, and the options of every command."""
+        """Return the click parameters: file argument, options of this command and of every command."""
         return [*self._own, *super().get_params(ctx)]
 
     def _called(self, *, files: Any = None, **typed: Any) -> None:
-        """Run the command with the values that were typed."""
+        """Execute the command with the values that were typed."""
         run = Run(self.spec.command, **{one.name: typed.pop(one.name) for one in fields(Run)[1:]})
         run(partial(self._outcome, run, files, typed))
 
@@ -348,7 +351,10 @@ class Command(click.Command):
 
 
 def _argument(metavar: str) -> list[click.Parameter]:
-    """Return the positional argument: ``LOG...`` is several files, ``[NAME]`` is an optional word."""
+    """Return the positional argument of a command as click parameters; an empty list without argument.
+
+    ``LOG...`` stands for several files, ``[NAME]`` for an optional word.
+    """
     if not metavar:
         return []
     kind: click.ParamType = click.Path(path_type=Path)
@@ -362,11 +368,14 @@ def _argument(metavar: str) -> list[click.Parameter]:
 
 
 def _option(entry: Declared) -> click.Option:
-    """Return the click option. A value of several words is parsed when the command runs."""
+    """Return the click option for a declared option.
+
+    A value with several parts, such as ``NAME=VALUE``, is parsed when the command runs.
+    """
     names = [entry.flags, entry.name]
     about: dict[str, Any] = {"help": entry.help, "metavar": entry.metavar, **word_of(entry)}
     if entry.required:
-        # no default: click does not require an option that has a default, even if it is None
+        # give no default: click does not require an option that has a default, even if the default is None
         return click.Option(names, required=True, **about)
     default, shown = entry.default, entry.default is not None
     if entry.kind is bool:
@@ -398,7 +407,7 @@ def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
 
 
 def word_of(entry: Declared) -> dict[str, Any]:
-    """Return the type arguments of a click option: ``type``, and ``multiple`` or ``nargs``."""
+    """Return the arguments that set the type of a click option: ``type``, and ``multiple`` or ``nargs``."""
     one, args = entry.kind, get_args(entry.kind)
     word: dict[str, Any] = {}
     if one is bool:
@@ -463,7 +472,7 @@ def _by_commas(entry: Declared) -> bool:
 
 
 def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> Any:
-    """Read the finite numbers of a value: one number, or a tuple if the type is a tuple."""
+    """Read the numbers in the text of an option: one number, or a tuple if the type is a tuple."""
     parts = re.split("[,:]", text)
     count = max(len(get_args(kind)), 1)
     if len(parts) != count:
@@ -482,7 +491,7 @@ def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> An
 
 
 def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
-    """Read ``NAME=VALUE`` items."""
+    """Return the values of an option of the form ``NAME=VALUE``, by name."""
     kind, named = get_args(entry.kind)[1], {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -499,7 +508,7 @@ def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- groups of commands
 
-#: Headings of the list of commands, in the usual order of work.
+#: Headings in the list of commands, in the order in which a user needs the commands.
 SECTIONS = (
     "Make logs",
     "Identify",
@@ -515,7 +524,7 @@ class Sectioned(click.Group):
     """Command group whose help lists the commands by purpose."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write one list of commands for each section."""
+        """Write the list of commands in the help, with a heading for each purpose."""
         sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
         for spec in found().values():
             sections.setdefault(spec.section, set()).add(spec.command.split()[0])

@@ -1,4 +1,4 @@
-"""The options of ``import``, ``schema`` and ``doctor``."""
+"""Options of the commands ``swimid import``, ``swimid schema`` and ``swimid doctor``."""
 
 from __future__ import annotations
 

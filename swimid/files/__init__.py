@@ -1,7 +1,7 @@
 """Reading and writing of files, independent of their content.
 
-- ``atomic`` writes files completely or not at all, locks an output while a run writes it, and stores the
-  intermediate results of a long run.
+- ``atomic`` writes files completely or not at all, locks an output while a command writes it, and stores the
+intermediate results of a long computation.
 - ``tabular`` reads CSV files, ``yamlio`` reads and writes YAML, ``video`` writes videos.
 - ``provenance`` records the origin of a result, and recognises files that swimid wrote.
 """

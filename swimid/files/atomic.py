@@ -1,6 +1,7 @@
-"""Writing of files completely or not at all, singly or in groups; locks and checkpoints of outputs.
+"""Functions that write files completely or not at all, lock outputs, and store checkpoints.
 
-A checkpoint is a file with the intermediate results of a long run, next to the output (``docs/formats.md``).
+A checkpoint is a file next to the output with the intermediate results of a long computation
+(``docs/formats.md``).
 """
 
 from __future__ import annotations
@@ -76,15 +77,18 @@ def is_device(path: Path) -> bool:
 
 @dataclass
 class _Group:
-    """Files that are written under temporary names and then renamed to their final names together."""
+    """Group of files that are written under temporary names, and renamed to their final names together."""
 
-    #: Temporary name of each complete file by its final name; None for a file that is removed.
+    #: Temporary path of each written file by its final path; None for a file that will be removed.
     pending: dict[Path, Path | None] = field(default_factory=dict)
-    #: Removal of temporary files, and of new folders that are empty, at the end of the group.
+    #: Callbacks that remove temporary files and new empty folders at the end of the group.
     cleanup: ExitStack = field(default_factory=ExitStack)
 
     def commit(self) -> None:
-        """Rename every file to its final name. Ctrl-C is delayed, and an error undoes the renaming."""
+        """Rename all files of the group to their final names.
+
+        Ctrl-C is delayed, and an error undoes the renaming of all files.
+        """
         backups: dict[Path, Path] = {}
         done: list[Path] = []
         with _uninterrupted():
@@ -192,7 +196,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove an obsolete file when the group of the file that replaces it ends without an error."""
+    """Remove an obsolete file at the end of the current group of writes, if no error occurs in the group."""
     with together() as group:
         group.pending[path] = None
 
@@ -213,7 +217,7 @@ def make_folder(path: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    with suppress(OSError):  # it has files
+    with suppress(OSError):  # a folder with files stays
         folder.rmdir()
 
 
@@ -247,11 +251,11 @@ def _uninterrupted() -> Iterator[None]:
 
 
 def _second_name(path: Path) -> Path:
-    """Return the path of a hidden backup, from which the file can be restored."""
+    """Make a hidden backup, from which the file can be restored, and return its path."""
     spare = path.with_name(f".{path.stem}-{uuid4().hex[:8]}.before")
     try:
         os.link(path, spare)
-    except OSError:  # a file system without links
+    except OSError:  # the file system has no hard links
         shutil.copy2(path, spare)
     return spare
 
@@ -259,8 +263,8 @@ def _second_name(path: Path) -> Path:
 # ---------------------------------------------------------------- one run at a time
 
 
-#: Each lock of this process and the thread that took it last, by the path of the lock file. Without a
-#: reference to it, a lock would be released.
+#: Locks of this process, by the path of the lock file, each with the thread that took it last. A lock without
+#: a reference would be released.
 _TAKEN: dict[Path, tuple[BaseFileLock, threading.Thread]] = {}
 
 
@@ -268,12 +272,13 @@ def lock(output: Path) -> BaseFileLock:
     """Lock an output with the file ``<output>.lock``, which names the process that holds the lock.
 
     A lock of a process that no longer runs is replaced. A thread can lock an output again that it has locked
-    already, directly or through a run that failed. The last release, one for each call, removes the file.
+    already, for instance in a command that failed. Each call needs a release of its own, and the last release
+    removes the file.
 
     Raises
     ------
     UsageError
-        If another run holds the lock.
+        If another process or thread holds the lock.
     InputError
         If the lock cannot be written.
     """
@@ -302,7 +307,7 @@ def lock(output: Path) -> BaseFileLock:
 
 @contextmanager
 def locked(output: Path | None) -> Iterator[None]:
-    """Hold the lock of an output during the block. A device or a stream is not locked."""
+    """Hold the lock of an output file during the block. Nothing is locked for a device or a stream."""
     stored = output is not None and (output.is_dir() or not is_device(output))
     if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
         yield
@@ -316,21 +321,23 @@ def locked(output: Path | None) -> Iterator[None]:
 
 # ---------------------------------------------------------------- checkpoints
 
-#: Number of hexadecimal digits of a key.
+#: Number of hexadecimal digits of the key of a line in a checkpoint.
 DIGITS = 32
 
 
 def place(output: Path) -> Path:
-    """Return the path of the checkpoint of an output."""
+    """Return the path of the checkpoint file of an output: ``map.yaml.partial`` for ``map.yaml``."""
     return output.with_name(f"{output.name}.partial")
 
 
 class Checkpoint:
-    """Named pieces of a computation (arrays of numbers), each stored as one JSON line.
+    """Checkpoint file with the intermediate results of a long computation.
 
-    A line is ``{"key": ..., "name": ..., "values": [...]}``. The key is the SHA-256 of the inputs and
-    settings of the run and of the name of the piece. A line that is not of this form is damaged. A line with
-    another key belongs to another run. Both are ignored, and the lines of other runs are preserved.
+    Each intermediate result is an array of numbers with a name. It is stored as one JSON line
+    ``{"key": ..., "name": ..., "values": [...]}``. The key is the SHA-256 of the name and of the inputs and
+    settings of the computation. A line that is not of this form is damaged. A line with another key belongs
+    to a computation with other inputs or settings. Damaged lines and lines with another key are ignored. The
+    lines with another key stay in the file.
 
     Parameters
     ----------
@@ -342,7 +349,7 @@ class Checkpoint:
     Raises
     ------
     UsageError
-        If another run holds the lock of the output, or if the file is not a checkpoint.
+        If another process or thread holds the lock of the output, or if the file is not a checkpoint.
     InputError
         If the file cannot be read or written.
 
@@ -351,14 +358,14 @@ class Checkpoint:
     SWM150
         Lines are ignored.
     SWM151
-        A piece cannot be stored, for instance because the disk is full.
+        A result cannot be stored, for instance because the disk is full.
     """
 
     def __init__(self, path: Path | None = None, key: str = "") -> None:
         self.path = path
         self._key = key
         self._known: dict[str, list[float]] = {}
-        #: Lines of other runs.
+        #: Lines that belong to computations with other inputs or settings.
         self._others: list[str] = []
         self._writing = threading.Lock()
         self._full = False
@@ -372,13 +379,13 @@ class Checkpoint:
 
     @classmethod
     def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
-        """Return the checkpoint of an output, with a key from ``belongs_to`` and the version of swimid."""
+        """Return the checkpoint of an output. Its key depends on ``belongs_to`` and the version of swimid."""
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = output and place(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     def get(self, name: str) -> NDArray[np.float64] | None:
-        """Return the values stored under a name; None if there are none."""
+        """Return the intermediate result with the given name; None if it is not stored."""
         if name not in self._known:
             return None
         import numpy as np
@@ -386,7 +393,7 @@ class Checkpoint:
         return np.array(self._known[name], dtype=float)
 
     def put(self, name: str, values: NDArray[np.float64]) -> None:
-        """Store values under a name."""
+        """Store an intermediate result under a name."""
         if self.path is None:
             return
         key, listed = self._key_of(name), [float(v) for v in values]
@@ -394,7 +401,7 @@ class Checkpoint:
         with self._writing:
             try:
                 with self.path.open("a", encoding="utf-8") as stream:
-                    # the last line may be incomplete after a failed write: begin a new line
+                    # begin a new line after a failed write, because the last line may be incomplete
                     stream.write("\n" * self._full + json.dumps(line) + "\n")
             except OSError as error:
                 if not self._full:
@@ -402,7 +409,7 @@ class Checkpoint:
                 self._full = True
 
     def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the values stored under a name. If there are none, compute and store them."""
+        """Return the intermediate result with the given name. If it is not stored, compute and store it."""
         values = self.get(name)
         if values is None:
             values = compute()
@@ -410,11 +417,11 @@ class Checkpoint:
         return values
 
     def done(self) -> None:
-        """Remove the lines of this run, whose result is now written. Lines of other runs stay."""
+        """Remove the lines of this computation, whose result is now written. Other lines stay."""
         if self.path is None:
             return
         if self._others:
-            with noted():  # no output of the command
+            with noted():  # the checkpoint is not an output of the command
                 write_text(self.path, "".join(f"{line}\n" for line in self._others))
         else:
             self.path.unlink(missing_ok=True)
@@ -424,7 +431,7 @@ class Checkpoint:
         return hashlib.sha256(f"{self._key}\n{name}".encode()).hexdigest()[:DIGITS]
 
     def _read(self, path: Path) -> None:
-        """Sort the lines of the file into lines of this run, lines of other runs and damaged lines."""
+        """Read the file, and sort its lines into lines of this computation, of others, and damaged lines."""
         raw = b""
         if path.is_file():
             raw = path.read_bytes()
@@ -463,7 +470,7 @@ class Checkpoint:
 
 
 def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
-    """Return one file name for each id. The names are different files on every operating system.
+    """Return one file name for each id of a trial. The names are distinct on every operating system.
 
     Characters other than letters, digits, ``_``, ``-`` and ``.`` become ``_``.
 

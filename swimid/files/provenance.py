@@ -32,7 +32,7 @@ def sha256(path: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Held:
-    """Name and SHA-256 of an input in memory."""
+    """Input of a result that was in memory: its name and the SHA-256 of its content."""
 
     name: str
     sha256: str
@@ -52,7 +52,9 @@ def path_of(given: Input) -> Path:
 
 
 def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
-    """Return the SHA-256 of each input by its name. The name of a file is relative to the working folder.
+    """Return the SHA-256 of each input of a result by its name.
+
+    The name of a file is its path relative to the working folder.
 
     Different inputs in memory that have the same name are numbered.
     """
@@ -126,7 +128,10 @@ def says_simulated(given: Input) -> bool:
 
 
 def _head(path: Path) -> str:
-    """Return the beginning of a file as text. Metadata of a Parquet file by swimid are comment lines."""
+    """Return the beginning of a file as text.
+
+    For a Parquet file that swimid wrote, the text has its metadata as comment lines.
+    """
     with file_errors(path), path.open("rb") as stream:
         head = stream.read(NEAR)
     if head.startswith(b"PAR1"):
@@ -144,7 +149,7 @@ def command_line() -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions of Python and of the imported libraries."""
+    """Return the versions of Python and of the imported libraries, by name."""
     versions = {"python": sys.version.split()[0]}
     for name in ("numpy", "scipy", "numba", "pandas", "cv2", "control"):
         if name in sys.modules:
@@ -164,7 +169,7 @@ VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
 NEAR = 65536
 
 _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
-#: Pattern of a format that swimid writes. People also write the other formats by hand.
+#: Pattern of the formats that only swimid writes. Users also write the excluded formats by hand.
 _FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
 #: Patterns of the marks at the beginning of a file, including what precedes the mark: log, JSON, JSON Schema,
 #: findings of ``doctor``, XML, HTML, C header, CSV of a front, SVG, PNG, GIF.
@@ -188,7 +193,8 @@ _BEGINNING = re.compile(
 )  # fmt: skip
 #: Pattern of the mark at the end of a Markdown page.
 _MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
-#: Patterns of the first line of a YAML file, and of the origin of the file, which may follow anywhere.
+#: Patterns of the first line of a YAML file that swimid wrote, and of its block ``provenance``, which may
+#: follow anywhere.
 _YAML = re.compile(rf"format: *['\"]?{_FORMAT}['\"\s]")
 _ORIGIN = re.compile(r"^provenance:\n(?: .*\n)*?  version: ", re.MULTILINE)
 
@@ -216,7 +222,7 @@ def is_own(path: Path) -> bool:
 
 
 def mark_png(data: bytes) -> bytes:
-    """Return a PNG file with the mark of swimid; ``data`` is a PNG file without metadata."""
+    """Return a PNG file with the mark of swimid added. ``data`` is a PNG file without metadata."""
     content = b"tEXtSoftware\0" + SOFTWARE.encode()
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
     after_header = 8 + 25  # signature and IHDR chunk

@@ -1,4 +1,4 @@
-"""Reading of CSV files: comments, header, cells and error messages. Import of the Parquet library."""
+"""Functions that read CSV files (comments, header, cells), and the import of the Parquet library."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from swimid.errors import InputError, extra_needed, nearest
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Cell texts that are read as a missing value. The formats specify an empty cell.
+#: Texts of table cells that are read as a missing value. The file formats specify an empty cell.
 MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
 
 
 def head(path: Path) -> tuple[list[str], str, int]:
-    """Return the comment lines without ``#``, the header line, and its number (from 1).
+    """Return the comment lines of a CSV file without ``#``, its header line, and the number of this line.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def head(path: Path) -> tuple[list[str], str, int]:
 
 
 def column_names(header: str, path: Path, line: int) -> list[str]:
-    """Return the column names in a header line.
+    """Return the column names in the header line of a CSV file.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def parse(
     decimal: str = ".",
     missing: Sequence[str] = MISSING,
 ) -> pd.DataFrame:
-    """Return the cells under the header as a table, one row for each line that is not blank.
+    """Return the cells below the header of a CSV file as a table, one row for each line that is not blank.
 
     A line with too few cells has missing values at its end. A line with too many cells is left out. Every
     number is the floating-point number that is nearest to the text in its cell.
@@ -116,7 +116,7 @@ def parse(
 
 
 def count_cells(line: str, delimiter: str = ",") -> int:
-    """Return the number of cells of a line; 0 if a quotation mark is not closed.
+    """Return the number of cells in a line of a CSV file; 0 if a quotation mark is not closed.
 
     >>> count_cells('1,,"2,3"')
     3
@@ -132,7 +132,7 @@ def count_cells(line: str, delimiter: str = ",") -> int:
 def missing_column(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
-    """Return the error for a missing column, with the most similar name as a hint."""
+    """Return the error for a missing column of a table, with the most similar name as a hint."""
     hint = f"the file has: {', '.join(names)}"
     if close := nearest(column, list(names)):
         hint = f"did you mean '{close}'? {hint}"
@@ -140,7 +140,7 @@ def missing_column(
 
 
 def number(text: str) -> float | None:
-    """Return the number in a cell; None if the cell is not a number.
+    """Return the number in a cell of a table; None if the text is not a number.
 
     >>> number(" 1e-3 "), number("1,5"), number("1_0")
     (0.001, None, None)
@@ -154,7 +154,7 @@ def number(text: str) -> float | None:
 
 
 def number_hint(text: str) -> str:
-    """Return the hint for a cell that is not a number."""
+    """Return the hint of the error for a table cell that is not a number."""
     if number(text.replace(",", ".")) is not None:
         return "write the decimal point as a dot"
     return "leave the cell empty where the sample is missing"

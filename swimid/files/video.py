@@ -1,4 +1,4 @@
-"""Writing of videos frame by frame: H.264 if PyAV is installed, else MPEG-4; or an animated GIF."""
+"""Writers of videos frame by frame: H.264 (with PyAV), MPEG-4 (without PyAV), and animated GIF."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from swimid.errors import InputError
 from swimid.files.provenance import MADE_BY, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
-#: Number of ticks of the time stamps per second.
+#: Resolution of the time stamps of video frames, ticks per second.
 CLOCK = 90_000
 #: Remark for the user if browsers do not play the video.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
 
 
 class H264:
-    """Writer of H.264 with PyAV. Browsers play the video, and every frame has its own time.
+    """Writer of an H.264 video with PyAV. Browsers play the video, and every frame has its own time.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class H264:
 
 
 class Mpeg4:
-    """Writer of MPEG-4 with OpenCV, if PyAV is not installed. Most players show it, browsers do not."""
+    """Writer of an MPEG-4 video with OpenCV, used without PyAV. Most players show it, browsers do not."""
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
         self._path, self._count = path, 0
@@ -108,7 +108,7 @@ class Gif:
 
         if not self._frames:
             return
-        # the palette is that of the last frame, which shows the whole path
+        # all frames use the palette of the last frame, which shows the whole path of the robot
         palette = Image.fromarray(self._frames[-1]).quantize(colors=64)
         first, *rest = (
             Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in self._frames
@@ -124,12 +124,13 @@ class Gif:
         )
 
 
-#: Writer of frames of one size, shape (height, width, 3), with the colours in the order blue, green, red.
+#: Type of a video writer. All frames have the same shape (height, width, 3) and the colour order blue, green,
+#: red.
 Writer = H264 | Mpeg4 | Gif
 
 
 def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:
-    """Return a writer for the ending of ``path``; :class:`Mpeg4` if PyAV is not installed.
+    """Return a video writer for the ending of ``path``: a GIF writer, or else H.264 or MPEG-4.
 
     Parameters
     ----------

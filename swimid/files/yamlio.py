@@ -1,4 +1,4 @@
-"""Reading and writing of YAML: comments are preserved, floats are not rounded, errors name the line."""
+"""Reading and writing of YAML files. Comments are preserved, floats are not rounded, errors name the line."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ruamel.yaml.constructor import DuplicateKeyError
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
 
-#: Maximum size of a file, bytes. A larger file is refused before it is parsed.
+#: Maximum size of a YAML file, bytes. A larger file is refused before it is parsed.
 MAX_BYTES = 20_000_000
-#: Maximum number of nodes of a document with all its aliases written out. A larger document is refused.
+#: Maximum number of nodes of a YAML document with all aliases written out. A larger document is refused.
 MAX_NODES = 500_000
 
 M = TypeVar("M", bound=BaseModel)
@@ -37,7 +37,7 @@ class Document(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
-        """Return the SHA-256 of the keys and values in hexadecimal digits.
+        """Return the SHA-256 of the keys and values of the document in hexadecimal digits.
 
         The order of keys, comments, keys without a value, and keys with their default value have no effect.
         """
@@ -47,9 +47,12 @@ class Document(BaseModel):
 
 
 class ResultFile(Document):
-    """Base class of the formats that commands write. The default of the field ``format`` is the format."""
+    """Base class of the file formats that commands write.
 
-    #: Name of the kind of file in messages, such as ``"comparison file"``.
+    The default value of the field ``format`` is the name of the format, such as ``swimid-gap/1``.
+    """
+
+    #: Name of the file format in messages, such as ``"comparison file"``.
     kind: ClassVar[str]
 
     def write(self, path: str | Path) -> None:
@@ -92,7 +95,7 @@ def plain(value: Any, *, finite: bool = False) -> Any:
 
 
 _known = partial(plain, finite=True)
-#: Number, or None if the number is undefined. The other types are lists, tables and pairs of such numbers.
+#: Field types for numbers of which some may be undefined (None): one number, a list, a table and a pair.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]
 Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
@@ -177,11 +180,11 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 
 
 def _expanded(node: Any, known: dict[int, int]) -> int:
-    """Return the number of nodes of a document with every alias written out."""
+    """Return the number of nodes of a YAML document with every alias written out."""
     if not isinstance(node, dict | list):
         return 1
     if id(node) not in known:
-        known[id(node)] = MAX_NODES + 1  # a node inside itself never ends
+        known[id(node)] = MAX_NODES + 1  # a node that contains itself counts as too large
         inner = node.values() if isinstance(node, dict) else node
         known[id(node)] = min(1 + sum(_expanded(part, known) for part in inner), MAX_NODES + 1)
     return known[id(node)]
@@ -193,7 +196,7 @@ def validated(path: str | Path, model: type[M]) -> M:
 
 
 def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
-    """Check loaded data against a pydantic model.
+    """Check data of a YAML file against a pydantic model, and return them as an object of this model.
 
     Raises
     ------
@@ -219,9 +222,9 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
 
 
 def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | None]:
-    """Return the parts of a location that are in the data, the data at the location, and the line.
+    """Return the parts of an error's location that are in YAML data, the data at the location, and the line.
 
-    pydantic adds the names of the branches of a union to a location. These names are not in the data.
+    pydantic adds the names of the branches of a union to the location. These names are not in the data.
     """
     parts: list[Any] = []
     line: int | None = None
@@ -237,7 +240,7 @@ def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int |
 
 
 def line_of(data: Any, location: Sequence[Any]) -> int | None:
-    """Return the line of the deepest part of ``location`` that is in the document."""
+    """Return the line number of the deepest key of ``location`` that is in the YAML document."""
     return _followed(data, location)[2]
 
 
@@ -250,7 +253,7 @@ def _key(data: Any, problem: Any) -> list[Any]:
 
 
 def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str | None]:
-    """Return the message and the hint for a validation error."""
+    """Return the message and the hint for the user about a validation error of pydantic."""
     kind, location, value = problem["type"], problem["loc"], problem.get("input")
     hint = None
     if kind == "extra_forbidden":
@@ -276,7 +279,7 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
-    """Return the keys that the schema allows at a location."""
+    """Return the keys that the schema of a model allows at a location in a document."""
     schema = model.model_json_schema()
     nodes = _branches(schema, schema)
     for part in location:
@@ -292,7 +295,7 @@ def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
 
 
 def _branches(node: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the alternatives of a part of a schema, with references resolved."""
+    """Return the alternatives that a node of a JSON Schema allows, with references resolved."""
     if "$ref" in node:
         return _branches(schema["$defs"][node["$ref"].rsplit("/", 1)[-1]], schema)
     branches = [*node.get("anyOf", []), *node.get("oneOf", [])]
@@ -320,7 +323,7 @@ def _text(styled: Any) -> str:
 
 
 def _styled(value: Any, on_one_line: Callable[[Any, int], bool], depth: int = 0) -> Any:
-    """Return the data with marks for the lists and mappings that are written on one line."""
+    """Return YAML data in which the lists and mappings to write on one line are marked."""
     styled: Any = value
     if isinstance(value, dict):
         styled = CommentedMap((k, _styled(v, on_one_line, depth + 1)) for k, v in value.items())

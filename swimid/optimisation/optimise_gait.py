@@ -1,4 +1,4 @@
-"""``optimise gait``: the best gait within limits, and its uncertainty."""
+"""Command ``optimise gait``: search for the best gait within limits, and the uncertainty of the gait."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from swimid.results import numbers
 from swimid.results.result import FileResult
 from swimid.simulation.cases import value_text
 
-#: Tolerances: for a gait at its bound, as a fraction of the range of the parameter, and for an active limit,
-#: as a fraction of the limit.
+#: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range, and relative
+#: tolerance within which a limit counts as active.
 BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
-#: Maximum relative difference of the goal between two starting points of the search that agree.
+#: Maximum relative difference of the goal at which the searches from two starting points count as agreeing.
 AGREE_RTOL = 0.005
-#: First and last radius and maximum number of steps of the searches for coefficient samples. These searches
-#: start from the optimum for the estimated coefficients.
+#: First and last radius of the finite differences, and maximum number of steps, of the searches for random
+#: samples of the coefficients. These searches start from the optimum for the estimated coefficients.
 DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
-#: Minimum fraction of the coefficient samples in which a gait must satisfy its limits.
+#: Minimum fraction of the random samples of the coefficients in which the best gait must satisfy its limits.
 MIN_KEPT = 0.9
-#: Number of points of the Sobol sequence per starting point of the search.
+#: Number of points of a Sobol sequence that are tried for each starting point of the search.
 N_POINTS_PER_START = 4
 
 
 class Varied(yamlio.Document):
-    """Range of a varied parameter."""
+    """Range and unit of a varied parameter of the gait."""
 
     unit: str
     low: float
@@ -51,36 +51,39 @@ class Varied(yamlio.Document):
 
 
 class GaitFile(StudyFile):
-    """Gait file: the best gait, with the quantities of its simulation in SI units, and its uncertainty."""
+    """Content of a gait file: best gait, quantities of its simulation in SI units, and uncertainty."""
 
     kind: ClassVar[str] = "gait file"
     format: Literal["swimid-gait/2"] = "swimid-gait/2"
     vary: dict[str, Varied]
-    #: Goal, its quantity, and the unit of the quantity.
+    #: Goal of the optimisation, the quantity that the goal stands for, and the unit of the quantity.
     goal: str
     quantity: str
     unit: str
     limits: dict[str, Limit] = {}
-    #: Value of the goal with penalties at the end of each search, the best first.
+    #: Value of the goal, including penalties, at the end of the search from each starting point, the best
+    #: first.
     ends: list[float] = []
-    #: Varied parameters at the best gait, and the value of the goal there.
+    #: Values of the varied parameters at the best gait, and value of the goal there.
     at: dict[str, float]
     best: float
-    #: Parameters at an end of their range. A better gait may lie beyond this end.
+    #: Varied parameters that lie at an end of their range. A better gait may lie beyond this end.
     at_bound: list[str] = []
-    #: Names of the active limits.
+    #: Names of the limits that are active at the best gait.
     held_by: list[str] = []
     quantities: dict[str, Number] = {}
-    #: Number of random samples of the coefficients, and fraction of the samples that lie within the bounds.
+    #: Number of random samples of the coefficients, and fraction of drawn samples that lay within the bounds
+    #: of the coefficients.
     draws: int = 0
     inside: Number = None
-    #: 95 % interval of each parameter of the best gait, computed for each sample of the coefficients.
+    #: 95 % interval of each varied parameter of the best gait over the random samples of the coefficients.
     at_ci95: dict[str, Pair] = {}
-    #: 95 % interval, over the samples of the coefficients, of the goal for the gait ``at``.
+    #: 95 % interval of the goal at the gait ``at`` over the random samples of the coefficients.
     best_ci95: Pair = (None, None)
-    #: Fraction of the samples in which this gait satisfies its limits; None without limits.
+    #: Fraction of the random samples of the coefficients in which the gait ``at`` satisfies all limits; None
+    #: without limits.
     kept_in_draws: Number = None
-    #: Best gait for each sample, in the order of ``vary``.
+    #: Best gait for each random sample of the coefficients: one row of parameters in the order of ``vary``.
     drawn: Rows = []
     provenance: dict[str, Any] = Field(default_factory=dict)
 
@@ -101,7 +104,7 @@ class BestGait(FileResult[GaitFile]):
 
     @property
     def at(self) -> dict[str, float]:
-        """Varied parameters at the best gait."""
+        """Values of the varied parameters at the best gait."""
         return dict(self.file.at)
 
 
@@ -218,7 +221,10 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 
 
 def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
-    """Return the best points of a Sobol sequence as starting points, and set the scale of the goal."""
+    """Return the best points of a Sobol sequence as starting points of the search.
+
+    Also set the scale of the goal in the problem.
+    """
     exponent = math.ceil(math.log2(N_POINTS_PER_START * options.starts))
     from scipy.stats import qmc
 
@@ -232,7 +238,7 @@ def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
 
 
 def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
-    """Find the best gait, and return it with the quantities of its simulation."""
+    """Search for the best gait from several starting points, and return it with its quantities."""
     starts = _choose_starts(problem, options)
     with progress("search", total=MAX_STEPS) as step:
         found = problem.minimise(starts, advance=step)
@@ -265,7 +271,7 @@ def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress
 def _set_intervals(
     problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
 ) -> None:
-    """Set the intervals of the best gait and of its goal over random samples of the coefficients."""
+    """Set the intervals of the best gait and of its goal, from random samples of the coefficients."""
     vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
     file.draws = len(vectors)
     nominal = np.tile(problem.place(file.at), (len(vectors), 1))
@@ -286,7 +292,7 @@ def _set_intervals(
 
 
 def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
-    """Return the evidence of a gait."""
+    """Return the evidence of a best gait, with checks, tables and figures."""
     limits = [
         f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
         for name, limit in file.limits.items()
@@ -333,14 +339,14 @@ def _checks(file: GaitFile) -> list[ev.Check]:
 
 
 def answer(file: GaitFile) -> str:
-    """Return the best gait as a sentence."""
+    """Return a sentence with the best gait, its goal and its active limits."""
     place = ", ".join(f"{n} {numbers.number(v, 4, file.vary[n].unit)}" for n, v in file.at.items())
     held = f", limited by {', '.join(file.held_by)}" * bool(file.held_by)
     return f"Best gait: {place}; {file.goal} {value_text(file.best, file.unit, digits=4)}{held}."
 
 
 def _gait_table(file: GaitFile) -> ev.Table:
-    """Return the varied parameters of the best gait and its goal, with their intervals."""
+    """Return a table of the varied parameters and the goal of the best gait, with their intervals."""
     units = {name: v.unit for name, v in file.vary.items()} | {file.goal: file.unit}
     known = {**file.at_ci95, file.goal: file.best_ci95}
     rows: list[dict[str, ev.Cell]] = []

@@ -1,4 +1,4 @@
-"""``optimise stiffness``: the rule by which a controller sets the stiffness of a passive joint.
+"""Command ``optimise stiffness``: a rule by which a controller sets the stiffness of a passive joint.
 
 This module has the search, the rule file (``swimid-rule/2``), and the evidence of the rule.
 """
@@ -28,25 +28,26 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
 
-#: Maximum power of the frequency in a curve of the rule (tendon fish, Algorithm 1).
+#: Degree of the polynomial of the frequency in a curve of the rule (tendon-fish paper, Algorithm 1).
 DEGREE = 2
 #: First and last radius of the finite differences in the final search, as a fraction of the stiffness range.
-#: The final search starts at the best point of a front.
+#: The final search starts at the best point of a Pareto front.
 SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
-#: Maximum distance of a stiffness from its bound, as a fraction of the range, at which the stiffness counts
-#: as at its bound.
+#: Maximum distance of a stiffness from an end of its range, as a fraction of the range, at which the
+#: stiffness counts as at its bound.
 BOUND_TOL = 1e-3
-#: Maximum relative loss of speed, or relative increase of cost, by using the rule instead of its optima.
+#: Maximum relative loss of speed, or relative increase of the cost of transport, if the rule is used in place
+#: of the optimal stiffnesses.
 MAX_LOSS = 0.02
 
-#: Names of the quantities that are compared.
+#: Names of the quantities by which the rule is compared with the optima.
 SPEED, COST = "mean_speed_m_s", "cost_of_transport_J_m"
 
 Outside = Literal["refuse", "hold"]
 
 
 class Curve(yamlio.Document):
-    """Rule at one amplitude: ``c0 + c1 f + c2 f^2`` with the frequency f in Hz."""
+    """Curve of a stiffness rule at one amplitude: ``c0 + c1 f + c2 f^2`` with the frequency f in Hz."""
 
     amplitude_deg: float
     coefficients: tuple[float, float, float]
@@ -55,22 +56,23 @@ class Curve(yamlio.Document):
 
 
 class Optimum(yamlio.Document):
-    """Best stiffness at one frequency and amplitude."""
+    """Optimal stiffness at one frequency and amplitude."""
 
     frequency_hz: float
     amplitude_deg: float
     stiffness: float
     at_bound: bool = False
-    #: Quantities of a run, in SI units: with this stiffness, with the rule, and with the reference.
+    #: Quantities of a simulation, in SI units, with this stiffness, with the stiffness of the rule, and with
+    #: the reference stiffness.
     best: dict[str, Number] = {}
     ruled: dict[str, Number] = {}
     reference: dict[str, Number] = {}
-    #: Pareto front: each row has the stiffness and both objectives, as they are minimised.
+    #: Pareto front: each row has a stiffness and the values of the two objectives that are minimised.
     front: Rows = []
 
 
 class RuleFile(StudyFile):
-    """Rule file: stiffness as a function of frequency and amplitude, with its optima."""
+    """Content of a rule file: stiffness as a function of frequency and amplitude, and its optima."""
 
     kind: ClassVar[str] = "rule file"
     format: Literal["swimid-rule/2"] = "swimid-rule/2"
@@ -79,14 +81,15 @@ class RuleFile(StudyFile):
     between: tuple[float, float]
     objective: Literal["speed", "cost-of-transport"]
     objectives: tuple[str, str]
-    #: Stiffness in the parameter file, with which the rule is compared.
+    #: Fixed stiffness of the parameter file, with which the rule is compared.
     reference: float
-    #: Ranges of frequency and amplitude in which the rule is valid.
+    #: Ranges of frequency (Hz) and amplitude (deg) in which the rule is valid.
     frequency_hz: tuple[float, float]
     amplitude_deg: tuple[float, float]
     curves: list[Curve]
     optima: list[Optimum]
-    #: Whether the coefficients have standard errors. The rule does not contain this uncertainty.
+    #: Whether the coefficients of the model have standard errors. The rule does not allow for this
+    #: uncertainty.
     uncertain: bool = False
     provenance: dict[str, Any] = Field(default_factory=dict)
 
@@ -100,7 +103,7 @@ class RuleFile(StudyFile):
     def stiffness_for(
         self, frequency_hz: float, amplitude_deg: float | None = None, *, outside: Outside = "refuse"
     ) -> float:
-        """Return the stiffness at a frequency and an amplitude, by linear interpolation between the curves.
+        """Return the stiffness at a frequency and an amplitude, interpolated linearly between the curves.
 
         Parameters
         ----------
@@ -140,7 +143,7 @@ def _within(value: float, ends: tuple[float, float], name: str, outside: Outside
 
 
 def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Curve:
-    """Fit the stiffness as a quadratic function of the frequency by least squares (tendon fish, Algorithm 1).
+    """Fit the stiffness at one amplitude as a quadratic function of the frequency by least squares.
 
     >>> made = fit_curve(20.0, np.array([1.0, 2.0, 3.0]), np.array([3.0, 9.0, 19.0]))
     >>> bool(np.allclose(made.coefficients, [1.0, 0.0, 2.0]))
@@ -166,7 +169,7 @@ class StiffnessRule(FileResult[RuleFile]):
 
     @property
     def stiffness_for(self) -> Callable[..., float]:
-        """Function that returns the stiffness (see :meth:`RuleFile.stiffness_for`)."""
+        """Function that evaluates the rule at a frequency and amplitude (:meth:`RuleFile.stiffness_for`)."""
         return self.file.stiffness_for
 
 
@@ -278,7 +281,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
-    """Return the name of the coefficient that is the stiffness."""
+    """Return the name of the coefficient of the model that is the stiffness of the passive joint."""
     found = performance.model.yielding()
     name = options.coefficient or "".join(found[: len(found) == 1])
     if name not in found:
@@ -294,14 +297,14 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
 
 
 def _front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
-    """Search the Pareto front at a point of the grid, and refine its best point by finite differences.
+    """Search for the Pareto front of the stiffness at a grid point, and refine its best point.
 
-    The best point is that with the minimum of the first objective.
+    The best point has the minimum of the first objective. It is refined by a search with finite differences.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        Stiffness and both objectives as they are minimised. The best point is in the first row.
+        Stiffness and the values of the two objectives that are minimised. The best point is in the first row.
     """
     ((low, high),) = problem.vary.values()
     first = np.array([(reference - low) / (high - low)])
@@ -336,7 +339,7 @@ def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
 
 
 def _assess(performance: Performance, file: RuleFile) -> None:
-    """Set the quantities at every optimum: with its own stiffness, with the rule, and with the reference."""
+    """Set the quantities of every optimum: with its own stiffness, with the rule, and with the reference."""
     gaits = []
     for one in file.optima:
         beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
@@ -357,9 +360,9 @@ def _column(file: RuleFile, way: str, name: str = SPEED) -> Array:
 
 
 def _loss(file: RuleFile) -> Array:
-    """Return the relative loss of speed or increase of cost by using the rule instead of its optima.
+    """Return the relative loss of speed or increase of cost if the rule is used in place of the optima.
 
-    The shape is (optima,).
+    The result has one value for each optimum.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         if file.objective == "speed":
@@ -368,7 +371,7 @@ def _loss(file: RuleFile) -> Array:
 
 
 def evidence_of(file: RuleFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
-    """Return the evidence of a rule."""
+    """Return the evidence of a stiffness rule, with checks, tables and figures."""
     first, second = (name.replace("_", " ") for name in file.objectives)
     facts = {
         "Stiffness": f"{file.coefficient}, {numbers.interval(*file.between, None, file.unit)}",
@@ -419,7 +422,7 @@ def _checks(file: RuleFile) -> list[ev.Check]:
 
 
 def answer(file: RuleFile) -> str:
-    """Return the range of the rule, and the increase of speed with the rule, as a sentence."""
+    """Return a sentence with the range of the stiffness in the rule and with the highest speed."""
     stiffness = [one.stiffness for one in file.optima]
     ends = f"{numbers.number(min(stiffness), 3)} to {numbers.number(max(stiffness), 3, file.unit)}"
     text = f"{file.coefficient} {ends} over frequency"

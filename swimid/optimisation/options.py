@@ -1,4 +1,4 @@
-"""Options of ``map``, ``optimise stiffness`` and ``optimise gait``."""
+"""Options of the commands ``swimid map``, ``swimid optimise stiffness`` and ``swimid optimise gait``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from swimid.simulation import options as simulations
 
 
 class GaitOptions(simulations.DriveOptions):
-    """Options of every command of gaits: the robot and the drive."""
+    """Options that all commands of the package share: robot, drive, duration of a simulation, threads."""
 
     duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
     jobs: int | None = fits.jobs()

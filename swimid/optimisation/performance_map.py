@@ -1,4 +1,4 @@
-"""``map``: quantities of a robot over a grid of gaits."""
+"""Command ``map``: speed, cost of transport and other quantities of a robot over a grid of gaits."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from swimid.simulation.cases import value_text
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Maximum number of points of a map.
+#: Maximum number of grid points of a map.
 MAX_POINTS = 100_000
-#: Quantities that are plotted and tabulated, in this order, if the robot has them.
+#: Quantities that a map plots and tabulates, in this order, if the robot has them.
 DRAWN = (
     "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
     "mean_pitch_rate_rad_s", "max_yaw_rate_rad_s", "yaw_range_in_beat_rad",
     "pitch_range_in_beat_rad", "max_pitch_rate_rad_s", "surge_m", "mean_positive_power_W", "peak_torque_N_m",
 )  # fmt: skip
-#: Approximate number of contour levels in a panel.
+#: Approximate number of contour levels in a panel of a map.
 N_LEVELS = 6
-#: Quantities whose best point is reported: a word for the best point, and the sign with which it is a
-#: maximum.
+#: Quantities whose best grid point is reported. Each has a word for the best point, and the factor with which
+#: the best value is a maximum.
 BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
 
 
@@ -56,22 +56,25 @@ class Axis(yamlio.Document):
 
 
 class Mapped(yamlio.Document):
-    """A quantity over the grid. Rows are the first axis; columns are the second axis, if there is one."""
+    """Values of one quantity over the grid of a map.
+
+    Rows belong to the values of the first axis, columns to those of the second axis, if there is one.
+    """
 
     unit: str
     values: Rows
-    #: Standard deviation that follows from the covariance of the coefficients; None if unknown.
+    #: Standard errors that follow from the covariance of the coefficients; None if it is unknown.
     stderr: Rows | None = None
 
 
 class MapFile(StudyFile):
-    """Map file: quantities of a robot over a grid of gaits."""
+    """Content of a map file: quantities of a robot over a grid of gaits."""
 
     kind: ClassVar[str] = "map file"
     format: Literal["swimid-map/1"] = "swimid-map/1"
     axes: list[Axis]
     quantities: dict[str, Mapped]
-    #: Number of simulations that broke down, and number of simulations whose speed still changes at the end.
+    #: Number of simulations that broke down, and number of simulations whose speed was not steady at the end.
     broken: int
     unsettled: int
     provenance: dict[str, Any] = Field(default_factory=dict)
@@ -79,7 +82,7 @@ class MapFile(StudyFile):
 
 @dataclass(frozen=True, eq=False)
 class PerformanceMap(FileResult[MapFile]):
-    """Quantities of a robot over a grid of gaits, the result of ``map``.
+    """Map of the quantities of a robot over a grid of gaits, the result of ``map``.
 
     Attributes
     ----------
@@ -93,7 +96,7 @@ class PerformanceMap(FileResult[MapFile]):
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Table with one row for each point of the grid."""
+        """Table with one row for each grid point: position on the axes, and every quantity in SI units."""
         import pandas as pd
 
         points = points_of({axis.name: axis.values for axis in self.file.axes})
@@ -198,7 +201,10 @@ def _simulate(
     checkpoint: Checkpoint,
     progress: Progress,
 ) -> Array:
-    """Return the quantities of points with standard errors (NaN if unknown), shape (n, quantities, 2)."""
+    """Simulate the gaits at grid points, and return their quantities with standard errors.
+
+    The shape is (n, quantities, 2). Unknown standard errors are NaN.
+    """
     size = BATCH
     if uncertain:
         size = 1
@@ -221,7 +227,7 @@ def _simulate(
 
 
 def evidence_of(file: MapFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
-    """Return the evidence of a map."""
+    """Return the evidence of a map, with checks, tables and figures."""
     axes = " and ".join(f"{axis.name} ({len(axis.values)} values)" for axis in file.axes)
     grid = [
         f"{a.name} {numbers.number(a.values[0])} to {numbers.number(a.values[-1])} × {len(a.values)}"
@@ -259,7 +265,7 @@ def _checks(file: MapFile) -> list[ev.Check]:
 
 
 def answer(file: MapFile) -> str:
-    """Return the best points of the map as a sentence."""
+    """Return a sentence with the best values in the map and their positions on the axes."""
     parts = []
     for name, (word, sign) in BEST.items():
         if name not in file.quantities:
@@ -276,9 +282,10 @@ def answer(file: MapFile) -> str:
 
 
 def _best_table(file: MapFile) -> ev.Table:
-    """Return a table of the points of a map.
+    """Return a table of the quantities at the best points of a map.
 
-    With one axis it has every point, with two axes the best points for each value of the first axis.
+    With one axis the table has every point. With two axes it has the best points for each value of the first
+    axis.
     """
     first, rows = file.axes[0], []
     for i, at in enumerate(first.values):
@@ -323,7 +330,7 @@ def _figures(file: MapFile) -> list[ev.Figure]:
 
 
 def _shown(file: MapFile, name: str) -> tuple[Array, str]:
-    """Return a quantity in the unit in which it is plotted, and its title."""
+    """Return the values of a quantity in the unit of the plot, and the title of the quantity."""
     bare, unit = numbers.split_unit(name)[0].replace("_", " "), file.quantities[name].unit
     factor, shown = numbers.in_degrees(unit)
     return factor * np.array(file.quantities[name].values, dtype=float), _title(bare, shown)
@@ -335,7 +342,10 @@ def _title(name: str, unit: str) -> str:
 
 
 def _axis_title(axis: Axis) -> str:
-    """Return the title of an axis. The name of a coefficient is kept, as it may end like a unit (``K_s``)."""
+    """Return the title of an axis of a map.
+
+    The name of a coefficient is not split, because it may end like a unit (``K_s``).
+    """
     if axis.name in BEAT | STROKE:
         return numbers.column_title(axis.name)
     return _title(axis.name, axis.unit)

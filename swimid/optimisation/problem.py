@@ -1,4 +1,4 @@
-"""Optimisation problem over gaits, its gradient search, and random samples of the coefficients."""
+"""Optimisation problem over gaits, a gradient search for it, and random samples of the coefficients."""
 
 from __future__ import annotations
 
@@ -19,29 +19,30 @@ from swimid.fitting.model import Array
 from swimid.optimisation.study import Performance, Point
 from swimid.simulation.catalogue import Applied, is_possible
 
-#: Number of coefficient samples that are drawn at once, and maximum number of samples drawn.
+#: Number of random samples of the coefficients that are drawn at once, and maximum number of samples that are
+#: drawn.
 BLOCK, MAX_DRAWS = 50_000, 5_000_000
-#: First and last radius of the finite differences, as a fraction of the range, and maximum number of steps of
-#: a search.
+#: First and last radius of the finite differences of a search, as a fraction of the range of a parameter, and
+#: maximum number of steps of the search.
 FIRST_RADIUS, LAST_RADIUS, MAX_STEPS = 0.1, 1e-3, 24
-#: Value that replaces an objective that cannot be computed.
+#: Large value that replaces an objective that cannot be computed.
 BROKEN = 1e9
 #: Number of points at which the quadratic model of the objective is evaluated in one round, and number of
 #: rounds. Each round has a smaller search region.
 N_MODEL_POINTS, N_ZOOMS = 512, 3
-#: Penalty for violating a limit: this factor times the typical scale of the goal times the relative
-#: violation.
+#: Factor of the penalty for violating a limit. The penalty is this factor times the typical scale of the goal
+#: times the relative violation.
 PENALTY = 10.0
-#: Maximum relative violation at which a limit still counts as satisfied.
+#: Maximum relative violation at which a limit of a gait still counts as satisfied.
 LIMIT_RTOL = 1e-3
-#: Objective function. Its arguments are points in the unit cube, shape (n, d), and the index of the search to
-#: which each point belongs, shape (n,). It returns the goal and the violation of each limit, shape (n, 1 +
-#: limits). The violation is negative if the limit is satisfied.
+#: Type of an objective function. Its arguments are points in the unit cube, shape (n, d), and the index of
+#: the search to which each point belongs, shape (n,). It returns the goal and the violation of each limit,
+#: shape (n, 1 + limits). The violation is negative if the limit is satisfied.
 Evaluate = Callable[[Array, NDArray[np.int64]], Array]
 
 
 def interval95(values: Array) -> Array:
-    """Return the 95 % interval over random samples, which are the rows of ``values``, shape (2, ...)."""
+    """Return the ends of the 95 % interval over random samples, shape (2, ...). The samples are the rows."""
     return np.asarray(np.nanquantile(values, [0.025, 0.975], axis=0, method="weibull"))
 
 
@@ -69,7 +70,7 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
     lower = np.array([model.parameters[k].lower for k in index])
     upper = np.array([model.parameters[k].upper for k in index])
     sd = np.sqrt(np.diag(covariance))
-    # no Cholesky factor exists if coefficients share a value, because the correlation matrix is then singular
+    # use eigenvectors, because the correlation matrix is singular if coefficients share a value
     values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(seed)
@@ -93,14 +94,14 @@ def drawn(applied: Applied, count: int, seed: int) -> tuple[list[Array], float]:
 
 
 class Minima(NamedTuple):
-    """Final points of several searches, shape (k, d), and the goal plus the penalties there, shape (k,)."""
+    """Final points of several searches, shape (k, d), and the penalised goal at these points, shape (k,)."""
 
     points: Array
     values: Array
 
 
 def merit(parts: Array) -> Array:
-    """Return the goal plus the penalties of violated limits, shape (n,).
+    """Return the penalised goal: the goal plus the penalties of violated limits, shape (n,).
 
     The columns of ``parts`` are the goal and the penalty of each limit, shape (n, 1 + limits).
     """
@@ -117,7 +118,7 @@ def descend(
     steps: int = MAX_STEPS,
     advance: Callable[[], Any] = lambda: None,
 ) -> Minima:
-    """Minimise a function with limits over the unit cube from several starting points at once.
+    """Minimise an objective function with limits over the unit cube from several starting points at once.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ def descend(
 
 @cache
 def _cube(width: int) -> Array:
-    """Return points that fill the cube from -1 to 1 evenly, with the centre as the first point."""
+    """Return points that fill a cube with coordinates from -1 to 1 evenly. The first point is the centre."""
     from scipy.stats import qmc
 
     points = 2.0 * qmc.Sobol(width, scramble=False).random(N_MODEL_POINTS) - 1.0
@@ -187,7 +188,10 @@ def _cube(width: int) -> Array:
 
 
 def _model_minimum(point: Array, parts: Array, stencil: Array, around: Array, radius: float) -> Array:
-    """Return the minimum of the quadratic model in the unit cube, within twice the radius along each axis."""
+    """Return the minimum of a quadratic model of the goal and its penalties near a point of the unit cube.
+
+    The minimum lies within twice the radius along each axis.
+    """
     if not np.isfinite(parts).all():
         return np.asarray(stencil[int(np.argmin(merit(around)))])
     slope, curvature = np.zeros((2, len(point), len(parts)))
@@ -216,7 +220,7 @@ def _model_minimum(point: Array, parts: Array, stencil: Array, around: Array, ra
 
 
 class Limit(yamlio.Document):
-    """Maximum or minimum of a quantity of a gait."""
+    """Limit of a gait: the maximum or the minimum of one of its quantities."""
 
     quantity: str
     at_most: Number = None
@@ -226,7 +230,9 @@ class Limit(yamlio.Document):
 
 @dataclass
 class Problem:
-    """Goals and limits as functions on the unit cube. Its axes are the scaled varied parameters.
+    """Optimisation problem over gaits, with goals and limits as functions on the unit cube.
+
+    The axes of the cube are the varied parameters, scaled to their ranges.
 
     Attributes
     ----------
@@ -253,7 +259,7 @@ class Problem:
     calls: int = field(default=0, init=False)
 
     def at(self, x: Array) -> dict[str, float]:
-        """Return the gait at a point of the unit cube."""
+        """Return the varied parameters of the gait at a point of the unit cube."""
         low, high = np.array(list(self.vary.values()), dtype=float).T
         return dict(zip(self.vary, (low + x * (high - low)).tolist(), strict=True))
 
@@ -263,7 +269,7 @@ class Problem:
         return np.asarray((np.array([at[name] for name in self.vary]) - low) / (high - low))
 
     def table(self, points: Array, values: Sequence[Array] | None = None) -> Array:
-        """Simulate points of the unit cube, and return their quantities, shape (n, quantities)."""
+        """Simulate gaits at points of the unit cube, and return their quantities, shape (n, quantities)."""
         gaits = [{**self.fixed, **self.at(x)} for x in points]
         self.calls += 1
         found = self.checkpoint.kept(
@@ -272,7 +278,11 @@ class Problem:
         return found.reshape(-1, len(self.performance.units))
 
     def quantity(self, table: Array, name: str) -> Array:
-        """Return a quantity of simulations, shape (n,). It may be a quantity that only limits use."""
+        """Return one quantity of each simulation in a table, shape (n,).
+
+        The quantity may also be ``basin_m`` (side of the basin that holds the motion), which is not in the
+        table.
+        """
         units = list(self.performance.units)
         if name == "basin_m":
             body = self.performance.model.body
@@ -281,7 +291,10 @@ class Problem:
         return table[:, units.index(name)]
 
     def goal_values(self, table: Array) -> Array:
-        """Return the goals in their own units, shape (n, goals). Turning rates have no sign."""
+        """Return the goals of each simulation in SI units, shape (n, goals).
+
+        Turning rates are absolute values.
+        """
         columns = []
         for quantity, _ in self.goals:
             column = self.quantity(table, quantity)
@@ -291,11 +304,14 @@ class Problem:
         return np.column_stack(columns)
 
     def wanted(self, table: Array) -> Array:
-        """Return the goals multiplied by their signs, as they are minimised, shape (n, goals)."""
+        """Return the goals of each simulation with the signs for minimisation, shape (n, goals)."""
         return self.goal_values(table) * np.array([sign for _, sign in self.goals])
 
     def violations(self, table: Array) -> Array:
-        """Return the relative violation of each limit, shape (n, limits); negative if it is satisfied."""
+        """Return the relative violation of each limit by each simulation, shape (n, limits).
+
+        The violation is negative if the limit is satisfied.
+        """
         found = [np.empty((len(table), 0))]
         for limit in self.limits.values():
             value = self.quantity(table, limit.quantity)[:, None]
@@ -306,11 +322,11 @@ class Problem:
         return np.hstack(found)
 
     def keeps_limits(self, table: Array) -> NDArray[np.bool_]:
-        """Return whether each simulation satisfies all limits, shape (n,)."""
+        """Return for each simulation whether it satisfies all limits, shape (n,)."""
         return np.asarray((self.violations(table) <= LIMIT_RTOL).all(axis=1))
 
     def parts(self, table: Array) -> Array:
-        """Return the first goal as it is minimised and the penalty of each limit, shape (n, 1 + limits)."""
+        """Return the first goal, which is minimised, and the penalty of each limit, shape (n, 1 + limits)."""
         return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
 
     def minimise(self, starts: Array, vectors: Sequence[Array] | None = None, **how: Any) -> Minima:
@@ -328,12 +344,12 @@ class Problem:
         return descend(evaluate, starts, **how)
 
     def front(self, population: int, generations: int, seed: int, first: Array) -> Array:
-        """Search the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.
+        """Search for the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.
 
         Returns
         -------
         ndarray, shape (n, varied + 2)
-            Points of the unit cube, and the goals as they are minimised.
+            Points of the unit cube, and the values of the goals that are minimised.
         """
         width = len(self.vary)
         found = global_search.nsga2(

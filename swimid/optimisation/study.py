@@ -1,4 +1,4 @@
-"""Robot with a drive for many gaits at once, and the common parts of maps, rules and gaits.
+"""Simulation of many gaits of a robot at once, and the code that maps, rules and best gaits share.
 
 A study is the computation of one map, stiffness rule or best gait. A quantity is a result of a simulation,
 such as the mean speed.
@@ -35,18 +35,18 @@ from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_dr
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.model import Swimmer
 
-#: Minimum and maximum values of drive parameters.
+#: Minimum and maximum allowed values of drive parameters.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
-#: Number of gaits that are simulated together.
+#: Number of gaits that are simulated in one batch.
 BATCH = 8
 
 Point = Mapping[str, float]
-#: Warnings about the coefficients: they lie outside their bounds, or their fit did not converge or could not
-#: identify them.
+#: Codes of warnings that coefficients lie outside their bounds, or that their fit did not converge or could
+#: not identify them.
 DOUBTFUL_CODES = ("SWM053", "SWM062")
-#: Default values of the drive parameters.
+#: Default values of drive parameters that a gait does not state.
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
-#: Minimum fraction of the random coefficient samples that lie within the bounds of the coefficients.
+#: Minimum fraction of random samples of the coefficients that must lie within the bounds of the coefficients.
 MIN_INSIDE = 0.5
 REFERENCES = [
     "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
@@ -59,7 +59,9 @@ REFERENCES = [
 
 @dataclass(frozen=True)
 class Performance:
-    """Robot with its coefficients and its drive. A gait varies some of the drive parameters or coefficients.
+    """Robot with its coefficients and its drive, from which the quantities of gaits are computed.
+
+    A gait varies some of the drive parameters or coefficients.
 
     Attributes
     ----------
@@ -97,7 +99,7 @@ class Performance:
 
     @property
     def model(self) -> Swimmer:
-        """Model of the robot."""
+        """Simulation model of the robot."""
         assert self.applied.model.swimmer is not None
         return self.applied.model.swimmer
 
@@ -108,24 +110,24 @@ class Performance:
 
     @cached_property
     def values(self) -> Array:
-        """Parameter vector with the given coefficients. Per-trial parameters have their neutral values."""
+        """Parameter vector of the model with the given coefficients. Per-trial parameters are neutral."""
         return self.applied.values()
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Quantities of a simulation with their units, in the order of :meth:`table`."""
+        """Units of the quantities of a simulation by their names, in the order of :meth:`table`."""
         return cases.units_of(self.model)
 
     @property
     def axes(self) -> dict[str, str]:
-        """Drive parameters and coefficients of the robot that may be varied, with their units."""
+        """Units of the drive parameters and coefficients of the robot that gaits may vary, by their names."""
         drive = STROKE if self.options.stroke is not None else BEAT
         shared = {p.name: p.unit for p in self.model.parameters if not p.per_trial}
         return {**drive, **shared}
 
     @property
     def identified(self) -> dict[str, tuple[float, float]]:
-        """Range of each drive parameter in the identification trials; empty if unknown."""
+        """Range of each drive parameter in the identification trials; empty if the trials are unknown."""
         file = self.applied.file
         if file is None or file.fit is None:
             return {}
@@ -133,7 +135,7 @@ class Performance:
         return {name: (float(low), float(high)) for name, (low, high) in drives.items()}
 
     def check(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
-        """Raise an error for names that cannot be varied, and for impossible ranges.
+        """Raise an error for parameter names that gaits cannot vary, and for impossible ranges.
 
         Raises
         ------
@@ -155,22 +157,22 @@ class Performance:
                 raise UsageError(f"{option} {name}: lies between {least:g} and {most:g}")
 
     def check_gaits(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
-        """Raise an error as :meth:`check` does, and for a drive that is not complete with ``varied``."""
+        """Raise an error for wrong names and ranges as :meth:`check` does, and for an incomplete drive."""
         self.check(varied, option)
         check_drive(self.options, varied, option)
 
     def swim(self, point: Point) -> SwimInput:
-        """Return the drive of a gait."""
+        """Return the drive of the robot for a gait."""
         varied = {name: value for name, value in point.items() if name in BEAT | STROKE}
         return swim_input(self.model, self.options, {**self.drive, **varied})
 
     def run(self, point: Point) -> SwimRun:
-        """Return the simulation settings of a gait."""
+        """Return the settings of the simulation of a gait."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
         return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
-        """Return the parameter vector for a gait."""
+        """Return the parameter vector of the model for a gait."""
         if values is None:
             values = self.values
         moved = values.copy()
@@ -180,7 +182,7 @@ class Performance:
         return moved
 
     def table(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """Return the quantities of gaits, shape (n, quantities); NaN for a quantity that is not available.
+        """Simulate gaits, and return their quantities, shape (n, quantities). Unavailable quantities are NaN.
 
         Parameters
         ----------
@@ -195,7 +197,7 @@ class Performance:
         return found
 
     def many(self, points: Sequence[Point], values: Sequence[Array] | None = None) -> Array:
-        """Return the quantities of gaits as :meth:`table` does, computed in several threads."""
+        """Simulate gaits in several threads, and return their quantities as :meth:`table` does."""
         given = [self.values] * len(points) if values is None else values
         parts = [slice(k, k + BATCH) for k in range(0, len(points), BATCH)]
         tables = in_parallel(
@@ -204,7 +206,7 @@ class Performance:
         return np.concatenate(tables)
 
     def with_errors(self, point: Point) -> Array:
-        """Return the quantities of a gait and their standard errors, shape (quantities, 2)."""
+        """Simulate a gait, and return its quantities and their standard errors, shape (quantities, 2)."""
         return np.column_stack(
             self.applied.with_errors(
                 self.at(point), lambda vectors: self.table([point] * len(vectors), vectors)
@@ -212,7 +214,7 @@ class Performance:
         )
 
     def insist(self, table: Array) -> None:
-        """Raise an error if every simulation breaks down, or if the robot never moves.
+        """Raise an error if every simulation in a table has broken down, or if the robot never moves.
 
         Parameters
         ----------
@@ -235,7 +237,7 @@ class Performance:
 
 
 def points_of(axes: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
-    """Return the points of a grid. The last axis varies fastest."""
+    """Return the points of a grid with the given axes. The value on the last axis varies fastest."""
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
 
 
@@ -243,14 +245,14 @@ def points_of(axes: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
 
 
 class StudyFile(yamlio.ResultFile):
-    """Base class of the files of maps, rules and gaits."""
+    """Base class of the contents of map, rule and gait files."""
 
     format: str
     verdict: Literal["good", "caution", "bad"]
     robot: str
     model: str
     params: str | None = None
-    #: Parameters of the drive that are not varied.
+    #: Parameters of the drive that the gaits do not vary.
     drive: dict[str, Any]
     duration_s: float
     #: Range of each drive parameter in the identification trials. Gaits outside this range are extrapolation.
@@ -262,7 +264,7 @@ Made = TypeVar("Made", bound=FileResult[Any])
 
 @dataclass(frozen=True)
 class Study:
-    """Inputs, provenance, checkpoint and first keys of the file of a map, rule or gait.
+    """Computation of a map, rule or best gait: its output, checkpoint, provenance and first keys of its file.
 
     Attributes
     ----------
@@ -278,7 +280,7 @@ class Study:
     head: dict[str, Any]
 
     def saved(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
-        """Return the result with this file and this evidence, after both were written to the output."""
+        """Write file content and evidence to the output, if there is one, and return them as a result."""
         file.verdict = evidence.verdict.level
         result = made.of(file, evidence).saved(self.output)
         self.checkpoint.done()
@@ -286,7 +288,7 @@ class Study:
 
 
 def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> Study:
-    """Return the study that these options describe.
+    """Return the study that the options of a command describe.
 
     Raises
     ------
@@ -325,7 +327,10 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
 def in_parallel(
     work: Callable[[int], Array], count: int, jobs: int | None, label: str = "", progress: Progress = silent
 ) -> list[Array]:
-    """Return the results of work on numbered items, in ``jobs`` threads (default: one per processor)."""
+    """Return the results of ``work`` for the numbers from 0 to ``count`` - 1, computed in several threads.
+
+    ``jobs`` is the number of threads, by default one per processor.
+    """
     done = []
     with (
         progress(label, total=count) as step,
@@ -350,7 +355,7 @@ def evidence(
     origin: dict[str, Any],
     **shown: Any,
 ) -> ev.Evidence:
-    """Return the evidence of a study, with the facts and the check that are common to all studies."""
+    """Return the evidence of a map, rule or best gait, with the facts and the check that they share."""
     doubts = "; ".join(n.text for n in notices if n.code in DOUBTFUL_CODES)
     if doubts:
         name, limit = "coefficients are those of a sound fit", "converged, identified, within bounds"
@@ -370,13 +375,13 @@ def evidence(
 
 
 def count_check(name: str, passed: int, count: int, text: str, reason: str = "") -> ev.Check:
-    """Check that all of ``count`` items pass. The text is shown if they do not."""
+    """Return a check that passes if all of ``count`` items pass. ``text`` is shown if they do not."""
     value, text = f"{passed} of {count}", text * (passed < count)
     return ev.check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
 
 
 def draws_check(inside: float) -> ev.Check:
-    """Check that most random coefficient samples lie within the bounds of the coefficients."""
+    """Check that most random samples of the coefficients lie within the bounds of the coefficients."""
     value, passed = numbers.percent(inside, 2), inside >= MIN_INSIDE
     text = "the coefficients have large standard errors: add trials that identify them" * (not passed)
     name, reason = "draws within the coefficients' bounds", f"only {value} of draws lie within them"
@@ -384,7 +389,7 @@ def draws_check(inside: float) -> ev.Check:
 
 
 def unknown_check(name: str) -> ev.Check:
-    """Return a check entry which states that an uncertainty is not known."""
+    """Return an entry of the evidence which states that an uncertainty is not known."""
     return ev.check(name, "not known", None, text="give a parameter file with standard errors: --params")
 
 
@@ -397,7 +402,7 @@ def steady_check(steady: int, count: int) -> ev.Check:
 def region_check(
     region: Mapping[str, tuple[float, float]], points: Sequence[Mapping[str, float]]
 ) -> ev.Check:
-    """Check that gaits lie inside the range of each parameter in the identification trials."""
+    """Check that gaits lie inside the range of each drive parameter in the identification trials."""
     name = "inside the range of the identification trials"
     if not region:
         return ev.check(name, "not known", None, text="give the parameter file of a fit: --params")
@@ -418,7 +423,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
     found = []
     for name, (low, high) in region.items():
         slack = 1e-9 * (1.0 + max(abs(low), abs(high)))
-        # a stroke without a stated frequency has its own frequency
+        # a stroke for which no frequency is stated has a frequency of its own
         value = at.get(name, NEUTRAL.get(name))
         if value is not None and not low - slack <= value <= high + slack:
             found.append(name)

@@ -1,4 +1,4 @@
-"""``fit-propulsion``: the recoil law of a cruise table, or thrust and drag of straight swimming."""
+"""Command ``fit-propulsion``: fits of the recoil law, and of thrust and drag in straight swimming."""
 
 from __future__ import annotations
 
@@ -28,17 +28,19 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.parameters import Estimate, Fitted, ParameterFile
 
-#: Minimum relative deviation of the mean speed at a frequency from the law, and minimum deviation in standard
-#: errors, that count as a departure. At least ``MIN_LEVELS`` frequencies stay in the fit, and at most a third
-#: of the frequencies is left out.
+#: Minimum relative deviation of the mean speed at a frequency from the recoil law, and minimum deviation in
+#: standard errors, at which the frequency is left out of the fit. At least ``MIN_LEVELS`` frequencies stay in
+#: the fit, and at most a third of the frequencies is left out.
 DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
-#: Exponents of the power in the recoil law.
+#: Exponents of frequency and amplitude in the propulsive power of the recoil law.
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
-#: Maximum deviation of a free exponent from that of the law, in standard errors.
+#: Maximum deviation of an estimated exponent from the exponent of the recoil law or thrust law, in standard
+#: errors.
 EXPONENT_Z = 3.0
-#: Parameters of the drag file that the law uses.
+#: Parameters of the drag file that the recoil law uses.
 DRAG_PARAMETERS = ("drag_coefficient", "added_mass")
-#: Columns of the table of runs. Each has the name of its quantity, and the factor to the unit of the column.
+#: Titles of the columns in the table of cruise runs. Each has the key of its quantity in the operating
+#: points, and the factor to the unit of the column.
 COLUMNS = {
     "f (Hz)": ("frequency_hz", 1.0),
     "amplitude (°)": ("amplitude_deg", 1.0),
@@ -49,9 +51,9 @@ COLUMNS = {
     "Strouhal, axle": ("strouhal_axle", 1.0),
     "efficiency (%)": ("efficiency", 100.0),
 }
-#: Parameter file, checks, and other parts of the evidence of a fit, by name.
+#: Type of the outcome of a fit: parameter file, checks, and further fields of the evidence by name.
 Made = tuple[ParameterFile, list[ev.Check], dict[str, Any]]
-#: Exponent of the amplitude in the law of thrust.
+#: Exponent of the beat amplitude in the power law of thrust.
 AMPLITUDE_EXPONENT = 2.0
 
 
@@ -63,11 +65,12 @@ def fit_propulsion(
     output: Path | None = None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Identify the propulsion of a fin: recoil law of cruise speeds, or thrust and drag of straight runs.
+    """Identify the propulsion of a caudal fin from cruise speeds or from straight free swimming.
 
-    The recoil law is that of a rigid fin. Frequencies whose runs depart from the law (SWM030) are left out of
-    the fit, and the result is not valid at these frequencies. The initial speed of a held-out trial is
-    estimated from the trial itself, with all other parameters held.
+    Cruise speeds give the efficiency and amplitude offset of the energy recoil law, which is valid for a
+    rigid fin. Straight free swimming gives thrust and drag. Frequencies whose runs depart from the recoil law
+    (SWM030) are left out of the fit, and the result is not valid at these frequencies. The initial speed of a
+    held-out trial is estimated from the trial itself, with all other parameters held.
 
     Parameters
     ----------
@@ -145,7 +148,7 @@ def fit_propulsion(
 def _fit_surge(
     experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
 ) -> Made:
-    """Fit thrust and drag to the surge averaged over tail beats.
+    """Fit thrust and drag of straight swimming to the surge averaged over tail beats.
 
     The initial speed of each trial is estimated, unless the user holds it.
 
@@ -209,7 +212,7 @@ def _fit_surge(
 
 
 def _estimated(value: float, stderr: float, unit: str) -> Estimate:
-    """Return a derived quantity."""
+    """Return a derived quantity with the status ``estimated``."""
     return Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
 
@@ -219,7 +222,9 @@ def _estimated(value: float, stderr: float, unit: str) -> Estimate:
 def _fit_recoil_law(
     experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
 ) -> Made:
-    """Fit the law to all frequencies that follow it; standard errors include those of the drag file.
+    """Fit the recoil law to the runs at all frequencies that follow it.
+
+    The standard errors include those of the drag file.
 
     Parameters
     ----------
@@ -285,7 +290,7 @@ def _fit_recoil_law(
 
 
 def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
-    """Return the trials with the speeds at some frequencies set to missing."""
+    """Return copies of the trials in which the speeds at the given frequencies are missing."""
     kept = []
     for trial in trials:
         out = np.isclose(trial.inputs["frequency_hz"][:, None], frequencies).any(axis=1)
@@ -296,7 +301,11 @@ def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Tria
 def _find_departures(
     model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
 ) -> list[dict[str, Any]]:
-    """Return the frequencies whose runs depart from the law fitted to all others, the worst first."""
+    """Return the frequencies whose runs depart from the recoil law, in the order of their detection.
+
+    For the test of a frequency, the law is fitted without this frequency and without the frequencies found
+    before.
+    """
     levels = np.unique(np.concatenate([t.inputs["frequency_hz"] for t in trials])).tolist()
     departures: list[dict[str, Any]] = []
     while len(levels) - len(departures) > MIN_LEVELS and len(departures) < len(levels) // 3:
@@ -314,7 +323,10 @@ def _find_departures(
 
 
 def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
-    """Return the mean relative deviation of the runs at a frequency from the law; None without a speed."""
+    """Return the mean relative deviation of the speeds at a frequency from the recoil law, with its error.
+
+    The result is None if no speed was measured at this frequency.
+    """
     shares, spread = [], []
     size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
     reference = fitted.noise[SPEED].value_sd
@@ -328,13 +340,14 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     if not shares:
         return None
     share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
-    # standard error of the mean speed, and of the fitted law (about twice that of the mean of all runs)
+    # Combine the standard errors of the mean speed and of the fitted law. The latter is about twice the
+    # standard error of the mean of all runs.
     error = math.sqrt(variance * (1 / len(shares) + 4 / max(fitted.samples, 1)))
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 
 
 def _departure_check(departures: list[dict[str, Any]], everything: FitResult) -> ev.Check:
-    """Check that every frequency follows the law; warn of the frequencies that depart from it."""
+    """Check that the runs at every frequency follow the recoil law, and warn of frequencies that depart."""
     for d in departures:
         word = "slower" if d["share"] < 0 else "faster"
         warn(
@@ -358,7 +371,7 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
 def _free_exponents(
     model: Model, trials: Sequence[Trial], choices: tuple[Parameter, ...], laws: Mapping[str, float], of: str
 ) -> tuple[dict[str, Estimate], list[ev.Check]]:
-    """Estimate each exponent of a law in a separate fit, and check that it agrees with the law.
+    """Estimate each exponent of a power law in a separate fit, and check that it agrees with the law.
 
     Parameters
     ----------
@@ -381,7 +394,7 @@ def _free_exponents(
             continue
         fit_common.refuse_interrupted(result)
         value, stderr, status = result.value(name), result.stderr(name), result.status[name]
-        # an exponent is not identifiable if the amplitude offset is at its bound
+        # an exponent is not identifiable if the amplitude offset is not identifiable or is at its bound
         if result.status.get("amplitude_offset_deg", "estimated") != "estimated":
             status = "unidentifiable"
         exponents[f"free_{name}"] = Estimate(
@@ -402,7 +415,10 @@ def _free_exponents(
 
 
 def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
-    """Return a model for each parameter of the drag file, with it increased by its standard error."""
+    """Return a model for each drag parameter, in which this parameter is increased by its standard error.
+
+    The models are named after the parameters. Parameters without a standard error are omitted.
+    """
     drag, fins = experiment.facts["drag"], [t.id for t in experiment.trials]
     models = {}
     for name in DRAG_PARAMETERS:
@@ -417,7 +433,7 @@ def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
 def _with_drag_error(
     result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
 ) -> FitResult:
-    """Add the errors of the drag file's parameters to the covariance of the estimates."""
+    """Return the fit with the errors of the drag parameters added to the covariance of its estimates."""
     drag: ParameterFile = experiment.facts["drag"]
     shifts, joint = np.zeros((2, len(result.labels))), np.eye(2)
     for name, other in _models_by_drag_error(experiment).items():
@@ -430,7 +446,7 @@ def _with_drag_error(
 
 
 def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
-    """Return the velocity ratio, and the minimum and the maximum propulsive force."""
+    """Return the derived quantities of the recoil law: velocity ratio, and extreme propulsive forces."""
     coefficient = experiment.facts["drag"].parameters["drag_coefficient"]
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
     models = (experiment.model, *_models_by_drag_error(experiment).values())
@@ -450,7 +466,7 @@ def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, An
 
 
 def _operating_points(experiment: Experiment, result: FitResult) -> list[dict[str, Any]]:
-    """Return the terminal speed, force, Strouhal numbers and efficiency of every run."""
+    """Return the terminal speed, propulsive force, Strouhal numbers and efficiency of every cruise run."""
     model = result.model
     assert isinstance(model, RecoilModel)
     offset = np.deg2rad(result.value("amplitude_offset_deg"))
@@ -483,7 +499,7 @@ def _operating_points(experiment: Experiment, result: FitResult) -> list[dict[st
 
 
 def _run_table(points: list[dict[str, Any]]) -> ev.Table:
-    """Return the table of the runs."""
+    """Return the table of the cruise runs for the report."""
     runs = []
     for p in points:
         row: dict[str, ev.Cell] = {"fin": p["fin"]}
@@ -500,7 +516,7 @@ def _run_table(points: list[dict[str, Any]]) -> ev.Table:
 def _speed_figure(
     experiment: Experiment, result: FitResult, points: list[dict[str, Any]], left_out: list[float]
 ) -> ev.Figure:
-    """Return the figure of the average speed over frequency and over amplitude, with the law."""
+    """Return the figure of average speed over frequency and over amplitude, with the fitted recoil law."""
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])
     settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
@@ -537,7 +553,7 @@ def _speed_figure(
 
 
 def _residual_figure(result: FitResult) -> ev.Figure:
-    """Return the figure of the residuals over frequency and over amplitude."""
+    """Return the figure of the residuals of the average speed over frequency and over amplitude."""
     inputs = {t.id: t.inputs for t in result.trials}
     panels = []
     for name, factor, label in (
@@ -547,7 +563,7 @@ def _residual_figure(result: FitResult) -> ev.Figure:
         traces, fins = [], result.series_of(SPEED)
         reach = factor * max(float(np.ptp(inputs[s.trial][name])) for s in fins)
         for group, s in enumerate(fins):
-            # move the fins sideways so that no point hides another one
+            # shift the points of each fin sideways, so that no point hides another one
             x = factor * inputs[s.trial][name] + 0.025 * reach * (group - (len(fins) - 1) / 2)
             traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
         spans = [ev.Span(start=-2.0, end=2.0, axis="y", label="±2 sd")]
@@ -560,7 +576,7 @@ def _residual_figure(result: FitResult) -> ev.Figure:
 
 
 def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: int) -> list[ev.Trace]:
-    """Return the points of the runs of a fin as a trace; empty without a run."""
+    """Return a list with the trace of the runs of one fin; an empty list if the fin has no runs."""
     own = [p for p in runs if p["fin"] == fin]
     if not own:
         return []
@@ -572,7 +588,10 @@ def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: i
 
 
 def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
-    """Return the average speed of runs over the median distance of a trial by the law, cm/s."""
+    """Return the average speed that the fitted recoil law predicts for a fin, cm/s.
+
+    The distance of the runs is the median distance of the trial.
+    """
     distance = np.full(len(frequency), np.median(trial.inputs["distance_m"]))
     amplitude = np.deg2rad(amplitude_deg)
     inputs = {"frequency_hz": frequency, "amplitude_rad": amplitude, "distance_m": distance}

@@ -1,4 +1,4 @@
-"""Propulsion by a rigid caudal fin: the boxfish paper's recoil law, and a surge model for beat averages."""
+"""Models of propulsion by a caudal fin: the energy recoil law, and a surge model for beat averages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from swimid.fitting.model import (
 )
 
 SPEED = MEAN_SPEED
-#: Maximum integration step of a surge that has no closed form, s.
+#: Maximum integration step of the surge model where it has no closed form, s.
 STEP_S = 0.05
 #: Maximum number of iterations of Newton's method. The method converges in fewer iterations, because the
 #: functions are convex and the start is above the root.
@@ -33,7 +33,7 @@ MAX_ITERATIONS = 60
 
 
 def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_kg_m3: float) -> float:
-    """Return the hydrodynamic moment of inertia of a rectangular plate, kg m2 (Eq 6).
+    """Return the hydrodynamic moment of inertia of a rectangular fin, kg m2 (boxfish paper, Eq 6).
 
     >>> round(1e7 * plate_inertia(height_m=0.0875, length_m=0.0437, axle_gap_m=0.007, density_kg_m3=997), 1)
     1272.8
@@ -42,7 +42,7 @@ def plate_inertia(height_m: float, length_m: float, axle_gap_m: float, density_k
 
 
 def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | float) -> Array:
-    """Return the average speed of a run from rest divided by the terminal speed (Eq 25).
+    """Return the average speed of a run from rest divided by the terminal speed (boxfish paper, Eq 25).
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
 
 
 def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
-    """Return the speed at which drag consumes a propulsive power, m/s.
+    """Return the steady speed at which drag consumes a given propulsive power, m/s.
 
     The speed is the largest root of ``v (dry + linear v + quadratic v^2) = power``. It is zero if the power
     is not positive. For quadratic drag alone it is ``(power / quadratic)^(1/3)`` (Eq 26).
@@ -86,7 +86,7 @@ def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
 
 
 def _root(step: Callable[[Array], Array], start: Array) -> Array:
-    """Return the root that Newton's method finds; ``step`` is the function divided by its derivative."""
+    """Return a root of a function by Newton's method. ``step`` is the function divided by its derivative."""
     for _ in range(MAX_ITERATIONS):
         change = step(start)
         start = start - change
@@ -98,8 +98,8 @@ def _root(step: Callable[[Array], Array], start: Array) -> Array:
 def mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -> Array:
     """Return the average speed of a run from rest over a distance, m/s.
 
-    The thrust is constant, and the robot would finally reach the given terminal speed. Dry friction only
-    reduces the thrust, so that it is not a parameter.
+    The thrust is constant, and the robot would finally reach the given terminal speed. Dry friction is not an
+    argument, because it only reduces the thrust.
 
     Parameters
     ----------
@@ -132,7 +132,9 @@ def mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -
 
 
 def strouhal(frequency_hz: float, amplitude_rad: float, lever_m: float, terminal_speed_m_s: float) -> float:
-    """Return the Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)`` (Eq 28).
+    """Return the Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)``.
+
+    This is Eq 28 of the boxfish paper.
 
     In the nomenclature of the paper the lever is the length of the fin. The values that the paper prints
     agree better with the distance from the axle to the trailing edge, which is the length plus the gap.
@@ -141,35 +143,35 @@ def strouhal(frequency_hz: float, amplitude_rad: float, lever_m: float, terminal
 
 
 class RecoilScales(Scales):
-    """Typical scales of cruising runs."""
+    """Typical scales of the quantities in cruise runs."""
 
     model: RecoilModel
 
     @property
     def inertia(self) -> float:
-        """Moving mass, including added mass, kg."""
+        """Moving mass: sum of the mass of the robot and its added mass, kg."""
         return self.model.drag_area_kg_m / self.model.b1
 
     @property
     def force(self) -> float:
-        """Drag at the typical speed, N."""
+        """Typical force, the drag at the typical speed, N."""
         return self.model.drag_area_kg_m * self.speed**2
 
 
 class SurgeScales(Scales):
-    """Typical scales of straight swimming; forces are divided by the mass."""
+    """Typical scales of the quantities in straight swimming. Forces are divided by the mass."""
 
     @property
     def force(self) -> float:
-        """Drag per mass at the typical speed, m/s2."""
+        """Typical force per mass, the drag at the typical speed, m/s2."""
         return max(self.model.start("surge_drag"), 0.1) * self.speed**2
 
 
 class RecoilModel(Model):
-    """Average speed of cruising runs by the energy recoil law (Eqs 5, 25-27).
+    """Model of the average speed of cruise runs: the energy recoil law (boxfish paper, Eqs 5, 25-27).
 
-    The law is ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)`` with p = 3 and q =
-    2. Both exponents can be freed to test the law.
+    The recoil law is ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)`` with p = 3
+    and q = 2. Both exponents can be freed to test the law.
 
     A trial has all runs of one fin. Its inputs are ``frequency_hz``, ``amplitude_rad`` and ``distance_m`` of
     each run. :attr:`Trial.cruise` has the known quantities of the fin. For a fin of unknown inertia the model
@@ -206,7 +208,7 @@ class RecoilModel(Model):
         )
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the average speed of each run (see :meth:`Model.simulate`)."""
+        """Return the average speed of each cruise run of a trial (see :meth:`Model.simulate`)."""
         return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> RecoilScales:
@@ -214,7 +216,7 @@ class RecoilModel(Model):
         return RecoilScales(self, trials)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the average speed of each run with effects (see :meth:`Model.hooked`).
+        """Return the average speed of each cruise run, simulated with effects (see :meth:`Model.hooked`).
 
         ``coefficients`` hooks change ``quadratic`` (kg/m), ``linear`` (kg/s), ``dry`` (N) and ``mass`` (kg).
         The factor on the thrust of a steady beat multiplies the power. A water flow along x displaces the
@@ -231,7 +233,7 @@ class RecoilModel(Model):
         # efficiency
         f_mid, a_mid = known.middle
         f, a = stroke.frequency_hz / f_mid, np.maximum(stroke.amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
-        # propulsive power of each run, W (Eqs 5, 27)
+        # compute the propulsive power of each run, W (boxfish paper, Eqs 5, 27)
         factor = 8 * efficiency * np.pi**2 * stroke.inertia_kg_m2
         power = stroke.thrust * (factor * f_mid**3 * f**p * a_mid**2 * a**q)
         c = hooks.changed(
@@ -253,7 +255,7 @@ class RecoilModel(Model):
         return hooks.seen({SPEED: speed}, trial.time_s)
 
     def apart(self, trial: Trial) -> list[Trial]:
-        """Split the trial of a fin into one trial for each run, with the ids ``fin/1``, ``fin/2``, ..."""
+        """Split the trial of a fin into one trial for each cruise run, named ``fin/1``, ``fin/2``, ..."""
 
         def cut(columns: Mapping[str, Any], k: int) -> dict[str, Any]:
             return {name: np.broadcast_to(v, len(trial.time_s))[k : k + 1] for name, v in columns.items()}
@@ -272,7 +274,7 @@ class RecoilModel(Model):
 
 
 class SurgeModel(Model):
-    """Surge in straight swimming, averaged over tail beats, with a power law of thrust and quadratic drag.
+    """Model of the beat-averaged surge in straight swimming, with a power law of thrust and quadratic drag.
 
     The equation of motion is ``du/dt = a (A / A_ref)^n (f / f_ref)^m - c u |u|``, with an initial speed for
     each trial. The exponent n is 2 unless it is freed. The exponent m is estimated if the trials have several
@@ -287,7 +289,7 @@ class SurgeModel(Model):
     def __init__(
         self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float
     ) -> None:
-        """Create the model from amplitudes and frequencies of the drives, and a typical speed."""
+        """Create the model from the amplitudes and frequencies of all trials, and from a typical speed."""
         self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
         self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
         many = len(np.unique(np.round(frequencies_hz, 6))) > 1
@@ -311,7 +313,7 @@ class SurgeModel(Model):
         return SurgeScales(self, trials)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return the surge with effects (see :meth:`Model.hooked`).
+        """Return the surge at the samples of a trial, simulated with effects (see :meth:`Model.hooked`).
 
         ``coefficients`` hooks change ``quadratic`` (1/m), ``linear`` (1/s), ``dry`` (m/s^2) and ``mass`` (1).
         All values are per unit of mass. Drag depends on the speed relative to a water flow along x.
@@ -349,7 +351,10 @@ def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
 
 
 def _half_steps(t: Array) -> Array:
-    """Return the limits of half integration steps from zero to the last sample; they include all samples."""
+    """Return the times that limit half integration steps, from zero to the last sample time.
+
+    All sample times after zero are limits of steps.
+    """
     knots = np.unique(np.append(t[t > 0], 0.0))
     parts = [np.zeros(1)]
     for begin, end in itertools.pairwise(knots):
@@ -360,7 +365,7 @@ def _half_steps(t: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
-    """Integrate the surge by fourth-order Runge-Kutta, and return it at every second time of ``half``.
+    """Integrate the surge by the fourth-order Runge-Kutta method. Return it at every second time of ``half``.
 
     ``water`` has the speed of the water at every time of ``half``.
     """

@@ -1,4 +1,4 @@
-"""The options of ``fit-propulsion``."""
+"""Options of the command ``swimid fit-propulsion``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read the trials for the propulsion of a fin: cruise tables and logs of straight free swimming."""
+"""Reading of the trials for ``fit-propulsion``: cruise tables and logs of straight free swimming."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from swimid.robots.file import Robot
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Error of the stop watch, s (boxfish paper, section 3.4), and relative standard deviation of speeds between
-#: runs.
+#: Standard deviation of the stop-watch times of cruise runs, s (boxfish paper, section 3.4), and relative
+#: standard deviation of the speed between equal runs.
 TIME_SD_S, SPEED_RSD = 0.1, 0.01
-#: Models of a drag file.
+#: Models of the parameter files that can be used as a drag file.
 RIGS = ("falling-weight", "towed", "free-decay")
-#: Minimum number of whole tail beats in a trial.
+#: Minimum number of whole tail beats in a free-swim trial.
 MIN_BEATS = 4
 #: Keys of a trials file that have an effect, by experiment. The keys of all drives are included, so that a
 #: stroke, which is not supported, gets a specific error message.
@@ -48,7 +48,7 @@ USES = {
 
 
 def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None = None) -> Experiment:
-    """Read the trials file of a cruise or of free swimming.
+    """Read the trials file of a cruise or free-swim experiment.
 
     Parameters
     ----------
@@ -82,7 +82,10 @@ def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None
 
 
 def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float | None]:
-    """Return each fin's hydrodynamic inertia, kg m2: stated, or by Eq 6 (rectangle); None if unknown."""
+    """Return the hydrodynamic inertia of each fin, kg m2; None if it is unknown.
+
+    An inertia that the robot file does not state is computed for a rectangular fin (boxfish paper, Eq 6).
+    """
     inertias: dict[str, float | None] = {}
     for fin in dict.fromkeys(fins):
         if fin not in robot.fins:
@@ -100,7 +103,7 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
 def recoil_model(
     robot: Robot, fins: list[str], drag: parameters_format.Source, *, unknown: Sequence[str] = (), path: Path
 ) -> RecoilModel:
-    """Return the recoil-law model of the fins of a robot, with the drag parameters of a rig.
+    """Return the recoil-law model of the fins of a robot, with drag parameters from a rig experiment.
 
     Parameters
     ----------
@@ -138,7 +141,7 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
     for fin, inertia in model.fins.items():
         rows = np.array([f == fin for f in table.fin])
         speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
-        # these are relative weights of the runs; the size of the noise is estimated
+        # the deviations are relative weights of the runs, because the fit estimates the size of the noise
         spread = np.hypot(speed**2 / distance * TIME_SD_S, SPEED_RSD * speed)
         inputs = {
             "frequency_hz": table.frequency_hz[rows],
@@ -185,7 +188,8 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         if beat is not None:
             frequency = beat.frequency_hz
         time, speed = beat_averages(log, 1.0 / frequency)
-        # the law is valid for the full amplitude; assume no ramp unless the trial states one
+        # Use only beats with the full amplitude, for which the thrust law is valid. Assume no ramp of the
+        # amplitude unless the trial states one.
         ramp = 0.0
         if "ramp_s" in drive.model_fields_set:
             ramp = drive.ramp_s
@@ -230,21 +234,21 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
 
 
 def _waveform(drive: Drive) -> tuple[str, float]:
-    """Return the waveform and its asymmetry; a Hopf oscillator on its limit cycle gives a sine."""
+    """Return the waveform of a drive and its asymmetry. A Hopf oscillator on its limit cycle gives a sine."""
     if drive.waveform == "a-cpg" and drive.asymmetry != 0:
         return "a-cpg", drive.asymmetry
     return "sine", 0.0
 
 
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
-    """Replace the measured frequencies of trials with the same setting by their median."""
+    """Replace the measured beat frequencies of trials with the same setting by their median."""
     values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
     return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the surge averaged over whole tail beats.
+    """Return the surge of a log averaged over whole tail beats.
 
     The surge is the column ``u_m_s``. If the log has no such column, the surge is the displacement during a
     beat along the mean heading, divided by the period.
@@ -280,7 +284,7 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     averaged = values[-1]
     if len(values) > 1:
         averaged = np.unwrap(averaged)
-    # integrate to the exact ends of a beat, because one sample more or less would cause an error
+    # integrate to the exact ends of each beat, because one sample more or less would cause an error
     speeds = over_beats(cumulative_trapezoid(averaged, time, initial=0.0)) / period_s
     if len(values) > 1:
         heading, (x, y) = speeds, (over_beats(place) for place in values[:2])
@@ -294,15 +298,15 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
 # ---------------------------------------------------------------- cruise table
 
 
-#: Columns of numbers in which no value may be missing.
+#: Columns of a cruise table in which every row must have a number.
 NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
-#: A row of a table: its line in the file (None for data in memory), and its cells by column name.
+#: Type of a row of a cruise table: its line in the file (None for data in memory), and its cells by column.
 Row = tuple[int | None, dict[str, str]]
 
 
 @dataclass(frozen=True)
 class CruiseTable:
-    """Table of timed runs of a robot from rest over a distance.
+    """Cruise table: timed runs of a robot from rest over known distances.
 
     The mean speed of a run without a measurement is NaN. ``source`` is the entry of the table in the
     provenance.
@@ -374,7 +378,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
 
 
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
-    """Return the line number and the cells of every row that is neither blank nor a comment."""
+    """Return the rows of a cruise table that are neither blank nor comments."""
     rows: list[Row] = []
     for number, line in enumerate(text.splitlines(), start=1):
         if number <= (header_line or 1) or not line.strip(", \t") or line.startswith("#"):
@@ -389,7 +393,7 @@ def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> l
 
 
 def _numbers(rows: list[Row], name: str, path: Path) -> Array:
-    """Return a column of positive numbers; NaN where a measurement is missing."""
+    """Return the positive numbers in a column of a cruise table; NaN where a measurement is missing."""
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]

@@ -1,4 +1,4 @@
-"""Drawing of figures with matplotlib. A panel has the width of one journal column.
+"""Drawing of the figures of results with matplotlib. A panel is as wide as one journal column.
 
 The same function draws a panel for a notebook, for ``swimid plot`` and for a report. In a report, a panel is
 an SVG element with the colours of the page, so that one drawing serves the light, the dark and the printed
@@ -44,17 +44,18 @@ TALLEST, LOW = 5.1, 1.2
 FRAME = 0.6
 #: Font size in ``figure.mplstyle``, points.
 FONT = 8.0
-#: Approximate width of a letter, as a fraction of the font size.
+#: Approximate width of a letter, as a fraction of the font size, for estimates of the length of a text.
 LETTER = 0.58
 #: Resolution of a PNG, pixels per inch.
 DPI = 300
-#: Minimum number of points of a trace that is drawn as one path of dots. Such a path takes a tenth of the
-#: space in an SVG.
+#: Minimum number of points at which a trace is drawn as a single SVG path of dots. The path takes a tenth of
+#: the file size of separate markers.
 MIN_CLOUD = 60
-#: Minimum ratio of height to width of a path that is drawn with equal scales. A flatter path would look like
-#: a line.
+#: Minimum ratio of height to width at which a swimming path is drawn with equal scales on both axes. A
+#: flatter path would look like a line.
 MIN_SHAPE = 0.2
-#: Minimum size, points, of a marker with an edge in the colour of the paper, which separates markers.
+#: Minimum size, points, at which a marker gets an edge in the background colour. The edge separates markers
+#: that overlap.
 MIN_EDGED = 2.5
 #: Opacity of the darkest cell of a heat map. The number in the cell is still legible.
 DARKEST = 0.55
@@ -76,7 +77,7 @@ def palette() -> dict[str, str]:
 
 @cache
 def style() -> Any:
-    """Return matplotlib's settings for all figures."""
+    """Return the matplotlib settings for all figures of swimid."""
     file: Any = mpl.rc_params_from_file(TEMPLATES / "figure.mplstyle", use_default_template=False)
     inked = ("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color")
     return {
@@ -137,7 +138,7 @@ def paint(
 
 
 def slots_of(figure: Figure) -> dict[Any, int]:
-    """Return the index of each group of traces, so that a group has the same colour in every panel."""
+    """Return the colour index of each group of traces, the same in every panel of a figure."""
     keys = [_key(trace, k) for panel in figure.panels for k, trace in enumerate(panel.traces)]
     slots: dict[Any, int] = {key: key for key in keys if isinstance(key, int)}
     free = (k for k in count() if k not in slots.values())
@@ -164,17 +165,17 @@ def _array(values: Sequence[float | None]) -> Array:
 def _trace(
     axes: Axes, trace: Trace, slot: int, repeat: int, *, paired: bool, small: bool, compact: bool
 ) -> None:
-    """Draw a line or points.
+    """Draw one trace of a panel on its axes, as a line or as points.
 
-    ``paired`` marks a measurement or its model, which are drawn together. ``small`` asks for small points,
-    ``compact`` draws many points as one path.
+    ``paired`` says that the trace is a measurement or its model, which are drawn over each other. ``small``
+    asks for small points, ``compact`` draws many points as one path.
     """
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
     marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
     if trace.lower is not None and trace.upper is not None:
         band = axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
-        if not np.any(y):  # a band about zero
+        if not np.any(y):  # the trace is a band about zero without a line
             band.set_label(trace.label)
             return
     elif len(x) > MAX_POINTS:
@@ -190,7 +191,7 @@ def _trace(
         edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
         about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
         if compact and len(x) >= MIN_CLOUD:
-            # draw the points as one path of very short strokes with round ends
+            # draw the points as one path of very short strokes with round ends, which saves space in an SVG
             end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
             dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
             (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
@@ -231,7 +232,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
     if panel.equal_aspect and _shape(panel) > MIN_SHAPE:
         axes.set_aspect("equal", adjustable="box")
         step = max(float(ticks[1] - ticks[0]) for ticks in (axes.get_xticks(), axes.get_yticks()))
-        # a narrow axis keeps its own ticks, because it would have one or none
+        # a short axis keeps its own ticks, because with the common step it would have one tick or none
         if 2 * step <= min(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())):
             axes.xaxis.set_major_locator(MultipleLocator(step))
             axes.yaxis.set_major_locator(MultipleLocator(step))
@@ -315,7 +316,7 @@ def _heat(axes: Axes, heat: Heat) -> None:
 
 
 def _height(panel: Panel, panels: int = 1) -> float:
-    """Return the height of a panel in a figure of several panels, inches."""
+    """Return the height of a panel in a figure with ``panels`` panels, inches."""
     if panel.heat is not None:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
@@ -326,7 +327,7 @@ def _height(panel: Panel, panels: int = 1) -> float:
 
 
 def _shape(panel: Panel) -> float:
-    """Return the ratio of height to width of the data of a panel."""
+    """Return the ratio of the range of y to the range of x over all traces of a panel."""
     spans = []
     for name in ("x", "y"):
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
@@ -343,10 +344,10 @@ def canvas(
     new: Callable[..., Canvas] = Canvas,
     step: Callable[[int], None] = lambda amount: None,
 ) -> Canvas:
-    """Return one matplotlib figure with all panels below each other, one column of a journal wide.
+    """Return one matplotlib figure, as wide as a journal column, with all panels below each other.
 
-    A panel has no legend if the panel above shows all its labels. Panels over one range share their
-    horizontal axis.
+    A panel has no legend if the panel above shows all its labels. Panels with the same horizontal range share
+    the horizontal axis.
 
     Parameters
     ----------
@@ -390,7 +391,10 @@ def canvas(
 
 
 def _lettered(figure: Figure, index: int, heading: str = "") -> str:
-    """Return the title of a panel, or else the heading, after a letter if the figure has several panels."""
+    """Return the title of a panel, preceded by a letter such as ``(a)`` if the figure has several panels.
+
+    The title of a panel without a title is the heading.
+    """
     title = figure.panels[index].title or heading
     if len(figure.panels) == 1:
         return title
@@ -431,7 +435,7 @@ def write(
 
 
 def for_page(figure: Figure, prefix: str) -> list[str]:
-    """Return each panel of a figure as an SVG element of a page, with ids that depend on the prefix."""
+    """Return each panel of a figure as an SVG element of an HTML page. Its ids depend on ``prefix``."""
     drawings = []
     slots = slots_of(figure)
     for index, panel in enumerate(figure.panels):
@@ -466,7 +470,8 @@ def _inline(text: str, about: str) -> str:
 
 
 def _tag(match: re.Match[str]) -> str:
-    # matplotlib refers to markers and clip paths only, whose ids are a letter and a hash
+    # Keep the ids of markers and clip paths, which are a letter and a hash. matplotlib refers to no other
+    # ids.
     tag = re.sub(r' id="(?![a-z][0-9a-f]{10}")[^"]*"', "", match[0]).replace("xlink:href", "href")
     for name, colour in palette().items():
         tag = tag.replace(colour, f"var(--{name})".replace("var(--ink)", "currentColor"))
@@ -477,6 +482,6 @@ def _tag(match: re.Match[str]) -> str:
 
 
 def _path(path: str) -> str:
-    """Return the data of a path with coordinates rounded to a tenth of a point."""
+    """Return the data of an SVG path with coordinates rounded to a tenth of a point."""
     path = re.sub(r"-?\d+\.\d+(?:e-?\d+)?", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), path)
     return re.sub(r"\s*([MLCQz])\s*", r"\1", path.strip())

@@ -1,7 +1,7 @@
-"""Evidence of a result as data: verdict, checks, tables and figures (``swimid-evidence/1``).
+"""Evidence file of a result (``swimid-evidence/1``): its verdict, checks, tables and figures as data.
 
 A command writes the evidence next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show the
-evidence of all commands with the same code. yamlio.Numbers keep all digits; NaN is written as null.
+evidence of all commands with the same code. Numbers keep all digits, and NaN is written as null.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ class _Part(BaseModel):
 
 
 class Trace(_Part):
-    """Curve or set of points in a panel."""
+    """Trace in a panel of a figure: a curve or a set of points."""
 
     x: yamlio.Numbers
     y: yamlio.Numbers
     label: str = ""
     style: Literal["line", "dashed", "points", "step", "stems", "arrows"] = "line"
-    #: Traces with the same group number share a colour (a measurement and its model).
+    #: Number of a group of traces that share a colour, such as a measurement and its simulation.
     group: int | None = None
-    #: Half-width of the error bars of ``points``, same length as y.
+    #: Half-widths of error bars, with one number for each point of the trace.
     y_error: yamlio.Numbers | None = None
-    #: Lower and upper end of a shaded band in the colour of the trace, each as long as x.
+    #: Lower and upper limits of a shaded band in the colour of the trace, with one number for each point.
     lower: yamlio.Numbers | None = None
     upper: yamlio.Numbers | None = None
 
@@ -57,7 +57,7 @@ class Trace(_Part):
 
 
 class Mark(_Part):
-    """Horizontal or vertical reference line."""
+    """Horizontal or vertical reference line in a panel of a figure."""
 
     at: float
     axis: Literal["x", "y"] = "y"
@@ -65,7 +65,7 @@ class Mark(_Part):
 
 
 class Span(_Part):
-    """Shaded interval of an axis, for instance a gap in the data."""
+    """Shaded interval of an axis of a panel, for instance a gap in the data."""
 
     start: float
     end: float
@@ -82,9 +82,9 @@ class Heat(_Part):
 
     rows: list[str]
     columns: list[str]
-    #: yamlio.Numbers of each row; None for a cell without a number.
+    #: Numbers of each row of cells; None for a cell without a number.
     values: list[yamlio.Numbers]
-    #: Largest number of a cell without shade, with the scale ``log``.
+    #: Largest number whose cell has no shade, with the scale ``log``.
     neutral: float = Field(default=1.0, gt=0)
     scale: Literal["log", "linear"] = "log"
 
@@ -96,7 +96,7 @@ class Heat(_Part):
 
 
 class Panel(_Part):
-    """Pair of axes with its contents."""
+    """Panel of a figure: a pair of axes with traces or a heat map, labels and reference lines."""
 
     x_label: str
     y_label: str
@@ -116,7 +116,7 @@ class Panel(_Part):
 
 
 class Figure(_Part):
-    """Figure of one or several panels, with a caption."""
+    """Figure of a report, with one or several panels and a caption."""
 
     id: str
     title: str
@@ -135,7 +135,7 @@ class Image(_Part):
 
 
 class Table(_Part):
-    """Table of texts and numbers. A folded table opens on demand and is not printed."""
+    """Table of a report with texts and numbers. A folded table opens on demand and is not printed."""
 
     id: str
     title: str
@@ -146,14 +146,14 @@ class Table(_Part):
 
 
 class Check(_Part):
-    """Test of one property of the result against a limit."""
+    """Check of one property of a result against a limit."""
 
     name: str
     value: str
     limit: str = ""
     verdict: Literal["pass", "warn", "fail", "info"]
     text: str = ""
-    #: Clause for the verdict of the result, used as the reason if the check does not pass.
+    #: Reason for the verdict of the result if the check does not pass, as a clause.
     reason: str = ""
 
 
@@ -162,7 +162,7 @@ class Verdict(_Part):
 
     level: Literal["good", "caution", "bad"]
     text: str
-    #: Word that is shown for the level; by default the level itself.
+    #: Word that reports show in place of the level; empty to show the level itself.
     word: str = ""
 
     def lowered(self, level: str, text: str) -> Verdict:
@@ -176,7 +176,7 @@ NoticeRecord = Notice
 
 
 class Evidence(_Part):
-    """Content of a report on a result, in addition to the content of the result file."""
+    """Evidence of a result: what a report shows in addition to the content of the result file."""
 
     format: Literal["swimid-evidence/1"] = FORMAT
     #: Name of the result file, and SHA-256 of its content. Both are empty for a result in memory.
@@ -185,9 +185,9 @@ class Evidence(_Part):
     command: str
     title: str
     verdict: Verdict
-    #: Short facts: robot, model, number of trials.
+    #: Short facts about the result by name, such as robot, model and number of trials.
     facts: dict[str, str] = Field(default_factory=dict)
-    #: Sentences below the first table.
+    #: Sentences that a report shows below the first table.
     notes: list[str] = []
     checks: list[Check] = []
     tables: list[Table] = []
@@ -229,7 +229,7 @@ def check(
     otherwise: Literal["warn", "fail"] = "warn",
     reason: str = "",
 ) -> Check:
-    """Return the check of a value against a limit.
+    """Return the entry of the evidence for a check of a value against a limit.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def check(
 
 
 def judged(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict of a result: the answer, followed by the reasons of checks that do not pass.
+    """Return the verdict of a result: its answer, followed by the reasons of the checks that do not pass.
 
     The level is bad if a check fails, caution if a check warns, and good otherwise.
     """
@@ -328,7 +328,7 @@ def _owner(path: Path) -> str:
 
 
 def read(path: str | Path) -> Evidence:
-    """Read evidence written by :func:`write`.
+    """Read an evidence file that :func:`write` has written.
 
     Raises
     ------
@@ -346,7 +346,7 @@ def read(path: str | Path) -> Evidence:
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most ``points`` samples of x and y that preserve the envelope of y.
+    """Reduce a curve to at most ``points`` samples that preserve the envelope of y.
 
     The record is divided into segments of equal length. The samples with the smallest and the largest y of
     each segment are retained in their order, so that no peak is lost.
@@ -379,23 +379,23 @@ def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.nd
 
 #: Maximum number of points of one trial in a figure of several trials.
 POINTS = 400
-#: Number of measured points over the width of a panel that also shows a line, for a straight curve.
+#: Number of measured points that are drawn along a straight curve over the whole width of a panel.
 MAX_MARKS = 50
 #: Maximum number of trials in a figure of residuals, and largest residual in it. Each trial is a row of the
 #: figure, which shows weighted residuals between -ROW_SD and ROW_SD standard deviations of the noise.
 MAX_ROWS, ROW_SD = 12, 4.0
-#: Distance of ROW_SD standard deviations from the middle of a row, in rows.
+#: Distance from the middle of a row at which a residual of ROW_SD standard deviations is drawn, in rows.
 HALF_ROW = 0.45
 
 Cell = str | float | int | bool | None
 
 
-#: Channel of one trial, an object with ``trial``, ``role`` ("fit" or "validate"), and the arrays ``time_s``,
-#: ``measured``, ``simulated`` and ``weighted`` (measured minus simulated, divided by the standard deviation
-#: of the noise).
+#: Type of a channel of one trial with its simulation: an object with ``trial``, ``role`` ("fit" or
+#: "validate"), and the arrays ``time_s``, ``measured``, ``simulated`` and ``weighted`` (measured minus
+#: simulated, divided by the standard deviation of the noise).
 Series = Any
-#: Correlation function, an object with ``lags``, ``values`` and ``bound``. The bound is the half-width of the
-#: 95 % band of white noise.
+#: Type of a correlation function: an object with ``lags``, ``values`` and ``bound``. The bound is the
+#: half-width of the 95 % band of white noise.
 Correlogram = Any
 
 
@@ -451,17 +451,17 @@ def figure(
 
 
 def panels(id: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure:
-    """Return a figure with several panels."""
+    """Return a figure with the given panels."""
     return Figure(id=id, title=title, caption=caption, panels=list(panels))
 
 
 def panel(x_label: str, y_label: str, traces: Sequence[Trace], **more: Any) -> Panel:
-    """Return a panel. Further keyword arguments are fields of :class:`Panel`."""
+    """Return a panel of a figure. Further keyword arguments are fields of :class:`Panel`."""
     return Panel(x_label=x_label, y_label=y_label, traces=list(traces), **more)
 
 
 def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
-    """Return a curve with a band of half-width ``half`` around the curve."""
+    """Return a trace with a curve and a shaded band of half-width ``half`` around the curve."""
     return Trace(x=x, y=y, lower=y - half, upper=y + half, **trace)
 
 
@@ -499,7 +499,9 @@ def measured_and_simulated(
 
 
 def apart(x: Any, y: Any) -> Any:
-    """Return the indices of samples that are 1 / MAX_MARKS of the panel's width apart along the curve.
+    """Return the indices of samples of a curve at distances of 1 / MAX_MARKS of the panel's width.
+
+    The distances are measured along the curve.
 
     A curve that rises and falls gets more points than a straight one, at most :data:`POINTS`. The panel is
     twice as wide as it is high.
@@ -517,7 +519,10 @@ def apart(x: Any, y: Any) -> Any:
 
 
 def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
-    """Return the worst and the best fitted trial and the worst held-out trial, by panel title."""
+    """Return the fitted trials with the largest and the smallest error, and the worst held-out trial.
+
+    The keys are the titles of their panels.
+    """
     ranked = sorted(shown, key=lambda s: _rms(s.weighted))
     fitted = [s for s in ranked if s.role == "fit"]
     held_out = [s for s in ranked if s.role != "fit"]
@@ -539,7 +544,10 @@ def _rms(values: Any) -> float:
 def residuals(
     id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
-    """Return a figure of the weighted residuals of the worst trials, and of a given autocorrelation."""
+    """Return a figure of the weighted residuals of the trials with the largest errors.
+
+    If ``correlation`` is given, a second panel shows the autocorrelation of the residuals.
+    """
     worst = sorted(range(len(shown)), key=lambda k: -_rms(shown[k].weighted))[:MAX_ROWS]
     rows = [shown[k] for k in sorted(worst)]
     mixed = len({s.role for s in rows}) > 1

@@ -28,7 +28,7 @@ _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺
 #: Limits of the decimal exponent. A number whose exponent is at least ``_LARGE``, or below ``_SMALL``, is
 #: written with a factor ``× 10ⁿ``.
 _LARGE, _SMALL = 6, -3
-#: Maximum number of significant digits; a float64 has no more.
+#: Maximum number of significant digits of a number in a text. A float64 has no more digits.
 _MOST_DIGITS = 15
 
 _UNITS = (
@@ -37,7 +37,7 @@ _UNITS = (
 )
 #: Unit of each suffix of a column or key: ``m_s2`` stands for m/s^2.
 _SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNITS)} | {"hz": "Hz"}
-#: Quantities, in words, of the columns with body-fixed speeds.
+#: Name in words of the quantity in each column with a body-fixed speed.
 BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 
 
@@ -56,7 +56,10 @@ def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """Return a value as text, rounded to ``decimals`` places (negative: to tens, hundreds), never ``-0``."""
+    """Return a value as text with ``decimals`` decimal places.
+
+    With -1 decimal places the value is rounded to tens, with -2 to hundreds. The text is never ``-0``.
+    """
     rounded = round(float(value), decimals) + 0.0
     return f"{rounded:.{max(decimals, 0)}f}".replace("-", "−")
 
@@ -159,7 +162,7 @@ def confidence95(value: float | None, stderr: float | None) -> tuple[float, floa
 
 
 def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] | None) -> str:
-    """Return the allowed range of a parameter: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
+    """Return the bounds of a parameter as text: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
     low, high = bounds or (None, None)
     if _is_number(low) and _is_number(high):
         return f"{number(low)} … {number(high)}"
@@ -169,7 +172,7 @@ def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] |
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """Return a fraction as a percentage. A fraction below 1 is never shown as ``100 %``.
+    """Return a fraction as text in percent. A fraction below 1 is never shown as ``100 %``.
 
     >>> percent(0.142), percent(0.99998), percent(1.0)
     ('14.2 %', '> 99.9 %', '100 %')
@@ -205,7 +208,7 @@ def _joined(text: str, unit: str) -> str:
 
 
 def in_degrees(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit for display: degrees in place of radians, other units unchanged.
+    """Return the conversion factor and the unit for display: degrees for radians, other units unchanged.
 
     >>> in_degrees("m/s")
     (1.0, 'm/s')
@@ -227,12 +230,12 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def quantity(name: str) -> str:
-    """Return the quantity in a column in words: ``yaw_rate_rad_s`` is ``yaw rate``."""
+    """Return the name in words of the quantity in a column: ``yaw rate`` for ``yaw_rate_rad_s``."""
     return BODY_SPEEDS.get(name, split_unit(name)[0].replace("_", " "))
 
 
 def column_title(name: str) -> str:
-    """Return a column's name as an axis label: ``yaw_rate_rad_s`` is ``yaw rate (rad/s)``."""
+    """Return the axis label for a column: ``yaw rate (rad/s)`` for ``yaw_rate_rad_s``."""
     printed = unit_text(split_unit(name)[1])
     if not printed:
         return quantity(name)

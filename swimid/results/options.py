@@ -1,4 +1,4 @@
-"""The options of ``report``."""
+"""Options of the command ``swimid report``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameter file (``swimid-parameters/1``), which every fit writes, and the result of a fit."""
+"""Parameter file (``swimid-parameters/1``), which every fit writes, and the class of the results of fits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
-#: Text for the status of an estimate in tables.
+#: Text that tables show for the status of an estimate.
 STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
 
 
@@ -62,7 +62,7 @@ class Correlation(yamlio.Document):
 
 
 class Pole(yamlio.Document):
-    """A pole of a discrete-time model in the z plane."""
+    """Pole of a discrete-time model in the z plane."""
 
     real: float
     imag: float
@@ -71,7 +71,7 @@ class Pole(yamlio.Document):
 
 
 class Fit(yamlio.Document):
-    """Errors of a fit by channel, and whether the fit converged."""
+    """Block ``fit`` of a parameter file: errors by channel, noise, and whether the fit converged."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -100,15 +100,15 @@ class ParameterFile(yamlio.ResultFile):
     sample_time_s: float | None = None
     poles: list[Pole] | None = None
     stable: bool | None = None
-    #: Settings that are part of the model: orders, removed means, columns, wake convention.
+    #: Settings of the fit that are part of the model, such as orders, subtracted means and columns.
     settings: dict[str, Any] = {}
     fit: Fit | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
-    #: Drag parameters that were used in the fit of the recoil law, if they were in memory.
+    #: Drag parameters that the fit of the recoil law used, if they were passed in memory.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     def write(self, path: str | Path) -> None:
-        """Write the file, complete or not at all. Floating-point numbers are not rounded."""
+        """Write the parameter file, complete or not at all. Floating-point numbers are not rounded."""
         data = self.model_dump(mode="python", exclude_none=False)
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
             if not estimate["meaning"]:
@@ -118,7 +118,7 @@ class ParameterFile(yamlio.ResultFile):
         yamlio.write(path, kept)
 
     def value(self, name: str) -> float:
-        """Return the value of one parameter."""
+        """Return the value of the parameter with the given name."""
         return self.parameters[name].value
 
 
@@ -127,14 +127,17 @@ Source = str | Path | ParameterFile | FileResult[ParameterFile]
 
 
 def place(source: Source) -> Path:
-    """Return the path of the parameters for messages. Paths in the parameters are relative to its folder."""
+    """Return the path that messages show for a source of parameters.
+
+    Relative paths in the parameters start at the folder of this path.
+    """
     if isinstance(source, str | Path):
         return Path(source)
     return Path("parameters")
 
 
 def _file(source: Source) -> ParameterFile:
-    """Return the content of the parameter file."""
+    """Return the content of the parameter file to which a source of parameters refers."""
     if isinstance(source, str | Path):
         return ParameterFile.read(source)
     if isinstance(source, ParameterFile):
@@ -143,7 +146,7 @@ def _file(source: Source) -> ParameterFile:
 
 
 def origin(source: Source) -> Path | Held:
-    """Return the entry of the parameters in the provenance: a path, or a name and a digest."""
+    """Return the provenance entry of a source of parameters: its path, or its name and SHA-256."""
     if isinstance(source, str | Path):
         return Path(source)
     file = _file(source)
@@ -235,7 +238,7 @@ class Fitted(FileResult[ParameterFile]):
 
     @property
     def derived(self) -> pd.DataFrame:
-        """Quantities computed from the parameters, with the same columns as :attr:`parameters`."""
+        """Table of quantities computed from the parameters, with the same columns as :attr:`parameters`."""
         return _estimates_frame(self.file.derived)
 
     @property
@@ -340,7 +343,7 @@ def _correlation(correlation: Correlation | None) -> Table:
 
 
 def _channels(fit: Fit) -> Table:
-    """Return a table of the errors on fitted and on validation trials by channel, with the noise."""
+    """Return a table of the errors of each channel on fitted and on validation trials, with its noise."""
     rows: list[list[Any]] = []
     for label, entries in {"fit": fit.channels, "validation": fit.validation.get("channels", {})}.items():
         for name, entry in entries.items():

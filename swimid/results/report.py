@@ -1,4 +1,4 @@
-"""Command ``report``: one page with results and their evidence.
+"""Command ``report``: creation of one page with several results and their evidence.
 
 The page is HTML without scripts, or Markdown, from one template for each format.
 """
@@ -52,7 +52,7 @@ def report(
     output: str | Path | None = None,
     progress: Progress = silent,
 ) -> Text:
-    """Write one document about any number of result files. No result is computed again.
+    """Create one report about any number of results. No result is computed again.
 
     The default title is the title of a single result, or "Identification report" for several results.
 
@@ -128,7 +128,7 @@ def report(
 
 
 def _read(path: Path) -> Result:
-    """Read a result with its evidence. Warnings that are raised meanwhile are added to the evidence.
+    """Read a result with its evidence. Warnings that occur while reading are added to the evidence.
 
     Warns
     -----
@@ -175,7 +175,7 @@ def render(
     digests: dict[str, str],
     progress: Progress = silent,
 ) -> str:
-    """Return the report as text.
+    """Return the text of a report on results, in HTML or Markdown.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def render(
 
 
 def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> dict[str, Any]:
-    """Return the content of one result for the template. Main parts and folded parts are separate."""
+    """Return the content of one result for the template, with visible and folded parts separate."""
     panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
     n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
     tables = [table for table in content.tables if not table.folded][:MAIN_TABLES]
@@ -276,7 +276,7 @@ def _warnings(
 
 
 def _markdown(text: str) -> str:
-    """Return text on one line, with the special characters of Markdown and HTML escaped."""
+    """Return a text as one line of Markdown, with the special characters of Markdown and HTML escaped."""
     plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return re.sub(r"([\\`*\[\]|]|(?<!\w)_|_(?!\w))", r"\\\1", plain)
 

@@ -1,4 +1,4 @@
-"""Results that commands return: an answer together with its evidence, and its text for a terminal."""
+"""Base classes of the results that commands return. A result has an answer, its evidence and its text."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 File = TypeVar("File", bound="ResultFile")
 
-#: Class of the results with each ``format:`` in a YAML file, as ``module:class``.
+#: Class of results, as ``module:class``, for each ``format:`` of a YAML file that swimid writes.
 FORMATS = {
     "swimid-parameters/1": "swimid.results.parameters:Fitted",
     "swimid-comparison/1": "swimid.simulation.compare:Comparison",
@@ -102,13 +102,13 @@ class Result:
     evidence: ev.Evidence | None = None
     document: Any = None
 
-    #: Name of this kind of result in reports.
+    #: Name in reports of the kind of result, such as ``Parameter file``.
     kind: ClassVar[str] = "Result"
-    #: Default ending of the result file.
+    #: Default ending of the name of a result file.
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
-        """Return the answer in plain text, as the command prints it."""
+        """Return the answer of the result in plain text, as the command prints it."""
         if self.text or self.evidence is None:
             return self.text
         shown = self.content()
@@ -126,7 +126,7 @@ class Result:
         return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
 
     def next_command(self, file: str) -> str:
-        """Return the suggested next command after this result in ``file``; empty if there is none."""
+        """Return the command to suggest next if this result is stored in ``file``; empty if there is none."""
         provenance = getattr(self.evidence, "provenance", {})
         if not provenance and self.path.suffix not in LOG_ENDINGS:
             return ""
@@ -136,7 +136,7 @@ class Result:
         return NEXT.get(self.command, "").format(file=file, trials=trials, params=params)
 
     def content(self) -> ev.Evidence:
-        """Return the content of a report: the evidence, preceded by facts and tables from the result file.
+        """Return the content of a report on the result: its evidence, with facts and tables of its file.
 
         Without evidence, the verdict is not better than caution.
         """
@@ -164,26 +164,26 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """``"good"``, ``"caution"`` or ``"bad"``; empty for a result without evidence."""
+        """Level of the verdict: ``"good"``, ``"caution"`` or ``"bad"``; empty without evidence."""
         return "" if self.evidence is None else self.evidence.verdict.level
 
     @property
     def warnings(self) -> pd.DataFrame:
-        """Warnings raised during the computation: ``code``, ``text`` (``docs/warnings.md``)."""
+        """Table of the warnings of the computation: columns ``code`` and ``text`` (``docs/warnings.md``)."""
         return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
 
     def checks(self) -> pd.DataFrame:
-        """Return a table of all checks: ``name``, ``value``, ``limit``, ``verdict``, ``text``."""
+        """Return a table of all checks, with the name, value, limit and verdict of each check."""
         names = list(ev.Check.model_fields)
         return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Return the tables of the report by their id."""
+        """Return the tables that a report shows for the result, by their id."""
         return {table.id: _frame(table.columns, table.rows) for table in self.content().tables}
 
     @property
     def figure_names(self) -> list[str]:
-        """Ids of the figures that :meth:`plot` draws."""
+        """Names of the figures of the result that :meth:`plot` draws."""
         return [figure.id for figure in self._shown("figures")]
 
     def figures(self) -> dict[str, Canvas]:
@@ -261,7 +261,7 @@ class Result:
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
-        """Return the result, which is written first if ``output`` is given."""
+        """Write the result if ``output`` is given, and return it."""
         if output is None:
             return self
         return self.save(output)
@@ -283,15 +283,15 @@ class Result:
         return replace(loaded, command=evidence.command, evidence=evidence)
 
     def _own_facts(self) -> dict[str, str]:
-        """Return the facts that are stored in the result file."""
+        """Return the facts for a report that the result file contains."""
         return {}
 
     def _own_notes(self) -> list[str]:
-        """Return the notes that are stored in the result file."""
+        """Return the notes for a report that the result file contains."""
         return []
 
     def _own_tables(self) -> list[ev.Table]:
-        """Return the tables of the content of the result file."""
+        """Return the tables for a report that show the content of the result file."""
         return []
 
     @classmethod
@@ -317,12 +317,15 @@ class Result:
         raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
 
     def _shown(self, what: str) -> Sequence[Any]:
-        """Return the checks, tables, figures or notices of the evidence; an empty list without evidence."""
+        """Return the entries of one kind in the evidence; an empty list without evidence.
+
+        ``what`` is ``checks``, ``tables``, ``figures`` or ``notices``.
+        """
         return getattr(self.evidence, what, [])
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        # The default ``__repr__`` of a dataclass prints all fields, also large arrays.
+        # Replace the default ``__repr__`` of a dataclass, which prints all fields and also large arrays.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
@@ -358,12 +361,12 @@ class Text(Result):
 
 
 def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence:
-    """Return the evidence of a result file, with a lower verdict if the file was changed since.
+    """Return the evidence of a result file, with a lower verdict if the file has changed.
 
     Warns
     -----
     SWM052
-        The file was edited, or was written by another run than its evidence.
+        The file was edited, or its evidence belongs to another result.
     """
     in_memory = evidence.model_copy(update={"result": "", "sha256": ""})
     if evidence.sha256 == document.digest():
@@ -397,13 +400,13 @@ class FileResult(Result, Generic[File]):
 
     @property
     def file(self) -> File:
-        """Content of the file that :meth:`save` writes."""
+        """Content of the result file that :meth:`save` writes."""
         file: File = self.document
         return file
 
     @classmethod
     def of(cls, file: File, evidence: ev.Evidence) -> Self:
-        """Return the result with the given file content and evidence."""
+        """Return a result with the given content of its file and the given evidence."""
         return cls(evidence.command, "", cls._plain(file), evidence=evidence, document=file)
 
     @classmethod
@@ -434,7 +437,7 @@ def cell_text(value: Any) -> str:
 
 
 def is_numeric(table: ev.Table) -> list[bool]:
-    """Return for each column whether all its cells are numbers, so that it is aligned to the right."""
+    """Return for each column of a table whether all cells are numbers, which are aligned to the right."""
     right = []
     for k in range(len(table.columns)):
         column = [row[k] for row in table.rows]
@@ -443,7 +446,7 @@ def is_numeric(table: ev.Table) -> list[bool]:
 
 
 def table_text(table: ev.Table) -> str:
-    """Return a table as aligned columns. If lines are too long, texts are shortened or columns omitted."""
+    """Return a table as text in aligned columns. In long lines, texts are shortened or columns omitted."""
     rows = [table.columns, *([cell_text(value) for value in row] for row in table.rows)]
     right, left = is_numeric(table), WIDTH
     columns: list[list[str]] = []

@@ -1,4 +1,4 @@
-"""``fit-drag``: drag, added mass and friction of a rig, by maximum likelihood or the boxfish paper's method.
+"""Command ``fit-drag``: drag, added mass and friction of a body on a rig, with checks of the estimates.
 
 The checks look for omitted parameters, start states, an outlier trial, a measured force of the wrong sign,
 and parameters that no body can have. Added mass, drag and driving force are compared with the largest values
@@ -15,9 +15,9 @@ compared.
 The two-point method of the paper uses speeds at two displacements (Eqs 13-19). At a fixed displacement the
 squared speed is a linear function of the pulling mass. The slopes at two displacements give ``a1`` (Eq 18),
 and hence the drag coefficient and the added mass. Slope and intercept give the pulley friction (Eq 17). The
-method assumes the same moving mass for all pulling weights. The bias is the error of
-the method on noise-free data that are simulated with its own estimates. The reported standard error includes
-the bias. The output-error fit does not assume an equal moving mass.
+method assumes the same moving mass for all pulling weights. The bias is the error of the method on noise-free
+data that are simulated with its own estimates. The reported standard error includes the bias. The
+output-error fit does not assume an equal moving mass.
 
 References
 ----------
@@ -56,33 +56,34 @@ from swimid.rig.model import ALIKE, COORDINATES, falling_weight_closed_form, ter
 from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
-#: Start values of a freed parameter, as multiples of its typical scale from the value at which it was held.
+#: Start values of a parameter that is freed in a test. They are distances from the value at which it was
+#: held, in multiples of its typical scale.
 FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
-#: Minimum of twice the logarithm of a likelihood ratio that counts as strong evidence [1]_.
+#: Minimum of twice the logarithm of a likelihood ratio at which evidence counts as strong [1]_.
 STRONG = 6.0
 #: Maximum number of parameters that a warning names.
 MAX_NAMED = 3
-#: Maximum p-value, and maximum ratio of the sums of squared residuals with and without start parameters, at
-#: which each trial gets its own start state.
+#: Maximum p-value, and maximum ratio of the sums of squared residuals with and without parameters of the
+#: start state, at which each trial gets a start state of its own.
 START_P, START_RATIO = 1e-6, 0.8
 #: Parameters of the start state of a trial, and their descriptions in a warning.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: Maximum ratio of the squared residuals with one more shared parameter to those with a parameter for each
-#: trial. Up to this ratio the shared parameter is preferred.
+#: Maximum ratio of the squared residuals with one more shared parameter to those with one more parameter for
+#: each trial. Up to this ratio the shared parameter is preferred.
 SHARED_RATIO = 1.1
-#: Maximum p-value of the slope of the friction over the pulling force that counts as a trend.
+#: Maximum p-value at which the slope of the pulley friction over the pulling force counts as a trend.
 TREND_P = 1e-2
-#: Reason why the two-point method has no result.
+#: Reason in messages why the two-point method has no result.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
-#: Parameters of the two-point method, in 1 (no unit), kg and N.
+#: Parameters that the two-point method estimates. Their units are 1, kg and N.
 NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
 #: Default displacements of the two-point method, as fractions of the displacement that all drops reached.
 POINT_SHARES = (0.255, 0.51)
-#: Half-width of the interval of displacement around a point in which the speed is fitted, as a fraction of
-#: the first displacement.
+#: Half-width of the interval around a displacement of the two-point method in which the speed is fitted, as a
+#: fraction of the first displacement.
 HALF_WIDTH = 1 / 6
-#: Minimum number of samples in the interval around a point. The noise is estimated from more than
-#: ``MIN_SCATTER_SAMPLES`` samples.
+#: Minimum number of samples in the interval around a displacement of the two-point method. The noise is
+#: estimated if there are more than ``MIN_SCATTER_SAMPLES`` samples.
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
@@ -199,7 +200,11 @@ def fit_drag(
 def _fit_best(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
 ) -> tuple[FitResult, dict[str, str], list[ev.Check]]:
-    """Return the best fit over interpretations of the logs and start states, its settings and its checks."""
+    """Return the best fit of a rig experiment, its settings and its checks.
+
+    The best fit is chosen over the possible roundings of encoder counts and over the start states of the
+    trials.
+    """
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
     known = {p.name: p.start for p in choices if not p.free}
@@ -229,7 +234,10 @@ def _fit_best(
 
 
 def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[str]:
-    """Return the sentences on the fit, and on the two-point method if its result is given."""
+    """Return sentences on the fit for the methods section of a paper.
+
+    If the result of the two-point method is given, a sentence describes this method.
+    """
     count = len([t for t in result.trials if t.role == "fit"])
     sentences = [
         f"{', '.join(result.shared)} were estimated from {count} {name} trials ({result.samples} samples) by "
@@ -243,7 +251,7 @@ def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[
 
 
 def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResult | None) -> ev.Table:
-    """Return a table of the estimates of both methods together with values from theory."""
+    """Return a table of the maximum-likelihood and two-point estimates together with values from theory."""
     theory = theory_estimates(experiment.robot)
     fitted = fit_common.estimates(result)
     rows: list[list[Any]] = []
@@ -274,12 +282,12 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
 
 @dataclass(frozen=True)
 class Omitted:
-    """A held parameter that the data support.
+    """Parameter that the fit holds at a value, although the data show that it differs from that value.
 
     Attributes
     ----------
     fit : FitResult
-        Fit with the parameter.
+        Fit in which the parameter is free, or replaces others.
     replaced : tuple of str
         Parameters that it replaces; empty if the parameter is freed in addition to the others.
     evidence : float
@@ -293,13 +301,13 @@ class Omitted:
 
     @property
     def text(self) -> str:
-        """Name and estimate of the parameter as text."""
+        """Name, estimate and standard error of the parameter as text."""
         place = f" in the place of {', '.join(self.replaced)}" * bool(self.replaced)
         return _measured(self.fit, self.parameter.name) + place
 
     @property
     def criterion(self) -> float:
-        """BIC minus that of the reference fit, which is about -2 times the logarithm of the Bayes factor."""
+        """BIC of the fit minus BIC of the reference fit: about -2 times the logarithm of the Bayes factor."""
         return math.log(self.fit.samples) * (not self.replaced) - self.evidence
 
     @property
@@ -347,14 +355,17 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
 
 
 def fit_freed(stated: FitResult, name: str) -> FitResult | None:
-    """Return the best fit with one more free parameter, from several start values; None if all fail."""
+    """Return the best of several fits in which one more parameter is free; None if all of them fail.
+
+    The fits differ in the start value of this parameter.
+    """
     held = [p for p in stated.parameters if p.name == name and not p.free]
     freed = [_fit_from_starts(stated, p, chosen(stated.parameters, freed=(name,))) for p in held]
     return next((omitted.fit for omitted in freed if omitted is not None), None)
 
 
 def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
-    """Return the fit in which a parameter replaces those with a similar effect.
+    """Return a fit in which a parameter replaces the parameters with a similar effect; None if not tested.
 
     A parameter is not tested if only the user, and not the model, holds it.
     """
@@ -377,7 +388,7 @@ def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
 def _fit_from_starts(
     stated: FitResult, held: Parameter, parameters: tuple[Parameter, ...], replaced: tuple[str, ...] = ()
 ) -> Omitted | None:
-    """Return the best fit with the given parameters, from several start values of the parameter ``held``."""
+    """Return the best of several fits with different start values of the parameter ``held``."""
     free = any(p.name == held.name and p.free for p in parameters)
     here = {p.name: stated.value(p.name) for p in parameters if p.free and p.name in stated.labels}
     fits, steps = [], FREED_STARTS
@@ -400,7 +411,7 @@ def _fit_from_starts(
 
 
 def compute_evidence(stated: FitResult, fit: FitResult) -> float:
-    """Return twice the logarithm of the likelihood ratio of a fit to the reference fit."""
+    """Return twice the logarithm of the likelihood ratio of a fit to the reference fit ``stated``."""
     return stated.samples * math.log(max(stated.cost, 1e-300) / max(fit.cost, 1e-300))
 
 
@@ -415,7 +426,7 @@ def find_moved(stated: FitResult, other: FitResult) -> list[str]:
 
 
 def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
-    """Check that the data support no held parameter; warn of the parameters that the data support."""
+    """Check that the fit leaves out no parameter that the data support, and warn of each such parameter."""
     name = "no parameter left out"
     limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
     if not omitted:
@@ -435,7 +446,9 @@ def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
 
 
 def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
-    """Return a fit with a start state of each trial, if the data clearly support it; else the given fit.
+    """Return a fit with a separate start state for each trial if the data clearly support it.
+
+    Otherwise return the given fit.
 
     The given fit is also returned if a friction of each trial lowers the residuals more than the start
     states, or if an omitted parameter lowers them about as much.
@@ -479,7 +492,7 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
 
 
 def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
-    """Return a check if the friction differs between trials, and one if a trial contradicts the others.
+    """Return checks that fail or warn if the friction differs between trials, or if a trial is an outlier.
 
     Both are tested only if the residuals of the plain fit are coloured or trials disagree.
     """
@@ -505,14 +518,15 @@ def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
 
 
 def _measured(fit: FitResult, label: str) -> str:
-    """Return the name, the estimate and the standard error of a parameter as text."""
+    """Return the name, the estimate and the standard error of a fitted parameter as text."""
     return f"{label} {numbers.measured(fit.value(label), fit.stderr(label), fit.parameter(label).unit)}"
 
 
 def _friction_check(plain: FitResult) -> list[ev.Check]:
     """Return a check that fails if the friction follows the pulling force, and warns if it differs at random.
 
-    The frictions are linearised at the fit. They show that trials differ, but not by how much.
+    The friction of each trial is estimated by linearisation about the fit. It shows whether trials differ,
+    but not by how much.
     """
     from swimid.fitting import between_trials
 
@@ -536,7 +550,7 @@ def _friction_check(plain: FitResult) -> list[ev.Check]:
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:
-    """Return whether an F-test that allows for coloured noise prefers a fit with more unknowns."""
+    """Return whether an F-test prefers the fit ``rival`` with more unknowns. It allows for coloured noise."""
     extra = len(rival.labels) - len(plain.labels)
     before, after = squared_error(plain), squared_error(rival)
     if after <= 0 or before <= after or after > START_RATIO * before:
@@ -552,7 +566,7 @@ def _is_significant(plain: FitResult, rival: FitResult) -> bool:
 
 
 def squared_error(result: FitResult) -> float:
-    """Return the sum of squared residuals of the fitted trials."""
+    """Return the sum of squared residuals of a fit over the fitted trials."""
     return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 
@@ -605,14 +619,15 @@ def sign_check(result: FitResult) -> ev.Check:
 PRISM = np.array(
     [[1.0, 0.68], [2.0, 0.36], [3.0, 0.24], [4.0, 0.19], [5.0, 0.15], [6.0, 0.13], [7.0, 0.11], [10.0, 0.08]]
 )
-#: Maximum length of a body, in diameters of a circle with the frontal area of the body.
+#: Maximum length that a body can have, in diameters of a circle with the frontal area of the body.
 MAX_SLENDERNESS = 10.0
 #: Minimum and maximum density of water (fresh to salt, kg/m3), and kinematic viscosity of water at 20 degrees
 #: Celsius (m2/s).
 WATER_KG_M3, WATER_VISCOSITY_M2_S = (950.0, 1050.0), 1.0e-6
 #: Step of the finite differences of the delta method, in standard errors of the parameter.
 DELTA_STEP = 1e-4
-#: Function of the coefficients of the equation of motion; NaN if the quantity does not exist.
+#: Type of a function that computes a derived quantity from the coefficients of the equation of motion. The
+#: value is NaN if the quantity does not exist.
 Quantity = Callable[[Mapping[str, float]], float]
 
 
@@ -669,7 +684,8 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         if gradient[j] == 0:
             continue
         bound |= status == "at-bound"
-        # the value 0 at a lower bound of 0 needs no error: the errors of the other parameters allow for it
+        # A parameter at its lower bound 0 needs no standard error here, because the standard errors of the
+        # other parameters include the effect of its uncertainty.
         vanishes = status == "at-bound" and parameter.lower == 0.0 >= values[k]
         unknown |= error is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
@@ -691,7 +707,7 @@ def _rate(c: Mapping[str, float]) -> float:
 
 
 def _damping_ratio(c: Mapping[str, float], amplitude: float = 0.0) -> float:
-    """Return the damping ratio with which linear damping alone would lose the same energy in a swing.
+    """Return the damping ratio of the linear damping that dissipates the same energy in a swing.
 
     Linear, quadratic and dry damping are linearised at the given amplitude (Chakrabarti, "Empirical
     calculation of roll damping for ships and barges", Ocean Engineering 2001). At the amplitude 0 only linear
@@ -704,7 +720,7 @@ def _damping_ratio(c: Mapping[str, float], amplitude: float = 0.0) -> float:
 
 
 def _first_amplitude(result: FitResult, trial: Trial) -> float:
-    """Return the maximum displacement of the fitted decay from its rest position."""
+    """Return the maximum displacement of a simulated free decay from its rest position."""
     series = next(s for s in result.series if s.trial == trial.id)
     values = series.simulated[np.isfinite(series.simulated)]
     rest = result.values(trial.id)[result.model.index("rest_position")]
@@ -749,13 +765,13 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     return checks
 
 
-#: Name of an estimate, its maximum, the body that has this maximum, and the inputs to check if it is
-#: exceeded.
+#: Physical limit of an estimate: name of the estimate, its maximum, the body that has this maximum, and the
+#: inputs to check if the maximum is exceeded.
 Limit = tuple[str, float, str, str]
 
 
 def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
-    """Yield the limits of the added mass or the added moment of inertia, and of the drag coefficient."""
+    """Yield the physical limits of added mass or added moment of inertia, and of the drag coefficient."""
     density, box = experiment.robot.fluid.density_kg_m3, _box(experiment.robot.body)
     known = {name for name, status in result.status.items() if status != "unidentifiable"}
     along = result.model.channels[0].name == "x_m"
@@ -783,9 +799,10 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
 
 
 def _force_ratios(experiment: Experiment) -> list[tuple[float, float, float, str]]:
-    """Return the driving force of each drop without a pulley over its maximum, both (N), and the trial.
+    """Return force ratio, driving force (N), its maximum (N) and trial of each drop without a pulley.
 
-    The maximum is the weight of the body or its net buoyancy.
+    The ratio is the driving force divided by its maximum. The maximum is the weight of the body or its net
+    buoyancy.
     """
     forces = []
     for trial in experiment.trials:
@@ -946,7 +963,7 @@ def max_drag_coefficient(reynolds_number: float) -> float:
 
 
 def theory_estimates(robot: Robot) -> list[Theory]:
-    """Return the theoretical estimates of the robot file, and the added mass of a prism of its size."""
+    """Return the theoretical estimates in a robot file, and the added mass of a prism of the robot's size."""
     quoted = list(robot.theory)
     box = _box(robot.body)
     if box is not None:
@@ -962,7 +979,7 @@ def theory_estimates(robot: Robot) -> list[Theory]:
 
 @dataclass(frozen=True)
 class TwoPointResult:
-    """Result of the two-point method.
+    """Result of the two-point method of the boxfish paper.
 
     Attributes
     ----------
@@ -987,12 +1004,12 @@ class TwoPointResult:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the speeds lie on rising lines, so that the standard errors are finite."""
+        """Whether the squared speeds rise with the pulling mass, so that the standard errors are finite."""
         return all(map(math.isfinite, self.stderr.values()))
 
     @property
     def text(self) -> str:
-        """Result as a sentence."""
+        """Estimates of the two-point method as a sentence."""
         if not self.is_valid:
             return f"The two-point method has no answer: {NO_ANSWER}."
         parts = [f"{n} {numbers.measured(value, self.stderr[n])}" for n, value in self.values.items()]
@@ -1002,7 +1019,7 @@ class TwoPointResult:
 def speed_at(
     time_s: Array, displacement_m: Array, point_m: float, half_width_m: float
 ) -> tuple[float, float]:
-    """Return the speed at a displacement and its standard error, m/s, by a straight-line fit around it.
+    """Return the speed at a displacement and its standard error, m/s, from a line fitted around this point.
 
     Raises
     ------
@@ -1019,8 +1036,8 @@ def speed_at(
     t, x = time_s[near] - time_s[near].mean(), displacement_m[near]
     spread = 0.0
     if len(t) > MIN_SCATTER_SAMPLES:
-        # the residuals are those of a parabola, so that curvature does not count as noise; in the middle the
-        # parabola has the slope of the line
+        # Compute the residuals of a parabola, so that curvature does not count as noise. In the middle of the
+        # interval the parabola has the slope of the line.
         residual = x - np.polyval(np.polyfit(t, x, 2), t)
         spread = math.sqrt(float(residual @ residual) / (len(t) - 3))
     return float(t @ x) / float(t @ t), spread / math.sqrt(float(t @ t))
@@ -1064,7 +1081,7 @@ def two_point(
         raise NoTrustworthyResult(f"the two displacements must rise from zero: {points[0]:g} {points[1]:g}")
 
     def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the speeds at the points and their standard errors, each shape (2, k)."""
+        """Return the speeds at the two displacements and their standard errors, each of shape (2, k)."""
         pairs = list(zip(times, displacements, strict=True))
         width = points[0] * HALF_WIDTH
         fits = np.array([[speed_at(t, x, point, width) for t, x in pairs] for point in points])
@@ -1074,7 +1091,7 @@ def two_point(
         lines = np.array([np.polyfit(masses, v, 1) for v in squared])
         slopes, intercepts = lines.T
         a1 = solve_a1(slopes[0] / slopes[1], points)
-        # tanh^2 phi(x) = 1 - exp(-2 a1 x), from Eq 14
+        # compute tanh^2 phi(x) = 1 - exp(-2 a1 x), which follows from Eq 14
         saturation = -np.expm1(-2 * a1 * np.array(points))
         drag = float(np.mean(2 * gravity * saturation / (density * area * slopes)))
         added = density * drag * area / (2 * a1) - mass - float(masses.mean())
@@ -1084,7 +1101,7 @@ def two_point(
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, lines = solve(squared)
 
-    # random error, from the residuals of the squared speeds about their lines
+    # Estimate the random error from the residuals of the squared speeds about their lines.
     scatter = squared - np.array([np.polyval(line, masses) for line in lines])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
     spread = np.maximum(squared_sd, pooled)
@@ -1114,7 +1131,9 @@ def two_point(
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
-    """Solve Eq 18 for a1, 1/m. If the second displacement is twice the first, Eq 19 is the closed form.
+    """Solve Eq 18 of the boxfish paper for the coefficient a1, 1/m.
+
+    If the second displacement is twice the first, Eq 19 is the closed form.
 
     Raises
     ------

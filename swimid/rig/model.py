@@ -1,4 +1,4 @@
-"""Model of the rig with one degree of freedom: falling weight, towing and free decay, with compiled kernels.
+"""Model of a test rig with one degree of freedom: falling weight, towing and free decay.
 
 One equation of motion describes the falling weight, towing and free decay::
 
@@ -45,7 +45,8 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
     "pitch_rad": ("rad", "rad/s", True),
     "yaw_rad": ("rad", "rad/s", True),
 }
-#: Groups of parameters with a similar effect. One parameter of a group may replace the others.
+#: Groups of parameters with a similar effect on the motion. In a fit, one parameter of a group can replace
+#: the others.
 ALIKE = (
     (
         *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
@@ -73,7 +74,10 @@ class RigScales(Scales):
 
     @property
     def speed(self) -> float:
-        """Typical speed; in a free decay, the range of the motion times the natural angular frequency."""
+        """Typical speed of the body.
+
+        In a free decay it is the range of motion times the natural angular frequency.
+        """
         if not self.model.rig.swings:
             return super().speed
         rate = math.sqrt(max(self.stiffness, 1e-12) / self.inertia)
@@ -81,12 +85,12 @@ class RigScales(Scales):
 
     @property
     def stiffness(self) -> float:
-        """Stiffness of small swings, N/m or N m/rad."""
+        """Typical stiffness for small swings, N/m or N m/rad."""
         return self.model.start("stiffness") + self.model.start("gravity_stiffness")
 
     @property
     def inertia(self) -> float:
-        """Sum of known and added inertia, kg or kg m2; 1 if unknown."""
+        """Typical inertia, including added inertia, kg or kg m2; 1 if the inertia is unknown."""
         known = [t.rig.inertia for t in self.trials if not math.isnan(t.rig.inertia)]
         if not known:
             return 1.0
@@ -94,7 +98,10 @@ class RigScales(Scales):
 
     @property
     def force(self) -> float:
-        """Typical applied force; in a free decay the restoring force at the range of motion, N or N m."""
+        """Typical applied force, N or N m.
+
+        In a free decay it is the restoring force at the range of motion.
+        """
         if self.model.rig.swings:
             return max(self.stiffness, 1e-12) * self.span
         known = [float(np.sqrt(np.mean(np.square(t.inputs.get("force_N", t.rig.pull))))) for t in self.trials]
@@ -102,7 +109,10 @@ class RigScales(Scales):
 
     @property
     def brake(self) -> float:
-        """A tenth of the force; a hundredth in a free decay, because losses add up over many swings."""
+        """Typical force of friction or damping: a tenth of the typical applied force.
+
+        In a free decay it is a hundredth, because losses add up over many swings.
+        """
         if self.model.rig.swings:
             return 0.01 * self.force
         return 0.1 * self.force
@@ -139,13 +149,13 @@ class RigModel(Model):
 
     @property
     def rig(self) -> Rig:
-        """Coordinate of the rig."""
+        """Displacement and speed channels of the rig, and whether it rotates or swings."""
         displacement, speed = self.channels
         return Rig(displacement, speed, COORDINATES[self.coordinate][2], self.name == "free-decay")
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axis along which the body moves; empty for a rotation."""
+        """Axis along which the body moves, such as ``x``; empty for a rotation."""
         if self.rig.rotation:
             return ()
         return (self.coordinate.removesuffix("_m"),)
@@ -155,11 +165,11 @@ class RigModel(Model):
         return RigScales(self, trials)
 
     def onset(self, trial: Trial) -> float:
-        """Return the time of release, s."""
+        """Return the time at which the body of a trial is released, s."""
         return trial.rig.begin_s
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the displacement at the start of a trial, by channel."""
+        """Return the initial displacement of a trial by the name of its channel."""
         return {self.coordinate: trial.rig.x0}
 
     def _value(self, values: Array, *names: str) -> float:
@@ -187,7 +197,7 @@ class RigModel(Model):
         }
 
     def _moved(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
-        """Return displacement and speed for the coefficients and the initial state of :meth:`hooked`."""
+        """Return displacement and speed of a trial for the coefficients and the initial state ``c``."""
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
             return self.broken_down(trial)
         time, measured, known = trial.time_s, trial.inputs.get("force_N"), c["force"]
@@ -220,7 +230,7 @@ class RigModel(Model):
         return self.hooked(values, trial, NONE)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
-        """Return displacement and speed with effects (see :meth:`Model.hooked`).
+        """Return displacement and speed of a trial, simulated with effects (see :meth:`Model.hooked`).
 
         ``coefficients`` hooks change the values of :meth:`coefficients`, the constant ``force`` (N), and the
         initial state ``x0`` and ``v0``. Forces of effects are added afterwards.
@@ -251,11 +261,11 @@ class RigModel(Model):
         return hooks.seen(moved, trial.time_s)
 
     def refined(self) -> RigModel:
-        """Return the model with half the integration step."""
+        """Return a copy of the model with half the integration step."""
         return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the derivatives of the channels by time: the speed, and its numerical derivative."""
+        """Return the time derivatives of the channels of a trial: the speed, and its numerical derivative."""
         simulated = self.simulate(values, trial)
         rate = np.zeros(1)
         if len(trial.time_s) > 1:
@@ -264,7 +274,7 @@ class RigModel(Model):
 
 
 def terminal_speed(c: Mapping[str, float], force: float) -> float:
-    """Return the speed at which drag and friction balance a force, m/s; NaN if no such speed exists."""
+    """Return the terminal speed, at which drag and friction balance a force, m/s; NaN if there is none."""
     push = force - c["dry"]
     brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
     return 2 * push / brake if push > 0 and brake > 0 else math.nan
@@ -273,17 +283,17 @@ def terminal_speed(c: Mapping[str, float], force: float) -> float:
 def _parameter(
     name: str, unit: str, start: float, scale: float, meaning: str, *, lower: float = 0.0, **more: Any
 ) -> Parameter:
-    """Return a parameter without an upper bound, and by default with the lower bound 0."""
+    """Return a parameter of a rig model without an upper bound. Its lower bound is 0 by default."""
     return Parameter(name, unit, lower, math.inf, start, scale, meaning=meaning, **more)
 
 
 def _signed(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Parameter:
-    """Return a parameter without bounds, whose start value is zero."""
+    """Return a parameter of a rig model without bounds and with the start value zero."""
     return _parameter(name, unit, 0.0, scale, meaning, lower=-math.inf, **more)
 
 
 def _drag(area_known: bool, source: str = "") -> Parameter:
-    """Return the drag coefficient; the quadratic drag if the frontal area is unknown."""
+    """Return the parameter for quadratic drag: the drag coefficient if the frontal area is known."""
     if area_known:
         return Parameter(
             "drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source=source
@@ -292,7 +302,7 @@ def _drag(area_known: bool, source: str = "") -> Parameter:
 
 
 def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple[Parameter, ...]:
-    """Return the parameters of each trial's start: displacement, speed, and clock offset."""
+    """Return the parameters of the initial state of each trial: displacement, speed, and clock offset."""
     unit, speed_unit, _ = COORDINATES[coordinate]
     own: dict[str, Any] = {"per_trial": True}
     return (
@@ -305,7 +315,7 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
 def falling_weight(
     *, mass_kg: float, force_N: float, area_known: bool, pulley: bool, speed_m_s: float = 0.3
 ) -> RigModel:
-    """Return the falling-weight model (boxfish paper, Eqs 7, 8) for typical inertia, force and speed.
+    """Return the falling-weight model (boxfish paper, Eqs 7, 8), scaled by typical inertia, force and speed.
 
     Parameters
     ----------
@@ -331,7 +341,7 @@ def falling_weight(
 
 
 def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float = 0.3) -> RigModel:
-    """Return the model of a body under a measured force, with added mass and drag as free parameters."""
+    """Return the model of a body towed by a measured force, with added mass and drag as free parameters."""
     half = 0.5 * max(mass_kg, 0.1)
     parameters = (
         _drag(area_known),
@@ -354,7 +364,7 @@ def free_decay(
     amplitude: float,
     gravity: float = 0.0,
 ) -> RigModel:
-    """Return the model of a free decay in one of :data:`COORDINATES`.
+    """Return the model of a free decay in one coordinate (one of :data:`COORDINATES`).
 
     Parameters
     ----------
@@ -402,7 +412,7 @@ def free_decay(
 # ---------------------------------------------------------------- integration
 
 
-#: Maximum number of times that the body stops or starts within one integration step.
+#: Maximum number of times that dry friction stops or releases the body within one integration step.
 MAX_EVENTS = 8
 
 
@@ -444,8 +454,8 @@ def restoring(x, c):  # type: ignore[no-untyped-def]
     return pull
 
 
-# ``extra`` is None in still water without further forces. Numba then compiles these functions without the
-# code for moving water and forces.
+# The argument ``extra`` is None in still water without forces of effects. Numba then compiles these functions
+# without the code for moving water and forces.
 
 
 @numba.njit(cache=True, nogil=True)
@@ -486,7 +496,10 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped-def]
-    """Integrate one step with dry friction; the step is divided where the body stops or starts to move."""
+    """Integrate the motion over one step with dry friction.
+
+    The step is divided at the times at which the body stops or starts to move.
+    """
     inertia, dry = c[0], c[3]
     slope = (f1 - f0) / h
     done = 0.0
@@ -497,7 +510,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
             if extra is None:
                 after, side = breakaway(f - restoring(x, c), slope, dry, left)
             else:
-                # the sum of all forces is assumed to be linear in time over the rest of the step
+                # assume that the sum of all forces is linear in time over the rest of the step
                 push = inertia * _acceleration(t + done, x, v, 0.0, f, w, dw, c, extra)
                 end = inertia * _acceleration(t + h, x, v, 0.0, f1, w0 + dw * h, dw, c, extra)
                 after, side = breakaway(push, (end - push) / left, dry, left)
@@ -601,7 +614,7 @@ def integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
-    """Return the limits of the integration steps of :func:`integrate` from the release on, s.
+    """Return the times at which the integration steps of :func:`integrate` begin and end, s.
 
     >>> step_ends(np.array([-1.0, 0.1, 0.15]), 0.0, 0.05)
     array([0.  , 0.05, 0.1 , 0.15])
@@ -654,11 +667,11 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
         t = max(time[i] - start, 0.0)
         phi = rate * t
         if phi < 1e-4:
-            # Taylor series of ln cosh and tanh, which avoid a division by zero drag
+            # use the Taylor series of ln cosh and tanh, which need no division by the drag
             x[i] = 0.5 * a2 * t * t * (1.0 - phi * phi / 6.0)
             v[i] = a2 * t * (1.0 - phi * phi / 3.0)
         else:
-            # ln cosh (without overflow) and tanh are computed from the same exponential
+            # compute ln cosh (without overflow) and tanh from the same exponential
             decay = math.exp(-2.0 * phi)
             x[i] = (phi + math.log1p(decay) - math.log(2.0)) / a1
             v[i] = math.sqrt(a2 / a1) * (1.0 - decay) / (1.0 + decay)

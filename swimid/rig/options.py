@@ -1,4 +1,4 @@
-"""The options of ``fit-drag``."""
+"""Options of the command ``swimid fit-drag``."""
 
 from __future__ import annotations
 

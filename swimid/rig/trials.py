@@ -1,4 +1,4 @@
-"""Read the trials of a rig with one degree of freedom: falling weight, towing and free decay."""
+"""Reading of the trials of a rig with one degree of freedom: falling weight, towing and free decay."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from swimid.notices import warn
 from swimid.rig import model as rig
 from swimid.robots.file import Robot
 
-#: Maximum relative difference of a sample from an extreme, and of a swing from the largest swing, that count
-#: as equal.
+#: Relative tolerance within which a sample counts as equal to the extreme of a swing, and a swing as equal to
+#: the largest swing.
 EXTREME_RTOL = 0.05
-#: Minimum time near one place, as a fraction of a period, after which a body counts as held there. A free
-#: swing stays within 5 % of its extreme for ``2 arccos(0.95) / (2 pi)`` of a period, which is 0.1.
+#: Minimum duration that a body stays near the extreme of a swing, as a fraction of a period, for the body to
+#: count as held there. A free swing stays within 5 % of its extreme for ``2 arccos(0.95) / (2 pi)`` of a
+#: period, which is 0.1.
 HELD_PERIODS = 0.1
 #: Minimum number of samples of a falling-weight trial.
 MIN_SAMPLES = 5
@@ -85,7 +86,7 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
 
 
 def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float]:
-    """Return ``rho A / 2`` of Eq 7 for each trial, kg/m; 0 for each trial if no frontal area is known."""
+    """Return ``rho A / 2`` of the drag law for each trial, kg/m; zeros if no frontal area is known."""
     factors: list[float] = []
     for entry in entries:
         area = entry.frontal_area_m2 or robot.body.frontal_area_m2 or 0.0
@@ -122,9 +123,9 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
         model.parameters,
-        # the release lies within one trial duration of the start of the log
+        # assume that the release is within one duration of a trial from the start of the log
         bounds={"clock_offset": (-span, span)},
-        # if a drop starts outside the origin, its start position has the noise of the first sample
+        # estimate the start position of drops that start outside the origin, because it has measurement noise
         freed=("start_offset",) * any(k.x0 != 0 for k in known),
     )
 
@@ -132,7 +133,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
             clicks = record.kind == "clicks"
-            # the row that defines the origin is not a measurement
+            # the first row of an encoder log defines the origin and is not a measurement
             rows = slice(int(clicks and record.position[0] == 0), None)
             position = {"x_m": true_position(record, rounding)[rows]}
             trial = Trial(entry.id, entry.role, record.time_s[rows], position, rig=one)
@@ -149,7 +150,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
 
 
 def _without_standstill(log: Log) -> tuple[Array, Array]:
-    """Return time and displacement without the end in which the body stands still at the wall.
+    """Return time and displacement of a drop up to the time from which the body stands still at the wall.
 
     Raises
     ------
@@ -171,7 +172,7 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
     reference = np.flatnonzero(position < position.min() + 0.7 * (arrived - position.min()))
     if len(before) and len(reference) and len(position) - before[-1] >= 6:
         last, far = int(before[-1]) + 1, int(reference[-1])
-        # time in which a body that moves on covers the rest of the distance
+        # compute the time in which a moving body would cover the rest of the distance
         needed = 0.0
         if time[last] > time[far] and position[last] > position[far]:
             speed = (position[last] - position[far]) / (time[last] - time[far])
@@ -194,7 +195,7 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
 def _drop(
     entry: FallingWeightTrial, path: Path, robot: Robot, factor: float
 ) -> tuple[Input, RigInput, Displacement]:
-    """Return the log of a drop, its mass, force and time of release, and its displacement."""
+    """Return the log of a drop, its known quantities (mass, force, time of release), and its displacement."""
     log = read_log(entry, path.parent, required=("x_m",))
     time, position = _without_standstill(log)
     record = read_encoder(time, position, robot.rig.encoder_resolution_m)
@@ -214,12 +215,13 @@ def _drop(
             )
     travelled = position - position[0]
     from_origin = abs(position[0]) <= ORIGIN_RTOL * float(travelled.max())
-    # If the body has already moved in the first row, the release was earlier. It is at time zero if the force
-    # can have moved the body that far since time zero. Otherwise it is estimated from the time that the force
-    # needs.
+    # If the body has already moved in the first row, the release was before this row. The release is at time
+    # zero if the force can have moved the body that far since time zero. Otherwise the release is estimated
+    # from the time that the force needs.
     quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
     at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
-    # only a count of the encoder shows for certain that the body has moved; a camera position has noise
+    # only the count of an encoder shows for certain that the body has moved, because a camera position has
+    # noise
     counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
     release, x0 = float(time[0]), float(position[0])
     if at_zero:
@@ -350,7 +352,7 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
 
 
 def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Array]:
-    """Return the half swings of a record: its parts on alternating sides of the rest position.
+    """Divide a free decay into half swings, which lie on alternating sides of the rest position.
 
     Returns
     -------
@@ -365,14 +367,16 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
         If the record has fewer than three half swings.
     """
     found = None
-    # most records end at rest; otherwise try the middle of the range as the rest position
+    # Most records end at rest, so that their end gives the rest position. Otherwise try the middle of the
+    # range.
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
         for _ in range(3):
             crossings, extremes = _half_swings(values, level, noise)
             if len(extremes) < 3:
                 break
             found = crossings, extremes
-            # the rest position is a weighted mean of extremes, with an error of second order in the decay
+            # estimate the rest position by a weighted mean of extremes, whose error is of second order in the
+            # decay
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
@@ -382,10 +386,10 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
 
 
 def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Array]:
-    """Return the indices at which values change side of a level, and the extreme of each part."""
+    """Return the indices at which a record crosses a level, and the extreme of each part between them."""
     away = values - level
     amplitude = float(np.max(np.abs(away)))
-    # values within the band around the level are ignored, so that noise does not count as a change of side
+    # ignore values within a band around the level, so that noise does not count as a crossing
     band = min(max(0.1 * amplitude, 4.0 * noise), 0.25 * amplitude)
     state = np.sign(away) * (np.abs(away) > band)
     marked = np.flatnonzero(state)
@@ -395,7 +399,7 @@ def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Arra
 
 
 def _period(time: Array, crossings: Array) -> float:
-    """Return the mean period of the swings before the first irregular swing."""
+    """Return the mean period of a free decay, s, over the swings before the first irregular swing."""
     halves = np.diff(time[crossings])
     regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
     count = max(int(np.argmin([*regular, False])), 1)
@@ -405,10 +409,10 @@ def _period(time: Array, crossings: Array) -> float:
 
 
 def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
-    """Return time and coordinate of a decay from its release on, its period and its first amplitude.
+    """Return the times and values of a free decay after its release, its period and its first amplitude.
 
-    Swings of a free decay do not grow, so that it begins with the first of the largest swings. If the body
-    was held at an excursion, or was at rest before it was deflected, the decay begins after that.
+    Swings of a free decay do not grow, so that the decay begins with the first of the largest swings. If the
+    body was held at an excursion, or was at rest before it was deflected, the decay begins after that.
     """
     there = np.isfinite(log[name])
     time, values = log.time_s[there], log[name][there]
@@ -456,7 +460,7 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
 
 @dataclass(frozen=True)
 class Displacement:
-    """Displacement record of an experiment, with its known errors.
+    """Displacement record of a trial on a rig, with its known measurement errors.
 
     Attributes
     ----------
@@ -491,7 +495,7 @@ ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.
 
 
 def read_encoder(time_s: Array, position: Array, resolution: float | None = None) -> Displacement:
-    """Detect an encoder in a displacement record without missing samples, and return its errors.
+    """Detect an encoder in a displacement record, and return the record with its measurement errors.
 
     Parameters
     ----------
@@ -512,7 +516,7 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
     if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
         at = np.flatnonzero(moves) + 1
         gap = time_s[at] - time_s[at - 1]
-        # a count that changed by m passed m steps within the interval; use the middle step
+        # use the middle one of the m steps that a count has passed within an interval if it changed by m
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
         # the time of the change is uniformly distributed between the two samples
@@ -537,7 +541,7 @@ def third_difference_sd(values: Array) -> float:
 
 
 def true_position(record: Displacement, rounding: str) -> Array:
-    """Return the true positions of a record, shape (n,), for one of the :data:`ROUNDINGS` of its counts."""
+    """Return the true positions of a displacement record for one of the :data:`ROUNDINGS` of its counts."""
     if record.rounded is None or record.resolution is None:
         return record.position
     return record.position + ROUNDINGS[rounding][record.rounded] * record.resolution

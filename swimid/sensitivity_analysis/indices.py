@@ -13,14 +13,15 @@ from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
 from swimid.notices import Progress, silent
 
-#: Maximum fraction of the evaluations that may break down.
+#: Maximum fraction of the model evaluations that may break down.
 MAX_BROKEN_SHARE = 0.01
-#: Number of points that are evaluated in one call.
+#: Number of points of the design that are evaluated in one call.
 BATCH = 8
-#: Number of bootstrap samples.
+#: Number of bootstrap samples for the intervals of the indices.
 N_DRAWS = 1000
 
-#: Function from points, shape (n, d), to outputs, shape (n, s); NaN where the model breaks down.
+#: Type of the model function, from points, shape (n, d), to outputs, shape (n, s). Outputs are NaN if the
+#: model breaks down.
 Evaluate = Callable[[Array], Array]
 
 
@@ -31,7 +32,7 @@ class Sobol:
     Attributes
     ----------
     mean, sd : ndarray, shape (s,)
-        Mean and standard deviation of the outputs over the ranges.
+        Mean and standard deviation of the outputs over the ranges of the parameters.
     evaluations, broken, left_out : int
         Number of evaluations, number of evaluations that broke down, and number of rows of the design that
         were left out.
@@ -133,7 +134,7 @@ def sobol(
             step()
     values = np.concatenate(done).reshape(samples, d + 2, -1)
     sound = np.isfinite(values).all(axis=(1, 2))
-    outputs = np.moveaxis(values[sound], 0, -1)  # (d + 2, s, rows)
+    outputs = np.moveaxis(values[sound], 0, -1)  # shape (d + 2, s, rows)
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
@@ -145,17 +146,18 @@ def sobol(
 
 
 def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """Return first-order and total indices of outputs, shape (d + 2, s, n), as an array (2, s + g, d).
+    """Return the first-order and total indices of outputs and of groups of outputs, shape (2, s + g, d).
 
-    The estimators are those of ``scipy.stats.sobol_indices``, which takes only powers of two of rows.
-    The indices of a group are the mean indices of its outputs, weighted by the variances of the outputs.
+    The outputs of n rows of the design have the shape (d + 2, s, n). The estimators are those of
+    ``scipy.stats.sobol_indices``, which requires that the number of rows is a power of two. The indices of a
+    group are the mean indices of its outputs, weighted by the variances of the outputs.
     """
     a, b, ab = outputs[0], outputs[1], outputs[2:]
     mean, variance = np.mean([a, b], axis=(0, -1)), np.var([a, b], axis=(0, -1))
     with np.errstate(invalid="ignore", divide="ignore"):
         first = np.mean((b - mean[:, None]) * (ab - a), axis=-1) / variance
         total = 0.5 * np.mean((a - ab) ** 2, axis=-1) / variance
-    # the indices of an output without variance are set to zero
+    # set the indices of an output without variance to zero
     indices = np.nan_to_num([first.T, total.T], posinf=0.0, neginf=0.0)
     parts = [indices]
     for members in groups:

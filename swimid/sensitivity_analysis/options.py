@@ -1,4 +1,4 @@
-"""The options of ``sensitivity``."""
+"""Options of the command ``swimid sensitivity``."""
 
 from __future__ import annotations
 

@@ -38,14 +38,15 @@ from swimid.swimmer.model import Swimmer
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Maximum ratio of the standard deviation of an output to its mean, for an output that counts as constant.
+#: Maximum ratio of the standard deviation of an output to its mean at which the output counts as constant.
 CONSTANT_SHARE = 1e-9
-#: Maximum width of the 95 % interval of a total index.
+#: Maximum width of the 95 % interval of a total index. A wider interval gives a warning.
 MAX_WIDTH = 0.3
 #: Maximum change of an output when the integration step is halved, divided by the standard deviation of the
 #: output over the ranges.
 MAX_STEP_CHANGE = 0.05
-#: Maximum correlation of two estimates that are varied independently. A stronger one gives a warning.
+#: Maximum correlation of two coefficients that are varied independently. A stronger correlation gives a
+#: warning.
 MAX_CORRELATION = 0.5
 REFERENCES = [
     "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
@@ -56,7 +57,7 @@ REFERENCES = [
 
 
 class Range(yamlio.Document):
-    """Range over which a coefficient was varied."""
+    """Range over which a coefficient is varied, and the given value of the coefficient."""
 
     value: float
     low: float
@@ -68,21 +69,28 @@ class Range(yamlio.Document):
 
 
 class Index(yamlio.Document):
-    """Sobol index with its 95 % interval."""
+    """Sobol index of a coefficient with its 95 % interval."""
 
     value: float
     ci95: tuple[float, float]
 
 
 class Shares(yamlio.Document):
-    """Fractions of an output's variance that a coefficient causes: alone, and with all its interactions."""
+    """First-order and total Sobol index of a coefficient for one output.
+
+    They are the fractions of the output's variance that the coefficient causes alone, and with all its
+    interactions.
+    """
 
     first: Index
     total: Index
 
 
 class Output(yamlio.Document):
-    """Output of one trial or, without ``trial``, of all trials together."""
+    """Simulated output with its Sobol indices.
+
+    It belongs to one trial or, if ``trial`` is None, to all trials together.
+    """
 
     quantity: str
     unit: str
@@ -96,7 +104,7 @@ class Output(yamlio.Document):
 
 
 class Simulations(yamlio.Document):
-    """Number of points that were simulated, and number of points whose simulation broke down."""
+    """Number of points of the design that were simulated, and number of those whose simulation broke down."""
 
     evaluated: int
     broken: int
@@ -114,7 +122,7 @@ class SensitivityFile(yamlio.ResultFile):
     robot: str
     experiment: str
     params: str | None = None
-    #: Number of rows of the Sobol design.
+    #: Number of rows of the Sobol design of the analysis.
     samples: int
     trials: list[str]
     ranges: dict[str, Range]
@@ -125,7 +133,7 @@ class SensitivityFile(yamlio.ResultFile):
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity(FileResult[SensitivityFile]):
-    """Result of ``sensitivity``: Sobol indices of coefficients.
+    """Result of ``sensitivity``: Sobol indices of the coefficients of a robot for each output.
 
     Attributes
     ----------
@@ -153,7 +161,10 @@ class Sensitivity(FileResult[SensitivityFile]):
 
 
 class MeasuredChannel(NamedTuple):
-    """Measured samples of a channel. The RMS error of a simulation is divided by ``scale``."""
+    """Measured samples of a channel of a trial.
+
+    The root-mean-square error of a simulation is divided by ``scale``.
+    """
 
     time_s: Array
     values: Array
@@ -163,14 +174,14 @@ class MeasuredChannel(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """Trial to simulate, with the data for its outputs.
+    """Trial to simulate in an analysis, with the data from which its outputs are computed.
 
     Attributes
     ----------
     trial : Trial
         The trial at the times at which it is simulated.
     swim : SwimRun or None
-        Last whole cycles of the run; None if measured joints drive the robot.
+        Drive and last whole cycles of the simulation; None if measured joints drive the robot.
     measured : mapping of str to MeasuredChannel
     values : ndarray
         Given coefficients, with the start state of the trial.
@@ -182,7 +193,7 @@ class Run:
     values: Array
 
     def outputs(self, model: Swimmer, values: Array, columns: Mapping[str, Array]) -> dict[str, Quantity]:
-        """Return the outputs of a simulated run; NaN if the simulation breaks down."""
+        """Return the outputs of the simulated trial by name; NaN if the simulation breaks down."""
         outputs: dict[str, Quantity] = {}
         if self.swim is not None:
             known, units = self.swim.quantities(model, values, columns, None), units_of(model)
@@ -198,7 +209,7 @@ class Run:
 
 
 def _swim_outputs(model: Swimmer, swim: SwimRun) -> list[str]:
-    """Return the names of the quantities of a swimming run that are outputs of the analysis."""
+    """Return the names of the quantities of a simulation that are outputs of the sensitivity analysis."""
     if model.in_space:
         return list(CYCLE_QUANTITIES)
     amplitudes = [f"amplitude_{axis.name}_rad" for axis in model.passive]
@@ -213,7 +224,7 @@ def _swim_outputs(model: Swimmer, swim: SwimRun) -> list[str]:
 
 @dataclass(frozen=True)
 class Study:
-    """Setup of an analysis: coefficients with their ranges, runs, and outputs.
+    """Setup of a sensitivity analysis: model, ranges of the coefficients, trials to simulate, and outputs.
 
     Attributes
     ----------
@@ -228,14 +239,18 @@ class Study:
 
     @property
     def groups(self) -> dict[str, list[int]]:
-        """Indices of the outputs of each quantity, for the quantities that more than one trial has."""
+        """Positions in :attr:`columns` of the outputs of each quantity that more than one trial has."""
         groups: dict[str, list[int]] = {}
         for k, (quantity, _, _) in enumerate(self.columns):
             groups.setdefault(quantity, []).append(k)
         return {quantity: members for quantity, members in groups.items() if len(members) > 1}
 
     def outputs(self, points: Array) -> Array:
-        """Return the outputs for coefficients, shapes (n, s) and (n, d); NaN if a simulation breaks down."""
+        """Return the outputs of all simulations for n points in the space of the coefficients.
+
+        The outputs have the shape (n, s), the points the shape (n, d). Outputs are NaN if a simulation breaks
+        down.
+        """
         vectors = np.repeat(np.array([run.values for run in self.runs])[None], len(points), axis=0)
         vectors[:, :, [self.model.index(name) for name in self.ranges]] = points[:, None]
         possible = np.array([all(is_possible(self.model, one) for one in each) for each in vectors])
@@ -322,7 +337,7 @@ def sensitivity(
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        # total simulated time
+        # compute the total simulated time, by which the model decides whether to compile its kernels
         ahead_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials) * count * (len(over) + 2)
         model.prepare(progress, simulated_s=ahead_s, checkpoint=keep)
         study = _study(experiment, applied, over)
@@ -386,7 +401,7 @@ def sensitivity(
 
 
 def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str]) -> dict[str, Range]:
-    """Return the range of every coefficient that is varied."""
+    """Return the range of every coefficient that the analysis varies."""
     own: dict[str, tuple[float, float]] = {}
     rule = "bounds"
     for text in texts:
@@ -431,7 +446,7 @@ def _ranges(applied: Applied, texts: Sequence[str], coefficients: Sequence[str])
 
 
 def _ends(name: str, text: str) -> tuple[float, float]:
-    """Return the ends of a range from an option ``NAME=LOW,HIGH``."""
+    """Return the ends of a range from the text ``LOW,HIGH`` of an option ``NAME=LOW,HIGH``."""
     try:
         low, high = (float(part) for part in text.split(","))
     except ValueError:
@@ -440,7 +455,10 @@ def _ends(name: str, text: str) -> tuple[float, float]:
 
 
 def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
-    """Return half the width of a range by a rule, and the origin of the range; NaN without ``stderr``."""
+    """Return half the width of a coefficient's range by a rule, and the origin of the range.
+
+    The half-width is NaN if the rule needs a standard error that is unknown (NaN).
+    """
     if rule == "bounds":
         return math.inf, rule
     if rule == "stderr":
@@ -455,7 +473,10 @@ def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
 
 
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
-    """Return the strongest correlation of two coefficients with ranges from standard errors, with names."""
+    """Return the strongest correlation of two coefficients, and their names; None without such a pair.
+
+    Only coefficients whose ranges follow from their standard errors are compared.
+    """
     names, covariance = applied.uncertain()
     sd = np.sqrt(np.diag(covariance))
     kept = [k for k, name in enumerate(names) if name in over and over[name].source == "stderr"]
@@ -470,7 +491,7 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
 
 
 def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
-    """Return the runs with their start states, and the names of their outputs."""
+    """Return the setup of an analysis: the trials with their start states, and the outputs of each trial."""
     model: Swimmer = applied.model.swimmer
     runs, columns = [], []
     for trial in experiment.trials:
@@ -490,7 +511,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
 
 
 def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
-    """Return a trial to simulate, with its start state and its measured channels."""
+    """Return a trial prepared for simulation, with its start state and its measured channels."""
     values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
     swim, times = None, trial.time_s
     if trial.swim.drive is not None:
@@ -510,7 +531,7 @@ def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
 
 
 def _outputs(study: Study, centre: Array, estimates: Sobol) -> list[Output]:
-    """Return the outputs of each trial, then the outputs of all trials together, with their indices."""
+    """Return the outputs of each trial and then those of all trials together, with their Sobol indices."""
     statistics = np.column_stack([centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
         Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
@@ -537,7 +558,7 @@ def _shares(sobol: Sobol, row: int, k: int) -> Shares:
 
 
 def _headline(file: SensitivityFile) -> list[Output]:
-    """Return one output for each quantity: of all trials together, or of the only trial with the quantity."""
+    """Return one output for each quantity: that of all trials together, or that of the only trial with it."""
     outputs: dict[str, Output] = {}
     for one in file.outputs:
         if one.trial is None or one.quantity not in outputs:
@@ -546,7 +567,7 @@ def _headline(file: SensitivityFile) -> list[Output]:
 
 
 def _ranked(output: Output) -> list[tuple[str, Index]]:
-    """Return the coefficients and their total indices, in descending order of the index."""
+    """Return the coefficients with their total indices for an output, in descending order of the index."""
     entries = [(name, shares.total) for name, shares in output.shares.items()]
     return sorted(entries, key=lambda item: -item[1].value)
 
@@ -554,7 +575,7 @@ def _ranked(output: Output) -> list[tuple[str, Index]]:
 def _checks(
     file: SensitivityFile, step_change: float, strongest: tuple[float, str, str] | None
 ) -> list[ev.Check]:
-    """Return the checks of an analysis.
+    """Return the checks of a sensitivity analysis for its evidence.
 
     Parameters
     ----------
@@ -590,7 +611,7 @@ def _checks(
 
 
 def _answer(file: SensitivityFile) -> str:
-    """Return the most influential coefficients of the first outputs as a sentence."""
+    """Return a sentence with the most influential coefficients of the first three outputs."""
     parts = []
     for o in _headline(file)[:3]:
         named = [f"{name} ({numbers.number(index.value, 2)})" for name, index in _ranked(o)[:2]]
@@ -603,7 +624,7 @@ def _answer(file: SensitivityFile) -> str:
 
 
 def _totals(file: SensitivityFile) -> ev.Table:
-    """Return a table of the most influential coefficients of each output."""
+    """Return a table of the coefficients with the largest total indices for each output."""
     ranks = ("largest", "second", "third")
     rows: list[dict[str, ev.Cell]] = []
     for o in _headline(file):
@@ -645,7 +666,7 @@ def _map(file: SensitivityFile) -> ev.Figure:
 
 
 def _method(file: SensitivityFile) -> str:
-    """Return a sentence for the methods section of a paper."""
+    """Return a sentence on the sensitivity analysis for the methods section of a paper."""
     runs, trials = file.simulations, f"{len(file.trials)} {file.experiment} trials"
     return (
         f"First-order and total Sobol indices of the outputs of {trials} to {', '.join(file.ranges)}, "
