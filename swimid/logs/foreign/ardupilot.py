@@ -1,7 +1,8 @@
-"""Logs of ArduPilot: text logs (``IMU, 1234, 0, ...`` after ``FMT`` lines), or CSV of one message type.
+"""Reader of ArduPilot logs: text logs (``FMT`` lines, then messages), or CSV of one message type.
 
-One instance of a sensor is read. Units are those of the log messages of ArduPilot. Axes forward, right, down
-are converted to forward, left, up.
+A message is a line such as ``IMU, 1234, 0, ...``. If a log has several instances of a sensor, one is read.
+Units are those of the log messages of ArduPilot. Axes forward, right, down are converted to forward, left,
+up.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from swimid.logs.foreign import Format, Options, Peek, Table, axes, choose, is_t
 from swimid.logs.kinematics import from_frd, with_angles
 from swimid.logs.log import TIME
 
-#: Column of the log for each field of a message.
+#: Column of the log for each field of a message of ArduPilot.
 FIELDS: dict[str, str] = {
     **axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz"),
     **axes("Acc{}", "a{}_m_s2", "XYZ", "xyz"),

@@ -1,4 +1,4 @@
-"""Readers of HDF5 (with h5py), MATLAB of any version (with pymatreader), and Parquet."""
+"""Readers of HDF5 (by h5py), of MATLAB files of any version (by pymatreader), and of Parquet."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
 
     with h5py.File(path, "r") as file:
         if file.userblock_size:
-            # MATLAB writes a text block before the HDF5 content
+            # MATLAB writes a block of text before the HDF5 content of its files.
             return _open_matlab(path, options, select)
         return of_tree(file, select, path, parts)
 
