@@ -32,7 +32,7 @@ SEARCH_PERIODS, N_OFFSETS = 0.6, 61
 INDEPENDENT_S = 1.0
 #: Minimum period of drift, s: in integrated turn rates, and in accelerations integrated twice.
 SLOW_TURN_S, SLOW_PATH_S = 10.0, 2.0
-#: Minimum fraction of the variance of one log that the other log must explain.
+#: Minimum fraction of the variance of one log that the other log must explain, for logs that move together.
 MIN_EXPLAINED = 0.2
 #: Minimum fraction of the samples of the other log in which a coordinate is measured.
 MIN_MEASURED = 0.1
@@ -57,7 +57,7 @@ class Offset:
     explained: float = np.nan
     #: Regression coefficients of the other log's channels on the reference channels, shape (k, d).
     factors: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    #: Rotation from body to sensor axes; None unless the other log has three angles.
+    #: Mounting of the sensor: rotation from body to sensor axes; None unless the other log has three angles.
     mount: Rotation | None = None
     #: Sign of the correlation between the rotations in the two logs: -1 if an axis is mirrored, 0 if unknown.
     handed: float = 0.0
@@ -220,7 +220,8 @@ def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
     duration = float(t[-1] - t[0])
     count = max(int(2 * duration / slow_s), 1) + 1
     basis = np.cos(np.pi * np.outer((t - t[0]) / max(duration, 1e-12), np.arange(count)))
-    # The cosines are nearly orthogonal. Therefore the fast normal equations are accurate.
+    # The cosines are nearly orthogonal. Therefore the normal equations, which are fast to solve, are accurate
+    # enough.
     gram = basis.T @ basis
     gram[np.diag_indices(count)] *= 1 + 1e-10
     return channels - basis @ np.linalg.solve(gram, basis.T @ channels)
@@ -294,7 +295,7 @@ def _by_path(record: Record, source: Source, poses: Poses) -> Offset | None:
 
 
 def _summed_turns(rotation: Rotation) -> Array:
-    """Return the cumulative sum of the rotations about body axes up to each attitude, rad, shape (m, 3)."""
+    """Return the sum of all rotations about body axes from the first attitude up to each one, rad, (m, 3)."""
     return np.vstack([np.zeros((1, 3)), np.cumsum(turns_of(rotation), axis=0)])
 
 

@@ -75,9 +75,9 @@ MAX_LASTING = 2.0
 MAX_HELD_OUT = 1.5
 #: Duration of a block of held-out fixes, s, and minimum number of held-out fixes.
 BLOCK_S, MIN_HELD_OUT = 0.5, 20
-#: Minimum difference between the mountings from rotations and from gravity that is reported, rad.
+#: Minimum angle between the mounting from rotations and the mounting from gravity that is reported, rad.
 MIN_MOUNT_CHANGE = 15 * DEG
-#: Median absolute value of normally distributed noise with a standard deviation of 1.
+#: Median of the absolute value of normally distributed noise with a standard deviation of 1.
 MEDIAN_SHARE = 0.6745
 #: Clock offset that is assumed before one is estimated.
 NO_OFFSET = Offset(0.0, 0.0, 0.0, 0.0)
@@ -85,25 +85,28 @@ NO_OFFSET = Offset(0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Fixes(Poses):
-    """Poses measured by another log (fixes), with their noise."""
+    """Fixes: poses that another log measured, with the noise of these measurements."""
 
-    #: Standard deviations of the three coordinates, m, and the three angles, rad, shape (6,).
+    #: Standard deviations of the noise of the fixes: three coordinates, m, and three angles, rad, shape (6,).
     noise: Array
     #: Weights of position and attitude of each pose, shape (m, 2). A weight is 1, or less for an outlier. The
     #: variance is divided by it.
     weight: Array
-    #: Flags of the poses that are within the record for every candidate clock offset, shape (m,). Only these
-    #: poses contribute to the log-likelihood.
+    #: Flags of the fixes that are within the recording for every candidate clock offset, shape (m,). Only
+    #: these fixes contribute to the log-likelihood.
     counted: Flags
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of coordinates and angles after weighting, shape (m, 6)."""
+        """Standard deviations of the coordinates and angles of each fix, shape (m, 6).
+
+        Those of outliers are enlarged by the weights.
+        """
         return np.asarray(self.noise / np.sqrt(np.repeat(self.weight, 3, axis=1)))
 
     @property
     def stray(self) -> Flags:
-        """Flags of positions and attitudes that are outliers, shape (m, 2)."""
+        """Flags of the fixes whose position, or whose attitude, is an outlier, shape (m, 2)."""
         return self.weight < 1
 
     def take(self, rows: Flags) -> Fixes:
@@ -147,7 +150,7 @@ class Estimate:
 
     @property
     def stray(self) -> int:
-        """Number of fixes with a residual above :data:`GATE`."""
+        """Number of fixes with a normalised residual above :data:`GATE`, which are outliers."""
         return int(np.sum(self.fixes.stray.any(axis=1)))
 
 
@@ -253,7 +256,7 @@ def smooth_alone(setup: Setup) -> Estimate:
 
 
 def _rests(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return observations of zero velocity at rests, and of the gyroscope bias in still periods.
+    """Return observations of zero velocity in rests, and of the gyroscope bias in still periods.
 
     The method is that of Skog et al. (2010).
     """
@@ -279,7 +282,9 @@ def _rests(setup: Setup, path: Nominal) -> list[Observation]:
 
 
 def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return observations of the attitude before smoothing, whose errors are correlated in time.
+    """Return observations of the attitude for the smoother, from the attitude before smoothing.
+
+    The errors of this attitude are correlated in time.
 
     The tilt of an attitude filter is wrong for some seconds while the body accelerates. The quaternions of a
     sensor may have the same rotation error throughout a log, so that all of them together count as one
@@ -317,7 +322,7 @@ def rest_nodes(rest: recording.Rest, path: Nominal) -> np.ndarray:
 
 
 def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
-    """Return a subset of the nodes, at least ``step_s`` apart."""
+    """Return a subset of the nodes of a path, with at least ``step_s`` between successive nodes."""
     times = path.node_s[nodes]
     marks = np.arange(times[0], times[-1] + 1e-9, step_s)
     return nodes[np.unique(np.clip(np.searchsorted(times, marks), 0, len(nodes) - 1))]
@@ -344,7 +349,7 @@ def _fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation
 
 
 def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Array, Array]:
-    """Return the measured minus the estimated poses within the time range of a path.
+    """Return the differences between the measured poses and a path, for the poses within its time range.
 
     Returns
     -------
@@ -387,7 +392,7 @@ def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Ar
 
 
 def _nearest(times: Array, when: Array) -> np.ndarray:
-    """Return, for each time in ``when``, the index of the nearest element of ``times``."""
+    """Return the index of the element of ``times`` that is nearest to each time in ``when``."""
     index = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
     return index - ((when - times[index - 1]) < (times[index] - when))
 
@@ -454,7 +459,7 @@ def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
 
 
 def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
-    """Return the largest difference between the motion in a rest and no motion, in standard deviations."""
+    """Return the largest deviation of the motion from standstill in a rest, in standard deviations."""
     record, path, errors = setup.record, smoothed.path, smoothed.errors
     nodes = rest_nodes(rest, path)
     if not len(nodes):
@@ -561,7 +566,7 @@ def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
 
 
 def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimate:
-    """Return the most likely estimate over the candidate clock offsets and synchronised clocks."""
+    """Return the estimate with the most likely clock offset, or with synchronised clocks."""
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
         found = _at_offset(setup, fixes, stated_s, held=True)
@@ -704,7 +709,7 @@ def _is_measured(fixes: Fixes, residual: Array) -> Flags:
 
 
 def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
-    """Return the fixes with noise and weights that are estimated from their residuals.
+    """Return a copy of the fixes with noise and weights that are estimated from their residuals.
 
     The noise follows from one step of expectation maximisation (Shumway and Stoffer 1982, sec. 3) over the
     fixes that are not outliers. The weight of an outlier decreases with the square of its residual (Cauchy).
@@ -785,7 +790,7 @@ def _hold_out(found: Estimate) -> dict[str, float] | None:
 
 
 def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
-    """Return whether the errors of held-out fixes are small enough to show that both logs move together."""
+    """Return whether the errors of held-out fixes are so small that the two logs move together."""
     if held_out is None or held_out["deviations"] > MAX_HELD_OUT:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]

@@ -29,7 +29,7 @@ Test = Callable[[Record], tuple[Record, Finding | None]]
 
 
 def repair(record: Record) -> tuple[Record, list[Finding]]:
-    """Return the record with every fault repaired, and the faults that were found.
+    """Repair every fault of a record that can be repaired; return the record and the faults found.
 
     Raises
     ------
@@ -56,7 +56,7 @@ WILD_RANGES, WINDOW = 30.0, 7
 #: Minimum length of a period with one value in a channel that counts as stuck, s and samples; and maximum
 #: fraction of the other samples with the same value.
 STUCK_S, STUCK_SAMPLES, STUCK_SHARE = 0.5, 25, 0.01
-#: Maximum fraction of stuck samples in a channel.
+#: Maximum fraction of samples in a channel that belong to stuck periods.
 MAX_STUCK = 0.3
 #: Minimum and maximum fraction of samples that repeat the previous one, for a logger that is faster than the
 #: sensor. A smaller fraction occurs by chance. A larger one means a recording without motion.
@@ -68,14 +68,15 @@ MAX_CLIPPED = 0.1
 LONG_STEP, MAX_STEP_S = 1.6, 2.0
 #: Minimum root-mean-square jitter of the time stamps for a warning, in sample times.
 MIN_JITTER = 0.05
-#: Maximum deviation of the norm of a quaternion from 1.
+#: Maximum deviation of the norm of a valid quaternion from 1.
 QUATERNION_TOL = 0.05
 
 
 def find_stamps(record: Record) -> tuple[Record, Finding | None]:
-    """Find time stamps that repeat or are out of order, and refuse a clock that jumps back and counts on.
+    """Find time stamps that repeat or are out of order, and repair them; refuse a clock that was reset.
 
-    The repaired record is in order of time and has the first sample of each repeated time stamp.
+    A clock was reset if it jumps back and counts on from there. The repaired record is in order of time and
+    has the first sample of each repeated time stamp.
     """
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
     row, late = order.reset_row, order.counts["late"]
@@ -97,7 +98,9 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
 def find_samples(
     name: str, is_bad: Callable[[Record, Array], Flags], max_share: float, text: str, hint: str | None = None
 ) -> Test:
-    """Return a test that interpolates bad samples, flags them, and refuses a channel with too many of them.
+    """Return a test that interpolates bad samples and flags them.
+
+    It refuses a recording with too many bad samples in a channel.
 
     Parameters
     ----------
@@ -160,7 +163,7 @@ def is_wild(_: Record, values: Array) -> Flags:
 
 
 def is_stuck(record: Record, values: Array) -> Flags:
-    """Return flags of samples of a channel that are in a long sequence of one value.
+    """Return flags of the samples of a channel that is stuck: it holds one value for a long time.
 
     A value that also occurs often outside of the sequence results from coarse rounding and is not flagged.
     """
@@ -179,7 +182,7 @@ def is_stuck(record: Record, values: Array) -> Flags:
 
 
 def is_repeated(record: Record, _: Array) -> Flags:
-    """Return flags of samples that repeat the previous one because the logger is faster than the sensor."""
+    """Return flags of samples that repeat the previous one, because the logger is faster than the sensor."""
     same = np.concatenate(([False], np.all(np.diff(record.channels, axis=0) == 0, axis=1)))
     return same & (MIN_REPEATED <= np.mean(same) <= MAX_REPEATED)
 
@@ -279,14 +282,15 @@ def find_jitter(record: Record) -> tuple[Record, Finding | None]:
 #: Maximum relative difference between the specific force at rest and g. Errors of the sensor's scale are some
 #: percent, and gliding adds some percent.
 GRAVITY_RTOL = 0.12
-#: Minimum magnitude of a specific force that includes gravity, in g.
+#: Minimum magnitude of the specific force in a recording from which gravity was not subtracted, in g.
 MIN_GRAVITY = 0.5
-#: Units of acceleration, in m/s^2. The nearest unit is chosen; mg and cm/s2 differ by 2 %.
+#: Units of acceleration that are recognised, in m/s^2. The unit nearest to the measured gravity is chosen; mg
+#: and cm/s2 differ by 2 %.
 UNITS = {"m/s2": 1.0, "g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
 #: Length of the windows in which the magnitude of the specific force is analysed, s.
 WINDOW_S = 0.5
 #: Length of the blocks over which the specific force is averaged, s, and number of blocks in a window. Over
-#: about a second, rotation changes the average more than acceleration does.
+#: about a second, rotation of the sensor changes the average more than acceleration does.
 BLOCK_S, BLOCKS = 0.3, 4
 #: Minimum and maximum number of windows in which turn rates are compared with the rotation of gravity, and
 #: minimum root-mean-square rotation of gravity in them, rad.
@@ -372,7 +376,7 @@ def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
 
 
 def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
-    """Return how much the averaged specific force, along world axes, changes for each arrangement of axes.
+    """Return the change of specific force along world axes for each arrangement of the gyroscope's axes.
 
     The arrangements are those of the gyroscope's axes, and the keys are the indices in :data:`ARRANGEMENTS`.
     The specific force is averaged over blocks. Its changes between the blocks of a window are those of the
@@ -470,7 +474,10 @@ def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
 
 
 def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
-    """Find quaternions of another convention by comparison with the gyroscope, and remove them."""
+    """Find quaternions whose convention is not the stated one, by comparison with the gyroscope.
+
+    Such quaternions are removed.
+    """
     off, stated = _quaternion_residuals(record), ("wxyz", "body-to-world")
     best = min(off, key=lambda convention: off[convention], default=stated)
     if best == stated or off[best] >= CLEAR_CONVENTION * off[stated]:

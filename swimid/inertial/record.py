@@ -76,7 +76,7 @@ class Record:
 
     @property
     def step_s(self) -> float:
-        """Median sample time, s."""
+        """Median time step of the record, s."""
         return float(np.median(np.diff(self.time_s)))
 
     @property
@@ -99,7 +99,7 @@ class Finding:
     #: Verdict on the fault. "handled": repaired, or suspected; "noted": reported only; "refuted": a column is
     #: wrong and is not used.
     verdict: Literal["handled", "noted", "refuted"]
-    #: Sentence that says what was found and what was done.
+    #: Sentence on the fault that was found and on its treatment.
     text: str
     #: Number of affected samples; 0 if the fault does not concern single samples.
     count: int = 0
@@ -139,7 +139,7 @@ class Poses:
     """Poses of the robot at m times according to another log, on the clock of that log."""
 
     time_s: Array
-    #: Position along world axes, m, shape (m, 3); NaN where not measured.
+    #: Positions along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
     #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.kinematics.angles`, shape (m, 3); NaN
     #: where not measured. A log has all three angles, or only yaw, or only pitch, or none. A row has all
@@ -344,7 +344,7 @@ WINDOW_S, MIN_REST_S = 0.5, 1.0
 #: Fraction of the windows of a recording that are assumed to be still. The maximum standard deviation among
 #: them is taken for the noise.
 NOISE_SHARE = 0.05
-#: Maximum standard deviation in a still window, in units of the noise.
+#: Maximum standard deviation of the readings in a still window, in units of the noise.
 NOISE_RATIO = 2.0
 #: Minimum thresholds between still and moving windows, which apply however low the noise is: standard
 #: deviation of the specific force, m/s^2, and of the turn rate, rad/s.
@@ -376,7 +376,7 @@ class Rest:
 
 
 def find_rests(record: Record) -> list[Rest]:
-    """Return the still periods of a record.
+    """Return the periods of a record in which the sensor does not move.
 
     A window is still if the standard deviations of specific force and turn rate are at most ``NOISE_RATIO``
     times those of the least moving 5 % of the record. In addition, its mean turn rate must be close to the
@@ -511,8 +511,7 @@ QUATERNIONS = "quaternion columns"
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
 #: Standard deviation of the mounting, rad: if it follows from gravity, and if the user states it.
 GRAVITY_MOUNT_SD, STATED_MOUNT_SD = 3 * DEG, 0.5 * DEG
-#: Maximum angle between the directions of gravity in two rests, rad, for rests that count as in the same
-#: attitude.
+#: Maximum angle between the directions of gravity in two rests that count as rests in the same attitude, rad.
 UPRIGHT = 45 * DEG
 #: Places of the still periods that count as rests of the robot, for each value of the option ``--rest``.
 REST_PLACES = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
@@ -535,11 +534,11 @@ class Source:
 class Mount:
     """Mounting of the sensor on the body."""
 
-    #: Rotation from body to sensor axes.
+    #: Mounting: rotation from body to sensor axes.
     rotation: Rotation
     #: Source of the mounting, as text: "given", "quaternions", "level at rest" or others.
     by: str
-    #: Unit vector opposite to gravity at rest, along sensor axes.
+    #: Unit vector opposite to gravity when the robot is at rest, along sensor axes.
     up: Array
     #: Standard deviation of the mounting, rad.
     sd: float = GRAVITY_MOUNT_SD
@@ -559,7 +558,7 @@ class Setup:
     source: Source
     #: Standard deviations of the errors of the sensor.
     sensor: Sensor = Sensor()
-    #: Function that is called after each smoothing, to show the progress.
+    #: Function that shows the progress and is called after each application of the smoother.
     advance: Callable[[], Any] = lambda: None
 
     @property

@@ -54,7 +54,7 @@ MOVING = 9
 CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
 #: Number of linearisations of the smoother. Biases and attitude converge in two.
 PASSES = 3
-#: Minimum time step that contains lost samples, in median sample times.
+#: Minimum time step of a record that counts as a loss of samples, in median sample times.
 LONG_STEP = 1.5
 #: Correlation time of the motion that interpolated samples hide, s, and correlation time of nonlinearity
 #: errors (half a stroke), s.
@@ -85,16 +85,16 @@ def jacobian(states: int, *shape: int, **by: Array) -> Array:
 
 @dataclass(frozen=True)
 class Observation:
-    """Measurement of m values that depend on the errors at one node."""
+    """Observation: measurement of m values that depend on the errors of a path at one node."""
 
     node: int
     #: Kind of the observation, such as "rest". Innovations are reported separately for each kind.
     kind: str
     #: Measured minus predicted values of the observation, shape (m,).
     residual: Array
-    #: Derivatives of the values with respect to the errors, shape (m, states).
+    #: Derivatives of the observed values with respect to the errors, shape (m, states).
     sensitivity: Array
-    #: Standard deviations of the independent noise of the values, shape (m,).
+    #: Standard deviations of the independent noise of the observed values, shape (m,).
     sd: Array
     #: Maximum innovation, in standard deviations. An observation with a larger innovation is an outlier and
     #: is not used.
@@ -108,9 +108,9 @@ class Observation:
 class Errors:
     """Errors of a path at its nodes, as the smoother estimates them."""
 
-    #: Means of the errors, shape (nodes, states).
+    #: Estimated means of the errors at the nodes, shape (nodes, states).
     mean: Array
-    #: Covariances of the errors, shape (nodes, states, states).
+    #: Covariances of the errors at the nodes, shape (nodes, states, states).
     covariance: Array
     #: Smoother gains, shape (nodes - 1, states, states). They relate the errors at successive nodes.
     gain: Array
@@ -118,7 +118,7 @@ class Errors:
     likelihood: float
     #: Normalised innovations for each kind of observation.
     scores: dict[str, list[Array]]
-    #: Number of observations that are outliers.
+    #: Number of observations that were left out as outliers.
     rejected: int
 
     @threadpool_limits.wrap(limits=1)
@@ -217,7 +217,7 @@ def smooth_errors(
 
 
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
-    """Return mean, covariance, normalised innovation and log-likelihood after an observation.
+    """Return mean and covariance of the errors after an observation, with its innovation and log-likelihood.
 
     An outlier leaves mean and covariance unchanged, and its innovation is None.
     """
@@ -302,7 +302,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class Nominal(State):
-    """Path at n samples about which the errors are estimated."""
+    """Path at n samples about which the errors are linearised and estimated."""
 
     time_s: Array
     #: Corrected specific force, sensor axes, m/s^2, shape (n, 3).
@@ -327,7 +327,7 @@ class Nominal(State):
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Corrected path with the covariance of its errors."""
+    """Path after the correction of its errors, with the covariance of the remaining errors."""
 
     path: Nominal
     #: Errors of the path that were estimated in the last linearisation.
@@ -345,7 +345,7 @@ class Smoothed:
 
 
 def gravity(tilt: Array) -> Array:
-    """Return gravity along world axes, m/s^2, shape (3,)."""
+    """Return the gravity vector along tilted world axes, m/s^2, shape (3,)."""
     return -recording.GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
@@ -432,7 +432,7 @@ def _with_readings(record: Record, path: Nominal) -> Nominal:
 
 
 def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Array:
-    """Return the covariance of the errors before any observation, shape (states, states)."""
+    """Return the initial covariance of the errors, before any observation, shape (states, states)."""
     sds = {
         **sd,
         "acceleration_bias": sensor.acceleration_bias_sd,
@@ -445,12 +445,13 @@ def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Arr
 
 
 def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
-    """Return the transition matrices of the steps between nodes, and their defects, shape (steps, 9).
+    """Return the transition matrices of the errors for the steps between nodes, and the defects of the path.
 
     The matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of
     GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, without the rotation of
-    the earth). A defect is the change of position, velocity and attitude in a step according to the samples,
-    minus the change of the path in this step. It is 0 for a path that was integrated from the samples.
+    the earth). The defects have the shape (steps, 9). A defect is the change of position, velocity and
+    attitude in a step according to the samples, minus the change of the path in this step. It is 0 for a path
+    that was integrated from the samples.
     """
     t, rows, states, turn = path.time_s, path.nodes, path.states, path.rotation.as_matrix()
     dt = np.diff(t[rows])[:, None]
@@ -460,7 +461,7 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
         return steps.reshape(-1, *values.shape[1:])
 
     def turn_by(readings: Array) -> Array:
-        """Return products of columns of the rotation matrix and components of readings.
+        """Return products of the columns of a rotation matrix and the components of readings.
 
         The index of the component of the readings varies fastest.
         """

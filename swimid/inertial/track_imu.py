@@ -136,7 +136,7 @@ class Run:
     setup: Setup
     findings: list[Finding]
     stroke: Rhythm | None
-    #: Stroke frequency in the metadata, Hz; None if absent.
+    #: Stroke frequency that the metadata state, Hz; None if absent.
     stated_hz: float | None
     cutoff_hz: float
     #: Estimated motion, with the surge velocity within a stroke (``surge``).
@@ -155,7 +155,7 @@ class Run:
 
     @property
     def by_paper(self) -> bool:
-        """Whether the method is that of :func:`compute_by_paper`, which has no standard deviations."""
+        """Whether the motion was computed by :func:`compute_by_paper`, which gives no standard deviations."""
         return self.setup.options.method == "paper"
 
     @property
@@ -296,7 +296,7 @@ def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOption
     record : Record
         Recording of n samples in body axes.
     rotation : Rotation
-        Attitude from body to earth, shape (n,): the inverse of ``M_e^f`` of the paper.
+        Attitude from body to earth, shape (n,): the inverse of ``M_e^f`` of Shang et al. (2012).
     options : TrackImuOptions
         Thresholds ("discarded", sec. 5.2) and motion mode. In the modes ``marching`` and ``receding`` the
         constant parts of all six channels are errors and gravity, and are subtracted. In the mode
@@ -432,7 +432,7 @@ def _rms(values: Array) -> float | None:
 
 
 def _largest(values: Any) -> float | None:
-    """Return the maximum of the finite values; None if there are none."""
+    """Return the maximum of the finite values of an array; None if there are none."""
     finite = np.asarray(values)[np.isfinite(values)]
     return float(finite.max()) if finite.size else None
 

@@ -30,7 +30,7 @@ MIN_CYCLES = 4.0
 #: number of cycles of a record for this test. In longer records the beat frequency varies, and the comparison
 #: of phases between windows is powerful enough.
 BAND, N_TAPERS, MAX_LINE_CYCLES = 3.0, 5, 30.0
-#: Fraction of a record at either end that is tapered before its spectrum is computed.
+#: Fraction of a record at its start, and at its end, that is tapered before the spectrum is computed.
 TAPERED_SHARE = 0.1
 #: Minimum fraction of samples of a record that are not missing, for the test for a spectral line.
 MIN_KNOWN_SHARE = 0.8
@@ -45,7 +45,7 @@ SAME_RTOL = 0.03
 #: Maximum number of windows of a record in the linear regression of the phase over time. The windows are
 #: spread over the record.
 MAX_WINDOWS = 120
-#: Minimum number of samples in a window of two cycles.
+#: Minimum number of samples in a window of two cycles to which a sine is fitted.
 MIN_SAMPLES = DRIFT_ORDER + 5
 #: Ridge that is added to the covariance of the phases to make it regular. The phase of a window is ignored if
 #: its amplitude, divided by the largest amplitude, is below the square root of this ridge.
@@ -59,7 +59,7 @@ PERIODIC_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Beat:
-    """Periodic component of a channel.
+    """Beat: periodic component of a channel, with its frequency, amplitude and errors.
 
     Attributes
     ----------
@@ -81,7 +81,10 @@ class Beat:
 
     @property
     def interval_hz(self) -> tuple[float, float]:
-        """95 % interval of the frequency, Hz, by Student's t with the number of cycles as sample size."""
+        """95 % interval of the beat frequency, Hz.
+
+        It is Student's interval with the number of cycles as sample size.
+        """
         from scipy import special
 
         half = float(special.stdtrit(max(self.cycles - WINDOW_CYCLES - 1.0, 1.0), 0.975)) * self.stderr_hz
@@ -283,7 +286,7 @@ def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
 
 
 def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list[float]:
-    """Return the peak frequencies of the spectra of a channel and of its first two derivatives."""
+    """Return the frequencies of spectral peaks in a channel and in its first two derivatives."""
     # The frequency grid begins below ``low``, so that the flank of the peak of a slower motion is not taken
     # for a peak.
     grid = np.arange(max(low - 3.0 / duration, 1.0 / duration), high, 0.1 / duration)
@@ -371,7 +374,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
 
 
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
-    """Return the probability that the amplitudes of noise in successive windows are as coherent as these."""
+    """Return the probability that noise has the observed coherence between successive windows, or more."""
     pairs = [(i, int(j)) for i, j in enumerate(np.searchsorted(time, time + width - 0.5 * hop))]
     pairs = [(i, j) for i, j in pairs if j < len(time) and abs(time[j] - time[i] - width) < 0.1 * hop]
     if len(pairs) < 2:
@@ -386,7 +389,10 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
 
 
 def _slepian_tapers(count: int) -> Array:
-    """Return the tapers most concentrated within :data:`BAND` cycles per record, shape (N_TAPERS, count)."""
+    """Return the tapers that concentrate a spectral line within :data:`BAND` cycles per record.
+
+    They are discrete prolate spheroidal sequences, shape (N_TAPERS, count).
+    """
     from scipy.linalg import eigh_tridiagonal
 
     k = np.arange(count)
@@ -427,7 +433,8 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
         left = float(np.sum(np.abs(tapered - line * sums) ** 2))
         best = max(best, (N_TAPERS - 1) * abs(line) ** 2 * float(sums @ sums) / max(left, 1e-300))
     best *= float(known.mean())
-    # p-value: survival function of the F distribution with 2 and 2 (N_TAPERS - 1) degrees of freedom
+    # The p-value is the survival function of the F distribution with 2 and 2 (N_TAPERS - 1) degrees of
+    # freedom.
     return float((1.0 + best / (N_TAPERS - 1)) ** (1 - N_TAPERS))
 
 
@@ -494,8 +501,8 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
     if np.ptp(steps) > 1e-3 * step:
         from scipy.signal import lombscargle
 
-        # scipy builds an array with one element per frequency and sample. Splitting the frequencies limits
-        # its size.
+        # The frequencies are split into blocks, because scipy builds an array with one element per frequency
+        # and sample.
         parts = np.array_split(2 * np.pi * grid, 1 + len(t) * len(grid) // 1_000_000)
         return np.concatenate([lombscargle(t, x, part) for part in parts])
     count = 1 << int(np.ceil(np.log2(20 * len(x))))
@@ -775,7 +782,7 @@ def _motions(
 
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
-    """Return whether the path makes one lap per period of a frequency."""
+    """Return whether the path of a track makes one lap per period of a given frequency."""
     axes = _coordinates(columns)
     if len(axes) < 2:
         return False
@@ -798,7 +805,7 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
 
 
 def _turns(angle: Array) -> float:
-    """Return the number of full rotations from the first to the last sample of an unwrapped angle."""
+    """Return by how many full rotations an unwrapped angle changes from its first to its last sample."""
     known = angle[np.isfinite(angle)]
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
@@ -921,10 +928,10 @@ def _unwrap(name: str, values: Array) -> Array:
 
 
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return times and samples of a channel at a rate of at most :data:`MAX_RATE_HZ`.
+    """Return the samples of a channel for the search for a beat, reduced to :data:`MAX_RATE_HZ` or less.
 
-    The samples are those of the longest segment without gaps, at even time steps. If that segment is too
-    short, all samples are returned.
+    The result holds times and samples. The samples are those of the longest segment without gaps, at even
+    time steps. If that segment is too short, all samples are returned.
     """
     time, even = longest_even(time_s, values, MAX_RATE_HZ)
     there = np.isfinite(values)
@@ -941,7 +948,7 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 # ---------------------------------------------------------------- course and heading
 
-#: Minimum number of windows in which the course is compared with the heading.
+#: Minimum number of time windows in which the course is compared with the heading.
 MIN_COURSE_WINDOWS = 8
 #: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
 #: 1995, JASA 90).

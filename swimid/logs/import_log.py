@@ -276,13 +276,16 @@ def _in_order(source: MappedLog) -> Order:
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
-    """Reduce all columns to the given rows, in place."""
+    """Reduce all columns of a log to the given rows, in place."""
     for name in columns:
         columns[name] = columns[name][rows]
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Return a doubt for each angle that oscillates over more than 180 degrees, which no joint can."""
+    """Return a doubt about each angle that oscillates with an amplitude above 180 degrees.
+
+    No joint of a robot can move so far.
+    """
     if stroke is None:
         return []
     text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
@@ -374,7 +377,7 @@ REFERENCES = [
 
 
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
-    """Return the evidence of an imported log."""
+    """Return the evidence of an imported log: checks, tables, figures and notices."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
     with recorded(repeat=True) as drawn:
         shown = figures_of([found.log], found=found.stroke)

@@ -167,15 +167,16 @@ MIN_SAMPLES = 6
 #: Conditions for a Strouhal number: minimum speed, body lengths per second, and maximum change of the heading
 #: from beat to beat, rad.
 MIN_SPEED_BL_S, MAX_TURN_IN_BEAT = 0.05, math.radians(15.0)
-#: Minimum turning rate, rad/s, for a turning radius of a robot that is not commanded to turn.
+#: Minimum turning rate, rad/s, for the computation of a turning radius. It applies to a robot that is not
+#: commanded to turn.
 MIN_TURNING_RATE = math.radians(2.0)
-#: Maximum change of the speed from beat to beat in a steady swim, divided by the speed.
+#: Maximum change of the speed from beat to beat in a swim that counts as steady, divided by the speed.
 UNSTEADY = 0.005
 #: Relative tolerance of the settling time: maximum deviation of the mean surge from its last value, divided
 #: by that value.
 SETTLED_RTOL = 0.05
-#: Maximum change of the course between successive blocks of a path, rad, for a correction of the speed for
-#: the curvature of the path.
+#: Maximum change of the course between successive blocks of a path, rad. If the course changes faster, the
+#: speed is not corrected for the curvature of the path.
 MAX_TURN_OF_COURSE = 1.0
 
 
@@ -200,12 +201,12 @@ class Window:
 
     @property
     def duration_s(self) -> float:
-        """Duration of the window, s."""
+        """Duration of the window of whole cycles, s."""
         return self.end_s - self.begin_s
 
     @property
     def edges_s(self) -> Array:
-        """Start of each cycle and end of the last one, s, shape (cycles + 1,)."""
+        """Times of the start of each cycle and of the end of the last one, s, shape (cycles + 1,)."""
         return np.linspace(self.begin_s, self.end_s, self.cycles + 1)
 
     def times(self) -> Array:
@@ -659,7 +660,7 @@ class _Blocks:
 
     @property
     def turn_round(self) -> bool:
-        """Whether the course makes at least one full rotation."""
+        """Whether the course of the track makes at least one full rotation."""
         course = np.unwrap(np.arctan2(self.velocity[1], self.velocity[0]))
         return len(course) > 1 and bool(abs(course[-1] - course[0]) >= 2.0 * np.pi)
 
@@ -720,8 +721,8 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
     stroke = _find_stroke(track, begin, end)
     blocks = _blocks(track, begin, end, stroke.period_s)
     advance = change = acceleration = across = frequency = None
-    # The speeds of blocks that are shorter than a slow stroke oscillate with this stroke, unless the slow
-    # motion is a lap.
+    # Speeds are computed unless a stroke is slower than the blocks, because the block speeds oscillate with
+    # it. A lap of the path is no such stroke.
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
         durations = np.full(len(blocks.speed), blocks.duration_s)
         advance = _not_negative(mean_of_blocks(blocks.speed, durations))
@@ -874,7 +875,7 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
 
 
 def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
-    """Return the mean amplitude of a sine fitted to successive strokes; None if it is not significant."""
+    """Return the mean amplitude of the sines fitted to successive strokes; None if it is not significant."""
     if not len(time):
         return None
     strokes = min(N_STROKES, float(time[-1] - time[0]) * frequency)

@@ -127,11 +127,11 @@ class Log:
 
     @property
     def name(self) -> str:
-        """Name of the file, or name of a log in memory."""
+        """Name of the log's file, or name of a log in memory."""
         return self.path.name
 
     def digest(self) -> str:
-        """Return the SHA-256 of the names and samples of the columns, as hexadecimal digits."""
+        """Return the SHA-256 of the names and samples of the log's columns, as hexadecimal digits."""
         digest = hashlib.sha256()
         for name, values in self.columns.items():
             digest.update(f"{name}\n".encode())
@@ -254,7 +254,7 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
 
 
 def written_by(metadata: Mapping[str, Any], program: str) -> bool:
-    """Return whether the metadata say that ``program`` (such as ``swimid track``) wrote the log."""
+    """Return whether the metadata of a log say that ``program`` (such as ``swimid track``) wrote it."""
     return str(metadata.get("made_by", "")).startswith(program)
 
 
@@ -398,14 +398,14 @@ def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict
 
 
 def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
-    """Yield the number and the text of each line after the header, without blank lines."""
+    """Yield the number and the text of each line of a file after its header, without blank lines."""
     with path.open("r", encoding="utf-8", errors="replace") as stream:
         lines = enumerate(stream, start=1)
         yield from ((at, line) for at, line in lines if at > header_line and line.strip())
 
 
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
-    """Raise an error at the first line that has more or fewer cells than the header."""
+    """Raise an error that names the first line with more or fewer cells than the header."""
     for at, line in _samples(path, header_line):
         cells = tabular.count_cells(line.rstrip("\n"))
         if cells != width:
@@ -576,10 +576,10 @@ def _printed(samples: NDArray[np.float64]) -> bytes:
 #: Maximum speed of a swimmer, m/s. Cavitation and muscle power limit it to 10 to 15 m/s. Iosilevskii, G.,
 #: Weihs, D. (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
 MAX_SPEED_M_S = 15.0
-#: Maximum usual turn rate, rad/s: about ten rotations per second, more than the fastest escape of a fish or a
-#: fin that beats through ±50 degrees at 10 Hz.
+#: Maximum usual turn rate, rad/s: about ten rotations per second. This is more than in the fastest escape of
+#: a fish, or of a fin that beats through ±50 degrees at 10 Hz.
 MAX_RATE_RAD_S = 60.0
-#: Maximum usual extent of a track, m. A tank, a pool and a field of view are smaller.
+#: Maximum usual extent of a track, m. Tanks, pools and fields of view are smaller.
 MAX_EXTENT_M = 100.0
 #: Minimum time step and minimum duration, s, of a record whose times are probably in milliseconds.
 MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
@@ -590,7 +590,7 @@ OUTLIER_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Doubt:
-    """Column with unusual values, and a text with the unit that would explain these values."""
+    """Doubt about a column: its unusual values, and the unit that would explain them."""
 
     column: str
     text: str
@@ -643,7 +643,7 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
 
 
 def _usual_rate(time_s: Array, values: Array) -> float:
-    """Return the rate of change that all but a fraction of :data:`OUTLIER_SHARE` of the samples stay below.
+    """Return the rate of change that only a fraction :data:`OUTLIER_SHARE` of the samples exceeds.
 
     The result is 0 if the record is too short.
     """

@@ -95,9 +95,9 @@ class Time(Stated):
     #: Column that holds the times, or several columns that form one time: date and time of day, or seconds
     #: and nanoseconds.
     source: ColumnKey | list[ColumnKey] | None = None
-    #: Column of frame numbers. The time is the frame number divided by the rate.
+    #: Key of the column that holds frame numbers. The time is the frame number divided by the rate.
     frame: ColumnKey | None = None
-    #: Unit of the source column, or a list with the unit of each source column.
+    #: Unit of the time column, or a list with the unit of each time column.
     unit: str | list[str] = "s"
     #: Rate of the rows or frames, Hz, or the name of a single number in the file that states this rate.
     rate_hz: PositiveFloat | str | None = None
@@ -133,19 +133,19 @@ class Time(Stated):
 
     @property
     def units_of_sources(self) -> list[str]:
-        """Unit of each column in ``sources``."""
+        """Unit of each column that holds the time, in the order of ``sources``."""
         if isinstance(self.unit, list):
             return self.unit
         return [self.unit] * len(self.sources)
 
 
 class Column(Stated):
-    """Mapping of one column: ``target = source * (factor of the unit) * factor + offset``."""
+    """Mapping of one column: ``target = source * (factor from the unit to SI) * factor + offset``."""
 
     source: ColumnKey
     target: str
-    #: Unit of the source, which is converted to the unit in the name of the target; ``1`` for a dimensionless
-    #: quantity.
+    #: Unit of the source column. Values are converted from it to the unit in the name of the target column.
+    #: The unit of a dimensionless quantity is ``1``.
     unit: str | None = None
     factor: float = 1.0
     #: Offset that is added, in the unit of the target column.
@@ -173,7 +173,7 @@ class Column(Stated):
 
 
 class Quaternion(Stated):
-    """Convention of the attitude quaternion in the file."""
+    """Convention of the quaternions in the file: order of the elements, and direction of the rotation."""
 
     order: Literal["wxyz", "xyzw"] = "wxyz"
     direction: Literal["body-to-world", "world-to-body"] = "body-to-world"
@@ -196,7 +196,7 @@ class Mapping(Stated):
     where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
-    #: Metadata that are added to the metadata of the file.
+    #: Metadata of the log that are added to those in the file.
     metadata: dict[str, str | float | int | bool | list[str | float | int]] = {}
 
     @model_validator(mode="after")
@@ -261,7 +261,7 @@ class MappedLog:
 
     @property
     def time_s(self) -> Array:
-        """Sample times as in the file, s, shape (n,)."""
+        """Sample times as they are in the file, s, shape (n,)."""
         return self.columns[TIME]
 
     def __len__(self) -> int:
@@ -671,7 +671,7 @@ def unwrapped(counts: NDArray[Any], period: float) -> Array:
 def _parsed(
     parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
 ) -> NDArray[Any]:
-    """Return cells of text as dates (``datetime64[ns]``), or as times of day in s."""
+    """Return cells of text converted to dates (``datetime64[ns]``), or to times of day in s."""
     import pandas as pd
 
     # Write whole numbers in a column next to a text column without a decimal point.
@@ -713,7 +713,7 @@ ODD_ROWS = {
 
 @dataclass(frozen=True)
 class Order:
-    """Order of the rows of a record by their times.
+    """Order of the rows of a record by their times, and numbers of rows that were left out or moved.
 
     Attributes
     ----------
@@ -819,7 +819,7 @@ class Draft(Result):
 
 
 def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:
-    """Draft the mapping of a foreign log.
+    """Draft a mapping that converts a foreign log to the log format.
 
     The draft states the values that follow from a profile, from the name of a column or from a stated unit.
     All other values are ``ASK``, with the first values of the column in a comment. A mapping with ``ASK`` is
@@ -909,7 +909,10 @@ def _of_names(table: Table) -> list[str]:
 
 
 def _line(key: str, value: Any, comment: str = "") -> str:
-    """Return a line of YAML, ``key: value   # comment``, or an item of a list if the key is a dash."""
+    """Return a line of YAML, ``key: value # comment``.
+
+    If the key is a dash, the line is an item of a list.
+    """
     text = _written(key, value)
     if isinstance(value, dict):
         entries = [f"{name}: {_written(name, v)}" for name, v in value.items() if v is not None]
@@ -1008,7 +1011,7 @@ def _unit_of_time(name: str, written: str | None) -> str:
 
 
 def _first(values: Any) -> str:
-    """Return the first three values of a column as text."""
+    """Return the first three values of a column as text, for a comment."""
     if values.dtype.kind == "f":
         return ", ".join(f"{value:.6g}" for value in values[:3])
     return ", ".join(str(value)[:30] for value in values[:3])

@@ -129,7 +129,8 @@ def _picture(path: Path) -> Path:
 
 #: Maximum number of channels in a figure. Further channels are only listed in the table.
 MAX_PANELS = 12
-#: Maximum number of shaded gaps in a panel, of spectra in a figure, and of arrows along a path.
+#: Maximum number of shaded gaps in a panel, maximum number of spectra in a figure, and maximum number of
+#: arrows along a path.
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
 
 
@@ -150,10 +151,10 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
 
 
 def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
-    """Return start and end, s, of each gap in a channel.
+    """Return start and end times, s, of each gap in a channel.
 
-    A gap is a run of NaN values, or a pause in the time stamps. ``after`` has the index of the last sample
-    before each pause.
+    A gap is a sequence of NaN values, or a pause in the time stamps. ``after`` has the index of the last
+    sample before each pause.
     """
     empty = np.isnan(values)
     blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
@@ -292,7 +293,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    """Return frequencies, Hz, and amplitudes of the longest gap-free part of a channel; None if too short."""
+    """Return the spectrum of a channel: frequencies, Hz, and amplitudes; None if it is too short."""
     even_s, even = longest_even(time, values, MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None

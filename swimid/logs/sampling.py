@@ -1,4 +1,4 @@
-"""Sampling of a record: rate, gaps, repeated samples, rounding, noise and derivatives."""
+"""Sampling of a record: rate and gaps of the time stamps, repeated samples, rounding, noise, derivatives."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ ON_GRID = 0.15
 UNIFORM_SHARE = 0.8
 #: Minimum root-mean-square jitter of the time steps, in sampling intervals, for a warning.
 NOTABLE_JITTER = 0.05
-#: Minimum ratio of neighbouring time steps in uneven sampling, the same in sampling in bursts, and minimum
-#: fraction of the steps with such a ratio. A single missing sample causes a ratio of 2.
+#: Limits for the judgement of the sampling: minimum ratio of neighbouring time steps in uneven sampling,
+#: minimum ratio in bursts, and minimum fraction of the steps that have such a ratio. A single missing sample
+#: causes a ratio of 2.
 UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
 #: Minimum number of time steps of a record whose sampling is judged. With fewer steps a missing sample cannot
 #: be distinguished from coarse rounding.
@@ -66,7 +67,7 @@ class Rate:
 
     @property
     def uniform(self) -> bool:
-        """Whether a constant rate describes the record."""
+        """Whether the record is sampled at a constant rate, apart from missing samples."""
         return self.on_grid >= UNIFORM_SHARE
 
 
@@ -117,7 +118,7 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
 
 @dataclass(frozen=True)
 class Piece:
-    """Part of a record, assigned to a grid of constant rate.
+    """Piece of a record whose samples are assigned to a time grid of constant rate.
 
     Attributes
     ----------
@@ -132,7 +133,7 @@ class Piece:
     rows: np.ndarray
 
     def take(self, column: np.ndarray) -> np.ndarray:
-        """Return a column of the record on the grid of this piece, shape (n,); NaN for missing samples."""
+        """Return a column of the record on the time grid of this piece, with NaN for missing samples."""
         return np.where(self.rows >= 0, np.asarray(column, dtype=float)[self.rows], np.nan)
 
 
@@ -333,7 +334,7 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
 
 
 def has_levels(values: np.ndarray) -> bool:
-    """Return whether a channel is constant or returns repeatedly to a few levels.
+    """Return whether a channel holds commanded levels: it is constant, or returns repeatedly to a few values.
 
     >>> has_levels(np.tile([0.0, 0.0, 1.0, 1.0, 2.0, 1.0], 50)), has_levels(np.sin(np.arange(300.0)))
     (True, False)
@@ -468,8 +469,8 @@ SET = re.compile(r"cmd.*|.*_sd(_.*)?|.*likelihood|.*confidence")
 #: sample. A channel with coarser rounding repeats values even while it moves.
 NEAR_ROUNDED = 0.2
 #: Maximum sum of the steps before and after a turning point of a smooth signal, relative to the sum of their
-#: magnitudes. The value is twice the largest of ``RATIOS``, because the mean of both steps is about equal to
-#: the step between them.
+#: magnitudes. The value is twice the largest of ``RATIOS``, because the mean of the two steps is about equal
+#: to the step between them.
 TURN = 2.0 * RATIOS[-1]
 
 
@@ -505,7 +506,7 @@ class Held:
 
 
 def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
-    """Find the samples that repeat the previous measurement.
+    """Find the samples of a sensor that repeat the previous measurement, in a log with a higher rate.
 
     Equal samples of a robot at rest, of a counter between its increments, and of a command with a few levels
     are not taken for repeats.
@@ -573,7 +574,7 @@ def may_freeze(name: str, values: Array) -> bool:
 
 
 def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
-    """Return the start and end, s, of the longest period over which each frozen channel holds one value.
+    """Return the longest period, by start and end in s, over which each frozen channel holds one value.
 
     A channel is frozen under two conditions. It holds one value more than :data:`LONG_HOLD` times as long as
     it usually does. In addition it jumps to or from that value, or stops suddenly while it moves. A robot

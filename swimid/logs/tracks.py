@@ -31,8 +31,8 @@ Flags = NDArray[np.bool_]
 #: Number of steps in the running median that gives the expected velocity, and in the running median that
 #: gives the usual deviation from it.
 WINDOW, WIDE = 11, 41
-#: Minimum deviation of an outlying step from the expected step, in median deviations. For Gaussian noise in a
-#: plane, six median deviations are seven standard deviations.
+#: Minimum deviation of a step that counts as outlying from the expected step, in median deviations. For
+#: Gaussian noise in a plane, six median deviations are seven standard deviations.
 OUTLYING = 6.0
 #: Minimum speed of an outlying step, divided by the speed of the fastest part of the track; and number of
 #: steps in the running median that gives this speed. A robot can be fast for several steps, but a jump and
@@ -382,7 +382,7 @@ def _fit_path(
 def speed(
     time_s: Array, positions: list[Array], cleaning: Cleaning, frequency_hz: float | None = None
 ) -> TrackSpeed | None:
-    """Return the mean speed of a cleaned track; None if no segment is long enough.
+    """Return the mean speed of a track after cleaning; None if no segment is long enough.
 
     Parameters
     ----------
@@ -525,7 +525,7 @@ class Logged(Result):
 
     @property
     def log(self) -> Log:
-        """The log, which any function that reads logs accepts."""
+        """Log of the result, which any function that reads logs accepts."""
         assert isinstance(self.document, Log)
         return self.document
 
@@ -565,7 +565,7 @@ class Logged(Result):
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
     def bare(self) -> Evidence:
-        """Return evidence for a log whose evidence file is missing."""
+        """Return evidence without checks, for a log whose evidence file is missing."""
         from swimid.logs import plot
 
         verdict = Verdict(level="caution", text="A log without evidence of how it was made.")

@@ -23,7 +23,7 @@ FORMAT = "swimid-trials/1"
 
 
 class Drive(yamlio.Document):
-    """Commanded tail beat in a free-swimming trial."""
+    """Drive of a free-swimming trial: the commanded tail beat."""
 
     waveform: Literal["sine", "hopf", "a-cpg"] = "sine"
     frequency_hz: PositiveFloat
@@ -238,7 +238,7 @@ class TrialSet:
 
     @property
     def ids(self) -> list[str]:
-        """Identifiers of the trials; empty for a cruise, which is one table."""
+        """Identifiers of the trials. The list is empty for a cruise, which is one table."""
         return [trial.id for trial in getattr(self.entries, "trials", [])]
 
     @classmethod
@@ -386,7 +386,7 @@ def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the path and the value of each key that a document sets to another value than the default."""
+    """Yield the path and the value of each key of a document that differs from its default."""
     for name in type(document).model_fields:
         value = getattr(document, name)
         if name not in document.model_fields_set or value == type(document).model_fields[name].default:
@@ -416,7 +416,7 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
 
 
 def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:
-    """Raise an error if two trials fit and hold out the same rows of a log; warn if both fit them.
+    """Raise an error if one trial fits rows of a log that the other holds out; warn if both fit them.
 
     Two adjacent trials may have one row in common.
 
@@ -445,5 +445,5 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
 
 
 def robot_of(trials: Trials, path: Path) -> robot_format.Robot:
-    """Return the robot of a trials file, by built-in name or by a path relative to the trials file."""
+    """Return the robot that a trials file names, by built-in name or by a path relative to the file."""
     return robot_format.read(trials.robot, path.parent)

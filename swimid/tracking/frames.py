@@ -101,7 +101,7 @@ def _opened(path: Path) -> cv2.VideoCapture:
 
 
 def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
-    """Yield the frames of a film. Each frame overwrites the previous one in memory."""
+    """Yield the frames that a decoder returns. Each frame overwrites the previous one in memory."""
     picture: Frame | None = None
     for position in itertools.count():
         ok, frame = capture.read(picture)
@@ -277,8 +277,8 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
 #: Fraction of the difference between the mean colour of a confident detection and the colour model by which
 #: the model moves.
 ADAPTATION = 0.12
-#: Maximum difference of the colour model from the setup: hue (OpenCV steps of 2 deg), saturation and value
-#: (both of 255).
+#: Maximum drift of a marker's colour model from the colours of the setup: hue (OpenCV steps of 2 deg),
+#: saturation and value (both of 255).
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
 #: Extension of the range of saturation and value in a colour model (of 255). Pixels in the extended range
 #: belong to the marker if they touch pixels in the original range.
@@ -459,7 +459,7 @@ def describe_colours(frames: list[Frame]) -> str:
 #: in the whole picture.
 STATUS = ("lost", "window", "grown", "full")
 LOST, WINDOW, GROWN, FULL = range(4)
-#: Status of a pose if the edge of the picture cuts one of its markers.
+#: Status of a pose for which the edge of the picture cuts a marker.
 CUT = "cut"
 #: Width of the surroundings of a blob that are measured, px. They contain its rim and its background.
 MARGIN = 8
@@ -479,7 +479,7 @@ class Blob:
     y: float
     #: Area of the patch in pixels of the picture.
     area: float
-    #: Left, top, right and bottom side of the bounding box. Right and bottom are exclusive.
+    #: Left, top, right and bottom side of the patch's bounding box, px. Right and bottom are exclusive.
     box: tuple[int, int, int, int]
     #: Difference between the mean colours of the patch and of its background, grey levels.
     contrast: float
@@ -498,20 +498,20 @@ class Blob:
 
     @property
     def radius(self) -> float:
-        """Half of the longer side of the bounding box, px."""
+        """Radius of the patch: half of the longer side of its bounding box, px."""
         return 0.5 * max(self.box[2] - self.box[0], self.box[3] - self.box[1])
 
 
 @dataclass(eq=False, slots=True)
 class Patch:
-    """Connected patch of a colour mask, before it is measured."""
+    """Connected patch of pixels in a colour mask, before it is measured."""
 
     #: Outline of the patch in pixels of the mask, shape (n, 1, 2).
     contour: NDArray[np.int32]
     #: Area of the patch in pixels of the picture.
     area: float
-    #: Left, top, right and bottom side of the bounding box in pixels of the mask. Right and bottom are
-    #: exclusive.
+    #: Left, top, right and bottom side of the patch's bounding box in pixels of the mask. Right and bottom
+    #: are exclusive.
     sides: tuple[int, int, int, int]
     #: Whether the border of the search window cuts the patch.
     clipped: bool
@@ -746,7 +746,7 @@ class RawTrack:
             return 0.0, 0.0
         area = self.area[i]
         usual = float(np.median(area[seen]))
-        # Detections with another area show only a part of the marker. The centre of this part moves if the
+        # Detections with an unusual area show only a part of the marker. The centre of this part moves if the
         # covered part changes. With this limit of the area, the centre of a bar 20 times as long as wide
         # moves by 0.6 radii if objects pass in front of it.
         whole = seen & (np.abs(area - usual) <= 0.15 * usual)
@@ -769,8 +769,8 @@ class RawTrack:
         front, rear = (np.stack(self.centre(row))[:, every] for row in (i, j))
         line = front - rear
         length = np.hypot(*line)
-        # If a distance is far from its median, one of the detections is false. An inclined camera changes the
-        # distance by less.
+        # If the distance between two markers is far from its median, one of the detections is false. An
+        # inclined camera changes the distance by less.
         sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
         ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
         return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None

@@ -38,7 +38,7 @@ from swimid.tracking.setup import Camera, Setup
 #: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes, for
 #: pictures of the same proportions. The ratios differ because sizes are rounded to even pixels.
 MAX_SCALE_DIFFERENCE = 0.02
-#: Minimum number of measurements in a segment.
+#: Minimum number of measurements in a segment of a track that is used.
 MIN_SEGMENT = 5
 #: Minimum standard deviation of the noise in the centre of a marker, px.
 MIN_NOISE_PX = 0.01
@@ -218,7 +218,7 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
                 "the calibration points map the picture to a world seen from its back: x, y as given, and "
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
-    # Markers above the plane appear farther from the point of the world below the camera.
+    # Seen by the camera, markers above the plane appear too far from the point below the camera.
     foot = _mapped(camera_centre[None], matrix)[0]
     nearer = np.array([[shrink, 0, (1 - shrink) * foot[0]], [0, shrink, (1 - shrink) * foot[1]], [0, 0, 1.0]])
     moved = tuple(nearer @ variant for variant in variants)
@@ -333,7 +333,7 @@ class Smoothed:
 
 @njit(cache=True)
 def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Return the transition matrix and the noise covariance of each step of a chain of integrators.
+    """Return transition matrix and noise covariance of a chain of integrators for each time step.
 
     Noise of power q drives the highest derivative. Entry (i, j) of the transition is dt^(j - i) / (j - i)!.
     """
@@ -424,7 +424,7 @@ def kalman(
 
 
 def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
-    """Smooth the output of :func:`kalman` by the method of Rauch, Tung and Striebel."""
+    """Return smoothed means and covariances from the output of :func:`kalman` (Rauch, Tung and Striebel)."""
     transitions, noises = _steps(times, q, order)
     moved = transitions @ covariances[:-1]
     gains = np.linalg.solve(moved @ transitions.mT + noises, moved).mT
@@ -497,7 +497,7 @@ def _smooth_piece(
 def _gap_factor(
     times: Array, row: Array, weights: Array, path: Array, length: int, noise: tuple[float, float, int]
 ) -> float:
-    """Return the factor by which the errors in a gap of ``length`` samples exceed their standard deviation.
+    """Return the factor by which errors in a gap of ``length`` samples exceed their standard deviation.
 
     The factor is at least 1. Measured segments of that length, with ``MARGIN`` known samples on each side,
     are left out, interpolated and compared with the path.
@@ -754,8 +754,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         raw_angle[~measured] = np.nan
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
-        # Both ends of a silhouette follow from one outline. Therefore its length does not show all errors of
-        # its direction.
+        # Both points on a silhouette follow from one outline. Therefore the distance between them does not
+        # show all errors of the heading.
         along = lasting if setup.markers[0].method == "background" else centroid[1]
         # The errors of partly hidden markers last as long as the markers are hidden.
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
@@ -766,7 +766,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     used = [head] if setup.places is None else rows
     path = _widened(path, lasting, hidden[used].max(axis=0) * pixel / TWO_SIDED)
     if angle is not None:
-        # An error of the heading moves the reference point across the lever.
+        # An error of the heading moves the reference point at right angles to the lever.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
         path = replace(
             _widened(path, across * angle.position_sd),
@@ -831,7 +831,8 @@ def _with_plane_error(
     if angle is None or separation is None:
         return path, angle
     line = float(np.nanmedian(separation)) * np.stack([np.cos(angle.position[0]), np.sin(angle.position[0])])
-    # The heading changes as one end of the line moves across it relative to the other end.
+    # If one end of the line between the markers moves across the line, relative to the other end, the heading
+    # changes.
     apart = (moved - plane.variations(path.position - line)) / np.nansum(line**2, axis=0)
     return path, _widened(angle, *(apart[:, 1] * line[0] - apart[:, 0] * line[1]))
 

@@ -83,7 +83,7 @@ class Marker(Document):
 
 
 class Heights(Document):
-    """Height of the camera and of the markers above the plane in which the scale was measured."""
+    """Heights of the camera and of the markers above the plane in which the scale was measured."""
 
     camera_m: _Positive
     marker_m: float

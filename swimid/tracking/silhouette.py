@@ -29,7 +29,7 @@ SCENE_FRAMES, WIDTH = 41, 960
 #: Minimum difference between a pixel of the body and the empty scene: in grey levels, and relative to the
 #: median difference in the frame.
 MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
-#: Default minimum and maximum area of the body, as fractions of the picture.
+#: Default limits of the area of the body, minimum and maximum, as fractions of the picture.
 AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
 
@@ -75,7 +75,7 @@ class Silhouette:
             self._allowed[top:bottom, left:right] = 0
 
     def step(self, time: float, frame: Frame) -> None:
-        """Find the body in the next frame."""
+        """Find the body in the next frame of the film, and store the detection."""
         self._times.append(time)
         self._rows.append(self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))))
 
@@ -99,8 +99,8 @@ class Silhouette:
         body = np.where(labels[y0 : bottom + 3, x0 : right + 3] == label, 255, 0).astype(np.uint8)
         core = cv2.erode(body, _KERNEL)
         contrast = float(np.median(difference[(core if core.any() else body) > 0]))
-        # Pixels of the rim are weighted by their difference from the scene. The inside has weight 1, also in
-        # the holes that reflections leave.
+        # Weight the pixels of the rim of the body by their difference from the scene. Pixels inside have
+        # weight 1, also in the holes that reflections leave.
         weight = np.clip(difference / (contrast / 2) - 0.5, 0, 1) * (cv2.dilate(body, _KERNEL) > 0)
         outlines, _ = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         m = cv2.moments(cv2.drawContours(weight, outlines, -1, 1.0, cv2.FILLED))

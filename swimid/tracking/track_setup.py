@@ -43,7 +43,7 @@ MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
 MOVING = 0.3
 #: Minimum score of a colour that is proposed as a marker, and maximum number of hues that are examined.
 MIN_SCORE, MAX_HUES = 0.02, 8
-#: Minimum score of a second marker relative to the first.
+#: Minimum score of a second proposed marker, relative to the score of the first.
 SECOND_SHARE = 0.25
 #: Maximum differences between the colour of a picked pixel and the colours of its patch that are tried, grey
 #: levels. The difference at which the patch grows least is used. Matas, J. et al. (2002), Robust wide
@@ -277,7 +277,8 @@ def _from_picks(
     markers = pick_markers(frame, kinds, path=video, index=options.frame)
     run = _try(video, _setup(markers, common), progress)
     if markers[0].number > 1:
-        # Equal markers may be on several bodies. Only a rigid pair gives a heading.
+        # Equal markers may belong to several bodies. The second marker gives a heading only if the pair is
+        # rigid.
         separation = distance_change(run.track, *run.setup.roles)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
@@ -332,7 +333,7 @@ class Samples:
     frames: list[Frame]
     #: Width of a pixel of a reduced frame in pixels of the picture.
     factor: float
-    #: Median of the frames, in which moving objects are absent.
+    #: Background: median of the frames, in which moving objects are absent.
     background: Frame
     #: Masks of the frames, with 255 for pixels that differ from the background.
     moving: list[NDArray[np.uint8]]
@@ -381,7 +382,7 @@ def sample(path: Path, *, step: Step) -> Samples:
 
 
 def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
-    """Return the colours that may be those of markers, best first, and the rejected colours.
+    """Return the colours in a film that may be those of markers, best first, and the rejected colours.
 
     Raises
     ------
@@ -428,7 +429,7 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
 
 
 def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange:
-    """Return the colour range of a marker with a given hue."""
+    """Return the colour range of a marker, from the pixels of a film and the hue of the marker."""
     offset = frames.hue_difference(hsv[:, 0].astype(float), peak)
     near = np.abs(offset) <= NEAR_HUE
     cluster = hsv[near].astype(float)

@@ -218,7 +218,7 @@ def _evaluate(
 
 
 def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
-    """Return the comment lines of the log: the film, and the reference point of the pose."""
+    """Return the metadata of the log: those of the film, and the reference point of the pose."""
     rules, video = run.setup, run.video
     head: dict[str, Any] = {
         "source": video.path.name,
@@ -434,7 +434,7 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
 
 
 def _motion(track: RawTrack, setup: Setup) -> ev.Check:
-    """Check that the marker with the largest range moves. A motionless object passes all other checks."""
+    """Check that at least one marker moves, because a motionless object passes all other checks."""
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
     # Compute the distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh
@@ -478,7 +478,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
 
 
 def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
-    """Check that the distance between two markers is constant and equal to that on the robot.
+    """Check that the distance between head and tail marker is constant and equal to that on the robot.
 
     The distance must be constant over time and position.
     """

@@ -64,7 +64,7 @@ class Target:
     #: appearance, because a marker cut by the edge of the picture may have any size.
     sights: int = 0
     whole: int = 0
-    #: Number of frames since the last detection.
+    #: Number of frames since the last detection of the marker.
     missed: int = 0
     #: Moving averages of prediction error, radius, area and contrast of the marker.
     innovation_px: float = 0.0
@@ -122,11 +122,11 @@ class Target:
         return (blob.x, blob.y, blob.area, confidence, blob.status, blob.at_edge, *blob.hsv)
 
     def prevails(self, target: Target) -> bool:
-        """Return whether this challenger of a target is the marker, and the target is not.
+        """Return whether this object is the marker, and the target that it challenges is not.
 
-        The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of both. A
-        challenger that does not move replaces only a target that was never seen whole. Example: a ladder put
-        into the pool is not the swimmer that has just left it.
+        The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of the two.
+        A challenger that does not move replaces only a target that was never seen whole. Example: a ladder
+        put into the pool is not the swimmer that has just left it.
         """
         if not target.whole:
             return self.whole >= MIN_RUN
@@ -138,8 +138,8 @@ class Target:
         if self.sights > 1 and error > 8 * self.radius + 40:
             self.vx = self.vy = 0.0  # if the marker is found again elsewhere, its velocity is unknown
         else:
-            # The second detection gives the velocity. Each later detection corrects the velocity by half of
-            # the difference.
+            # The second detection gives the velocity of the marker. Each later detection corrects it by half
+            # of the difference.
             gain, dt = max(0.5, 1.0 / self.sights), time - self.time
             self.vx += gain * (blob.x - x) / dt
             self.vy += gain * (blob.y - y) / dt
@@ -165,7 +165,7 @@ class Group:
 
     marker: Marker
     model: ColourModel
-    #: Minimum and maximum area of a marker, px.
+    #: Limits of the area of a marker, minimum and maximum, px.
     area_px: tuple[float, float]
     targets: list[Target]
     #: Objects of the same colour that are known not to be markers.
@@ -302,7 +302,7 @@ class Follower:
         return {target.name: target for group in self.groups for target in group.targets}
 
     def step(self, time: float, frame: Frame) -> None:
-        """Find every marker in the next frame."""
+        """Find every marker in the next frame of the film, and store the detections."""
         for group in self.groups:
             sights = self._follow(group, time, frame)
             for target in group.targets:
@@ -357,7 +357,8 @@ class Follower:
         seen = [blob for blob in measured if blob is not None and not self._is_ignored(blob.x, blob.y)]
         blobs = [blob for blob in seen if not is_among(blob, group.scenery)]
         if step > 1 and any(blob.at_edge for blob in blobs):
-            # On a coarse mask a marker that ends just before the edge looks cut.
+            # On a coarse mask, a marker that ends just before the edge of the window looks cut. Search again
+            # on all pixels.
             return self._search_window(group, frame, cx, cy, half)
         cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
         return blobs, None if cut is None else cut.box((x0, y0), step)
@@ -394,7 +395,7 @@ class Follower:
     # ------------------------------------------------------------ one colour in one frame
 
     def _follow(self, group: Group, time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blobs of the targets of one colour, by the names of the targets."""
+        """Return the blob of each target of one colour in a frame, by name of the target."""
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
         lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
@@ -424,7 +425,7 @@ class Follower:
         return [blob for blob in self._search_picture(group, frame, area) if is_new(blob, taken)]
 
     def _in_windows(self, group: Group, known: list[Target], time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blobs assigned to known targets, by name, from windows about predicted positions."""
+        """Return the blob of each known target, by name, from windows about predicted positions."""
         candidates: list[Blob] = []
         for target in known:
             if not target.missed or time - target.time <= self.setup.max_gap_s:
@@ -484,7 +485,7 @@ class Follower:
         return worst
 
     def _hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
-        """Return whether the target touches another missing marker of the same colour.
+        """Return whether a target touches another missing marker of the same colour.
 
         Then a search for the target is useless.
         """

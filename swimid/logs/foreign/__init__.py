@@ -112,7 +112,7 @@ def canonical(unit: str) -> str:
     >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
     ('m/s2', 'deg/s', 'uT', 'm/s')
     """
-    # NFKC converts "m/s²" to "m/s2", and both characters for micro to the same one
+    # Normalise the characters: NFKC converts "m/s²" to "m/s2", and both characters for micro to the same one.
     text = unicodedata.normalize("NFKC", unit.strip()).replace("μ", "u")
     text = re.sub(r"\*\*|\^", "", text)
     text = re.sub(r"[ *]s-2|/s/s", "/s2", re.sub(r"[ *]s-1", "/s", text))
@@ -177,7 +177,7 @@ class Options(yamlio.Document):
 
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
-    #: Whether a header line with column names precedes the samples.
+    #: Whether a header line with column names precedes the samples in a text file.
     header: bool | None = None
     #: Number of lines before the header, or before the samples if there is no header.
     skip_rows: Annotated[int, Field(ge=0)] | None = None
@@ -187,7 +187,7 @@ class Options(yamlio.Document):
     comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
-    #: Unit of lengths in a file that does not state a unit.
+    #: Unit of lengths, for a file that does not state one.
     length_unit: str | None = None
 
 
@@ -253,7 +253,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Peek:
-    """Beginning of a file, from which a profile recognises the format."""
+    """Beginning of a file. A profile recognises its format from it."""
 
     path: Path
     head: bytes
@@ -333,7 +333,7 @@ class Format:
 
 
 def is_text(values: NDArray[Any]) -> bool:
-    """Return whether a column holds text."""
+    """Return whether a column of a table holds text."""
     return values.dtype.kind in "USO"
 
 
@@ -515,7 +515,7 @@ def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, 
 
 @cache
 def formats() -> dict[str, Format]:
-    """Return all formats in the modules of this package, by name."""
+    """Return all file formats that the modules of this package define, by name."""
     objects: list[Any] = []
     for entry in pkgutil.iter_modules(__path__, f"{__name__}."):
         objects += vars(importlib.import_module(entry.name)).values()

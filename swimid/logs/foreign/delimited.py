@@ -37,7 +37,7 @@ _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 #: Exchange of characters that makes the decimal mark a point, for each decimal mark of a file.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-#: Pattern of a cell that belongs to a sample but is no plain number: a date or a time of day.
+#: Pattern of a cell in a line of samples that is not a plain number: a date or a time of day.
 _SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
 
@@ -147,7 +147,7 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
         # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
         above[-1] = [*above[-1], ""]
     levels: list[list[str]] = []
-    # If names repeat, the names in the line above complete them.
+    # If names repeat, complete them by the names in the line above.
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:
@@ -188,7 +188,7 @@ def _value(cell: str, decimal: str) -> float | None:
 
 
 def _first_sample(table: list[list[str]], width: int, decimal: str, options: Options) -> int | None:
-    """Return the index of the first line with samples; None if there is none."""
+    """Return the index of the first line of a file that holds samples; None if there is none."""
     if options.header is False:
         return 0
     for at, cells in enumerate(table):

@@ -21,7 +21,7 @@ _PER = {"": "", "v": "_s", "a": "_s2"}
 
 
 def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
-    """Return the number of header lines, the delimiter, and the cells of the last two header lines."""
+    """Return number of header lines, delimiter, and cells of the last two header lines; None if unknown."""
     is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
     height = 2 + is_multi
     if len(lines) <= height:

@@ -62,7 +62,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _topics(path: Path) -> dict[str, str]:
-    """Return the topics of a recording whose fields are known, by topic name without the instance."""
+    """Return the topics of PX4 in a recording, each with its name without the number of the instance."""
     return {topic: data.name for topic, data in _load(path)[1].items() if data.name in FIELDS}
 
 
