@@ -1,7 +1,8 @@
-"""Alignment of a sensor with another log: clock offset, mounting, and rotation between the two worlds.
+"""Alignment of an inertial sensor with another log of the trial, in time and in attitude.
 
-One log predicts the other by linear regression, up to slow drift. The clock offset is the one with the best
-prediction.
+The result is the clock offset, the mounting of the sensor, and the rotation between the world axes of the two
+logs. One log predicts the other by linear regression, up to slow drift. The clock offset is the one with the
+best prediction.
 """
 
 from __future__ import annotations
@@ -17,53 +18,55 @@ from swimid.inertial import record as recording
 from swimid.inertial.record import BAND, Array, Poses, Record, Source, integral, resampled, turns_of
 from swimid.logs.kinematics import angles
 
-#: Minimum number of samples for a comparison of two logs.
+#: Minimum number of common samples for a comparison of two logs.
 MIN_SAMPLES = 16
-#: Maximum sample time, in periods of the drift. With a longer one, motion cannot be distinguished from drift.
+#: Maximum sample time of a compared log, in periods of the drift. With a longer sample time, motion cannot be
+#: distinguished from drift.
 MAX_STEP = 0.2
-#: Minimum overlap of the two records, as a fraction of the shorter one.
+#: Minimum overlap of the two logs in time, as a fraction of the shorter log.
 MIN_OVERLAP = 0.3
-#: Half-width of the grid in which the clock offset is searched, in periods of the signal, and number of
+#: Half-width of the grid in which the clock offset is searched, in periods of the signal; and number of
 #: offsets in this grid.
 SEARCH_PERIODS, N_OFFSETS = 0.6, 61
-#: Maximum lag of correlated residuals, s. Residuals further apart are taken as independent.
+#: Maximum time between correlated residuals, s. Residuals further apart are taken as independent.
 INDEPENDENT_S = 1.0
-#: Minimum periods of drift, s: for integrated turn rates, and for accelerations integrated twice.
+#: Minimum period of drift, s: in integrated turn rates, and in accelerations integrated twice.
 SLOW_TURN_S, SLOW_PATH_S = 10.0, 2.0
-#: Minimum fraction of the variance of one log that the other log must explain.
+#: Minimum fraction of the variance of one log that the other log must explain, for logs that move together.
 MIN_EXPLAINED = 0.2
-#: Minimum fraction of samples in which a coordinate is measured.
+#: Minimum fraction of the samples of the other log in which a coordinate is measured.
 MIN_MEASURED = 0.1
-#: Length of the windows over which gravity is averaged, s, and minimum length of a window at the end.
+#: Length of the windows over which gravity is averaged, s, and minimum length of a window at the end of the
+#: log, s.
 GRAVITY_S, MIN_GRAVITY_S = 1.0, 0.5
-#: Minimum ratio of the smallest to the largest singular value of the correlation between rotations. Below it,
-#: a mirrored axis cannot be detected.
+#: Minimum ratio of the smallest to the largest singular value of the correlation between the rotations in two
+#: logs. Below this ratio a mirrored axis cannot be detected.
 MIN_SINGULAR = 0.02
 
 
 @dataclass(frozen=True)
 class Offset:
-    """Time to add to one log so that its clock agrees with that of the reference log."""
+    """Clock offset: time to add to one log so that its clock agrees with that of the reference log."""
 
     value_s: float
     stderr_s: float
-    #: Limits of the 95 % interval, s.
+    #: Limits of the 95 % interval of the offset, s.
     low_s: float
     high_s: float
-    #: Fraction of the variance of the compared channels, without drift, that the reference explains.
+    #: Fraction of the variance of the other log's channels, without drift, that the reference log explains.
     explained: float = np.nan
     #: Regression coefficients of the other log's channels on the reference channels, shape (k, d).
     factors: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    #: Rotation from body to sensor axes; None unless the other log has three angles.
+    #: Mounting of the sensor: rotation from body to sensor axes; None unless the other log has three angles.
     mount: Rotation | None = None
-    #: Sign of the correlation between the rotations in both logs: -1 if an axis is mirrored, 0 if unknown.
+    #: Sign of the correlation between the rotations in the two logs: -1 if an axis is mirrored, 0 if unknown.
     handed: float = 0.0
 
 
 def clock_offset(
     time_s: Array, reference: Array, seen_time_s: Array, seen: Array, *, slow_s: float = 5.0
 ) -> Offset | None:
-    """Estimate the offset between two clocks.
+    """Estimate the offset between the clocks of two logs of the same motion.
 
     Parameters
     ----------
@@ -75,7 +78,7 @@ def clock_offset(
         Channels of the other log: linear functions of the reference channels plus white noise and slow drift.
         NaN where missing.
     slow_s : float
-        Period above which a signal is drift, s. Drift is not compared.
+        Period above which a motion is taken for drift, s. Drift is not compared.
 
     Returns
     -------
@@ -117,7 +120,7 @@ def clock_offset(
 
 
 class _Profile:
-    """Log-likelihood of a clock offset, maximised over all other parameters."""
+    """Log-likelihood of a clock offset, maximised over all other parameters of the regression."""
 
     def __init__(self, t: Array, reference: Array, seen_t: Array, seen: Array, slow_s: float) -> None:
         self.t, self.reference = t, reference
@@ -131,7 +134,7 @@ class _Profile:
             self.period_s = 2 * np.pi * float(np.std(fast[:, lead])) / turning
 
     def correlate(self) -> float | None:
-        """Return the offset with the largest cross-correlation, summed over pairs of channels."""
+        """Return the clock offset with the largest cross-correlation, summed over pairs of channels."""
         from scipy import signal
 
         step = float(np.median(np.diff(self.seen_t)))
@@ -148,8 +151,8 @@ class _Profile:
             for one in a.T:
                 energy_a = np.maximum(signal.correlate(one**2, ones_b), 1e-3 * np.sum(one**2))
                 alike += signal.correlate(one, other) ** 2 / (energy_a * energy_b) / b.shape[1]
-        # score the gain in log-likelihood instead of the correlation, so that a short overlap does not win by
-        # chance
+        # Score the gain in log-likelihood instead of the correlation, so that a short overlap does not win by
+        # chance.
         score = -0.5 * overlap * np.log(1 - np.clip(alike, 0.0, 0.999))
         shifts = signal.correlation_lags(len(a), len(b)) * step + a_t[0] - b_t[0]
         allowed = overlap >= MIN_OVERLAP * min(len(a), len(b))
@@ -158,7 +161,10 @@ class _Profile:
         return float(shifts[allowed][np.argmax(score[allowed])])
 
     def fit(self, shift: float) -> tuple[Array, Array, Array, Array] | None:
-        """Return reference channels, other channels, regression coefficients and times in the overlap.
+        """Return the regression of the other log's channels on the reference channels at a clock offset.
+
+        The result holds the reference channels, the other channels, the regression coefficients and the times
+        in the overlap.
 
         The result is None if the overlap is too short.
         """
@@ -178,11 +184,11 @@ class _Profile:
             return -np.inf
         x, y, factors, _ = fitted
         variance = np.mean((y - x @ factors) ** 2, axis=0)
-        # scale the log-likelihood to the number of all samples, so that a smaller overlap has no advantage
+        # Scale the log-likelihood to the number of all samples, so that a smaller overlap has no advantage.
         return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(variance, 1e-30))))
 
     def offset(self, value: float) -> Offset | None:
-        """Return an offset with its standard error, s; None if that cannot be determined."""
+        """Return a clock offset with its standard error, s; None if the error cannot be determined."""
         tiny = 1e-3 * self.period_s
         here, after, before = (self.fit(shift) for shift in (value, value + tiny, value - tiny))
         if here is None or after is None or before is None:
@@ -192,8 +198,8 @@ class _Profile:
         x, y, factors, times = here
         residual = y - x @ factors
         slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
-        # remove the part of the slope that other parameters can reproduce: it has no information about the
-        # offset
+        # Remove the component of the slope that other parameters can reproduce, because it has no information
+        # about the offset.
         slope = slope - x @ np.linalg.lstsq(x, slope, rcond=1e-9)[0]
         variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
         information = float(np.sum(slope**2 / variance))
@@ -210,29 +216,32 @@ class _Profile:
 
 
 def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
-    """Return channels, shape (n, k), after subtraction of cosines with periods above ``slow_s``."""
+    """Return channels, shape (n, k), without drift: cosines with periods above ``slow_s`` are subtracted."""
     duration = float(t[-1] - t[0])
     count = max(int(2 * duration / slow_s), 1) + 1
     basis = np.cos(np.pi * np.outer((t - t[0]) / max(duration, 1e-12), np.arange(count)))
-    # the cosines are nearly orthogonal, so that the fast normal equations are accurate
+    # The cosines are nearly orthogonal. Therefore the normal equations, which are fast to solve, are accurate
+    # enough.
     gram = basis.T @ basis
     gram[np.diag_indices(count)] *= 1 + 1e-10
     return channels - basis @ np.linalg.solve(gram, basis.T @ channels)
 
 
 def _normal(channels: Array) -> Array:
-    """Return the channels that vary, scaled to a standard deviation of 1."""
+    """Return the channels that are not constant, scaled to a standard deviation of 1."""
     spread = np.std(channels, axis=0)
     return channels[:, spread > 0] / spread[spread > 0]
 
 
 def align(record: Record, source: Source, poses: Poses, stated_s: float | None = None) -> list[Offset]:
-    """Return the offsets by rotations and by the path, in order of increasing standard error.
+    """Return estimates of the clock offset, one from the rotations and one from the path.
+
+    The estimates are in order of increasing standard error.
 
     Parameters
     ----------
     stated_s : float, optional
-        Offset stated by the user, which replaces the others.
+        Offset that the user states. It replaces the estimates.
 
     Raises
     ------
@@ -286,12 +295,14 @@ def _by_path(record: Record, source: Source, poses: Poses) -> Offset | None:
 
 
 def _summed_turns(rotation: Rotation) -> Array:
-    """Return the cumulative sum of the rotations about body axes up to each attitude, rad, shape (m, 3)."""
+    """Return the sum of all rotations about body axes from the first attitude up to each one, rad, (m, 3)."""
     return np.vstack([np.zeros((1, 3)), np.cumsum(turns_of(rotation), axis=0)])
 
 
 def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
-    """Return the mounting (body to sensor) and the sign of the correlation between the rotations.
+    """Return the mounting of the sensor (rotation from body to sensor axes) from another log with attitudes.
+
+    The second value is the sign of the correlation between the rotations in the two logs.
 
     The mounting solves Wahba's problem (1965, doi:10.1137/1007077) by SVD (Markley 1988). The vectors are
     rotations about body axes and the direction of gravity. Gravity has the same weight as all rotations
@@ -303,8 +314,8 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     body = without_slow(when, _summed_turns(rotation), SLOW_TURN_S)
     turned = integral(t, record.rate - record.rate.mean(axis=0))
     sensor = without_slow(when, resampled(when, t, turned), SLOW_TURN_S)
-    # means of gravity over a window from each pose: in the sensor from the integral of specific force, in the
-    # body from the sum over poses
+    # Average gravity over a window from each pose: in sensor axes from the integral of specific force, in
+    # body axes from the sum over poses.
     last = np.clip(np.searchsorted(when, when + GRAVITY_S), 0, len(when) - 1)
     span, count = when[last] - when, np.maximum(last - np.arange(len(when)), 1)
     long = span > MIN_GRAVITY_S
@@ -322,7 +333,7 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
 
 
 def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotation) -> Rotation:
-    """Return the rotation from the world axes of the source to those of the other log.
+    """Return the rotation from the world axes of the attitude source to those of the other log.
 
     If the other log has a yaw, the rotation follows from its angles. Otherwise it is the rotation about the
     vertical that best aligns the path from the accelerations with the measured path.
@@ -346,7 +357,7 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
-        # a coordinate that the other log lacks is constant
+        # A coordinate that the other log lacks is constant.
         if len(rows) < MIN_SAMPLES or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
             return Rotation.identity()
         t = poses.time_s[rows]
@@ -358,7 +369,7 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
 
 
 def _fast_path(record: Record, source: Source) -> Array:
-    """Return accelerations integrated twice, along world axes, without drift slower than ``SLOW_PATH_S``."""
+    """Return accelerations along world axes, integrated twice, without drift slower than ``SLOW_PATH_S``."""
     force = source.rotation.apply(record.acceleration)
     path = integral(record.time_s, integral(record.time_s, force - force.mean(axis=0)))
     return without_slow(record.time_s, path, SLOW_PATH_S)

@@ -1,9 +1,9 @@
-"""Most likely motion of a recording, alone or together with another log of the trial.
+"""Most likely motion of an inertial recording, by itself or together with another log of the trial.
 
 The smoother uses rests and attitudes as observations. With another log, for instance of a camera, it also
-uses the poses in that log (fixes). Afterwards the motion is compared with rests and attitude: a rest implies
-a velocity of 0 and, through the accelerometer, a tilt; an attitude filter also gives the tilt. If the motion
-contradicts either by more than their uncertainty, no position or velocity is written.
+uses the poses in that log (fixes). Afterwards the motion is compared with rests and attitude. A rest implies
+a velocity of 0 and, through the accelerometer, a tilt. An attitude filter also gives the tilt. If the motion
+contradicts one of them by more than the uncertainty, no position or velocity is written.
 """
 
 from __future__ import annotations
@@ -24,141 +24,149 @@ from swimid.inertial.smoother import Nominal, Observation, Smoothed, State, cros
 from swimid.logs.kinematics import angles
 from swimid.logs.sampling import white_noise_sd
 
-#: Standard deviation, at the first sample, of the quantities that define the origin: position, m, and yaw,
-#: rad.
+#: Standard deviation of the position, m, and of the yaw, rad, at the first sample. They are small because the
+#: first sample defines the origin.
 ORIGIN_SD = 1e-6
 #: Standard deviation of roll and pitch at the first sample, rad.
 START_TILT_SD = 0.05
-#: Maximum number of rest periods that are excluded one by one. If the motion still contradicts the rest
-#: periods after that, all of them are excluded.
+#: Maximum number of rests that are excluded one by one. If the motion still contradicts the rests after that,
+#: all of them are excluded.
 MAX_SINGLE = 2
-#: Minimum increase in log-likelihood for replacing the stated class of sensor by another one: "strong"
+#: Minimum increase in log-likelihood by another class of sensor than the stated one, for its use: "strong"
 #: evidence (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572, sec. 3.2).
 MIN_GAIN = 3.0
 #: Standard deviations of the velocity, m/s, and turn rate, rad/s, of a robot at rest in drifting water.
 REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
-#: Correlation times of the attitude errors, s: minimum for quaternions, and value for a filter. Samples
-#: within this time count as one measurement.
+#: Correlation times of attitude errors, s: minimum for the quaternions of a sensor, and value for an attitude
+#: filter. Attitudes within this time count as one measurement.
 QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
-#: Maximum normalised residual, in standard deviations. Larger residuals are outliers.
+#: Maximum normalised residual of a fix, in standard deviations. Fixes with larger residuals are outliers.
 GATE = 6.0
-#: Interval between observations of velocity at rest, and between observations of attitude and top speed, s.
+#: Interval between observations of velocity at rest, s, and interval between observations of attitude and of
+#: the top speed, s.
 REST_STEP_S, STEP_S = 0.5, 1.0
-#: Standard deviations before any observation: lever, m; mounting from rotations, rad; tilt of the world of
-#: the other log, rad; offset of its clock, s.
+#: Standard deviations before any observation: lever from the sensor to the reference point, m; mounting from
+#: rotations, rad; tilt of the other log's world axes, rad; and offset of its clock, s.
 LEVER_SD, TURNS_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 6 * DEG, 2 * DEG, 0.05
-#: Standard deviations of a stated lever, m, and of a fixed clock offset, s.
+#: Standard deviations of a lever that the user states, m, and of a clock offset that is not estimated, s.
 STATED_LEVER_SD, HELD_CLOCK_SD = 1e-3, 1e-9
-#: Standard deviations at the first sample with another log: velocity, m/s; and yaw, rad, if the other log has
-#: a yaw and if it has none.
+#: Standard deviations at the first sample if there is another log: velocity, m/s; yaw, rad, if the other log
+#: has a yaw; and yaw, rad, if it has none.
 VELOCITY_SD, YAW_SD, FREE_YAW_SD = 1.0, 0.05, 0.2
-#: Standard deviation of the reference point about the plane of motion, m, if the other log is planar.
+#: Standard deviation of the reference point across the plane of motion, m, if the other log is planar.
 PLANE_SD = 0.05
 #: Minimum standard deviation of a fix, m and rad, and maximum of its first estimate, m and rad. The maximum
-#: is needed because the third differences of sparse fixes contain motion.
+#: is needed because the first estimate comes from third differences, and those of sparse fixes contain
+#: motion.
 MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
-#: Maximum number of noise iterations, and convergence tolerance of the logarithm of the standard deviations.
+#: Maximum number of iterations of the noise of the fixes, and convergence tolerance of the logarithm of their
+#: standard deviations.
 NOISE_STEPS, NOISE_TOL = 3, 0.1
-#: Maximum fraction of outliers among the fixes. With more outliers, a second path is estimated without
-#: rejecting them, and a warning is given.
+#: Maximum fraction of outliers among the fixes. With more outliers, a second path is estimated in which no
+#: fix counts as an outlier, and a warning is given.
 MAX_STRAY = 0.05
-#: Maximum fraction of outliers among the fixes. With more outliers, the motion is impossible.
+#: Maximum fraction of outliers among the fixes. With more outliers, the estimated motion counts as
+#: impossible.
 MAX_WRONG = 0.5
-#: Maximum factor by which correlated errors of the fixes widen the bands. A check fails for a larger factor.
-#: At this value four fixes count as one.
+#: Maximum factor by which correlated errors of the fixes widen the 95 % bands. A check fails for a larger
+#: factor. At this value four fixes count as one.
 MAX_LASTING = 2.0
-#: Maximum root-mean-square error of held-out fixes, in standard deviations.
+#: Maximum root-mean-square error of held-out fixes, in predicted standard deviations.
 MAX_HELD_OUT = 1.5
 #: Duration of a block of held-out fixes, s, and minimum number of held-out fixes.
 BLOCK_S, MIN_HELD_OUT = 0.5, 20
-#: Minimum difference between the mountings from rotations and from gravity that is reported, rad.
+#: Minimum angle between the mounting from rotations and the mounting from gravity that is reported, rad.
 MIN_MOUNT_CHANGE = 15 * DEG
-#: Median absolute value of normally distributed noise, divided by its standard deviation.
+#: Median of the absolute value of normally distributed noise with a standard deviation of 1.
 MEDIAN_SHARE = 0.6745
-#: Offset of a trial before it is estimated.
+#: Clock offset that is assumed before one is estimated.
 NO_OFFSET = Offset(0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Fixes(Poses):
-    """Poses measured by another log (fixes), with their noise."""
+    """Fixes: poses that another log measured, with the noise of these measurements."""
 
-    #: Standard deviations of the three coordinates, m, and the three angles, rad, shape (6,).
+    #: Standard deviations of the noise of the fixes: three coordinates, m, and three angles, rad, shape (6,).
     noise: Array
-    #: Weights of position and attitude, shape (m, 2). A weight is 1, or less for an outlier. It divides the
-    #: variance.
+    #: Weights of position and attitude of each pose, shape (m, 2). A weight is 1, or less for an outlier. The
+    #: variance is divided by it.
     weight: Array
-    #: Flags of the poses that are within the record for every candidate clock offset, shape (m,). Only these
-    #: poses contribute to the log-likelihood.
+    #: Flags of the fixes that are within the recording for every candidate clock offset, shape (m,). Only
+    #: these fixes contribute to the log-likelihood.
     counted: Flags
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of coordinates and angles after weighting, shape (m, 6)."""
+        """Standard deviations of the coordinates and angles of each fix, shape (m, 6).
+
+        Those of outliers are enlarged by the weights.
+        """
         return np.asarray(self.noise / np.sqrt(np.repeat(self.weight, 3, axis=1)))
 
     @property
     def stray(self) -> Flags:
-        """Flags of positions and attitudes that are outliers, shape (m, 2)."""
+        """Flags of the fixes whose position, or whose attitude, is an outlier, shape (m, 2)."""
         return self.weight < 1
 
     def take(self, rows: Flags) -> Fixes:
-        """Return the poses that are selected by ``rows``, flags of shape (m,)."""
+        """Return the fixes that are selected by ``rows``, flags of shape (m,)."""
         each = ("time_s", "position", "angles", "weight", "counted")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Most likely motion, with the rests that it assumes and with its relation to another log."""
+    """Estimate of a motion, with the rests that it assumes and with its relation to another log."""
 
-    #: Setup with the rests that were used. While both logs are smoothed, the attitude is that in the world of
-    #: the other log.
+    #: Setup with the rests that were used. While two logs are smoothed together, its attitude refers to the
+    #: world axes of the other log.
     setup: Setup
-    #: State at the first sample before any observation, and standard deviations of its parts.
+    #: State at the first sample before any observation, and standard deviations of its quantities.
     start: State
     sd: dict[str, Any]
     #: Poses in the other log, with their estimated noise and weights; None without another log.
     fixes: Fixes = None  # type: ignore[assignment]
-    #: Result of the last smoothing; None before the first.
+    #: Result of the last application of the smoother; None before the first.
     smoothed: Smoothed = None  # type: ignore[assignment]
     findings: Sequence[Finding] = ()
-    #: Reasons why the motion is impossible; empty if it is possible.
+    #: Reasons why the estimated motion is impossible; empty if it is possible.
     impossible: Sequence[str] = ()
-    #: Clock offset of the other log, and whether both logs have equal clocks. This is decided by the Bayesian
-    #: information criterion.
+    #: Clock offset of the other log, and whether the clocks of the two logs are synchronised. The Bayesian
+    #: information criterion decides between an offset and synchronised clocks.
     offset: Offset = NO_OFFSET
     agree: bool = False
-    #: Factor by which correlated errors of the fixes widen every band; 1 if the errors are independent.
+    #: Factor by which correlated errors of the fixes widen every 95 % band; 1 if the errors are independent.
     lasting: float = 1.0
-    #: ``fixes``, the number of held-out fixes, and ``deviations``, their root-mean-square error divided by
-    #: the predicted standard deviation. If it exceeds 1, it multiplies every band. None for too few fixes.
+    #: Number of held-out fixes (``fixes``), and their root-mean-square error divided by the predicted
+    #: standard deviation (``deviations``). If ``deviations`` exceeds 1, every band is multiplied by it. None
+    #: for too few fixes.
     held_out: dict[str, float] | None = None
 
     @property
     def likelihood(self) -> float:
-        """Log-likelihood of the observations."""
+        """Log-likelihood of the observations, as the smoother computes it."""
         return self.smoothed.errors.likelihood
 
     @property
     def stray(self) -> int:
-        """Number of fixes with a residual above :data:`GATE`."""
+        """Number of fixes with a normalised residual above :data:`GATE`, which are outliers."""
         return int(np.sum(self.fixes.stray.any(axis=1)))
 
 
 def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
-    """Estimate the motion, choose the error class of the sensor, and test every rest.
+    """Estimate the motion of a recording, choose the error class of the sensor, and test every rest.
 
-    With another log, equal clocks are compared with every offset that the alignment found. They are used
-    unless an offset clearly increases the likelihood of both logs. The bands are compared with the errors of
-    held-out fixes.
+    With another log, synchronised clocks are compared with every clock offset that the alignment found. The
+    clocks count as synchronised unless an offset clearly increases the likelihood of the two logs. The bands
+    are compared with the errors of held-out fixes.
 
     Raises
     ------
     NoTrustworthyResult
-        When the two logs do not move together.
+        The two logs do not move together.
     InputError
-        When the axes of one log are mirrored.
+        The axes of one log are mirrored.
     """
     if poses is not None:
         return _fused(setup, poses)
@@ -166,10 +174,12 @@ def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
 
 
 def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
-    """Return the motion with the rests that it does not contradict, with findings and contradictions.
+    """Return the estimate with those rests that the motion does not contradict.
 
-    If the motion contradicts a rest, the rest with the largest contradiction is excluded first, then the next
-    one, and finally all rests. Contradictions remain if they do not disappear without rests.
+    It also holds findings, and the contradictions that remain.
+
+    If the motion contradicts several rests, the rest with the largest contradiction is excluded first, then
+    the next one, and finally all rests. A contradiction remains if it does not disappear without rests.
     """
     used, found = setup, attempt(setup)
     first = found
@@ -198,7 +208,11 @@ def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
 
 
 def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> Estimate:
-    """Smooth with known noise, from the last result if any; the sensor is by default the last one."""
+    """Apply the smoother with known noise, and return the estimate with its result.
+
+    The iteration starts from the last result, if there is one. By default the sensor is that of the last
+    result.
+    """
     setup, last, fixes = found.setup, found.smoothed, found.fixes
     states = smoother.ALONE if fixes is None else smoother.FUSED
 
@@ -216,7 +230,10 @@ def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate
 
 
 def _most_likely_class(found: Estimate) -> Estimate:
-    """Return the motion with the class of sensor that makes the log more likely by ``MIN_GAIN``, if any."""
+    """Return the estimate for the class of sensor that makes the log most likely.
+
+    The class changes only if the log-likelihood increases by more than ``MIN_GAIN``.
+    """
     sensors = [sensor for sensor in recording.CLASSES.values() if sensor != found.smoothed.sensor]
     others = [_smooth(found, sensor) for sensor in sensors]
     best = max(others, key=lambda other: other.likelihood)
@@ -224,7 +241,10 @@ def _most_likely_class(found: Estimate) -> Estimate:
 
 
 def smooth_alone(setup: Setup) -> Estimate:
-    """Return the most likely motion without another log; the path starts at the origin of the world."""
+    """Return the most likely motion of a recording without another log.
+
+    The path starts at the origin of the world.
+    """
     stated = _smooth(_start(setup), setup.sensor, smoother.PASSES)
     best = _most_likely_class(stated)
     if best is stated:
@@ -236,7 +256,7 @@ def smooth_alone(setup: Setup) -> Estimate:
 
 
 def _rests(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return observations of zero velocity at rests, and of the gyroscope bias in still periods.
+    """Return observations of zero velocity in rests, and of the gyroscope bias in still periods.
 
     The method is that of Skog et al. (2010).
     """
@@ -262,7 +282,9 @@ def _rests(setup: Setup, path: Nominal) -> list[Observation]:
 
 
 def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return observations of the attitude before smoothing, whose errors are correlated in time.
+    """Return observations of the attitude for the smoother, from the attitude before smoothing.
+
+    The errors of this attitude are correlated in time.
 
     The tilt of an attitude filter is wrong for some seconds while the body accelerates. The quaternions of a
     sensor may have the same rotation error throughout a log, so that all of them together count as one
@@ -282,10 +304,10 @@ def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
 
 
 def _speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
-    """Return observations of velocity 0 with half of the top speed as standard deviation.
+    """Return observations that limit the speed of the robot to its top speed.
 
-    All these observations of a log together have the weight of a single one, so that a steady cruise is not
-    pulled to rest.
+    Each observation is a velocity of 0 with half of the top speed as standard deviation. All observations of
+    a log together have the weight of a single one, so that a steady cruise is not pulled to rest.
     """
     nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
     h = jacobian(path.states, 3, velocity=np.eye(3))
@@ -300,14 +322,14 @@ def rest_nodes(rest: recording.Rest, path: Nominal) -> np.ndarray:
 
 
 def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
-    """Return a subset of the nodes, at least ``step_s`` apart."""
+    """Return a subset of the nodes of a path, with at least ``step_s`` between successive nodes."""
     times = path.node_s[nodes]
     marks = np.arange(times[0], times[-1] + 1e-9, step_s)
     return nodes[np.unique(np.clip(np.searchsorted(times, marks), 0, len(nodes) - 1))]
 
 
 def _fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
-    """Return the observations of every pose within the time range of a path.
+    """Return the observations by all fixes of another log within the time range of a path.
 
     Parameters
     ----------
@@ -327,7 +349,7 @@ def _fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation
 
 
 def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Array, Array]:
-    """Return the measured minus the estimated poses within the time range of a path.
+    """Return the differences between the measured poses and a path, for the poses within its time range.
 
     Returns
     -------
@@ -370,13 +392,13 @@ def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Ar
 
 
 def _nearest(times: Array, when: Array) -> np.ndarray:
-    """Return, for each time in ``when``, the index of the nearest element of ``times``."""
+    """Return the index of the element of ``times`` that is nearest to each time in ``when``."""
     index = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
     return index - ((when - times[index - 1]) < (times[index] - when))
 
 
 def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Array]:
-    """Return measured minus estimated attitude and its derivative with respect to a small rotation.
+    """Return measured minus estimated attitude, and its derivative with respect to a small rotation.
 
     The difference has shape (k, 3), its derivative shape (k, 3, 3). If all three angles are measured, the
     difference is a small rotation about world axes. A single measured angle is compared as an angle, because
@@ -386,8 +408,8 @@ def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Ar
         return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(turns), 3, 3))
     off = np.column_stack(angles(measured)) - np.column_stack(angles(body))
     by_turn, pitch = recording.turn_to_angles(body), angles(body)[1][:, None]
-    # at a pitch other than 0, a rotation about the heading direction changes roll by 1/cos(pitch), and also
-    # yaw
+    # At a pitch other than 0, a rotation about the heading direction changes roll by 1/cos(pitch), and also
+    # changes yaw.
     by_turn[:, 0] /= np.maximum(np.cos(pitch), 0.1)
     by_turn[:, 2] -= np.sin(pitch) * by_turn[:, 0]
     return np.angle(np.exp(1j * off)), by_turn
@@ -397,7 +419,7 @@ def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Ar
 
 
 def find_contradictions(found: Estimate) -> list[str]:
-    """Return the contradictions of a motion with rests, attitude and most of the fixes, one sentence each."""
+    """Return one sentence for each contradiction of the motion with rests, attitude or most of the fixes."""
     setup, smoothed, fixes = found.setup, found.smoothed, found.fixes
     if not np.isfinite(smoothed.errors.mean).all():
         return ["the smoothing has no finite result"]
@@ -422,7 +444,10 @@ def find_contradictions(found: Estimate) -> list[str]:
 
 
 def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
-    """Return size and sentence of each contradiction with a rest by more than ``GATE``, and the rest."""
+    """Return each rest that the motion contradicts by more than ``GATE`` standard deviations.
+
+    Each entry holds the size of the contradiction, a sentence about it, and the rest.
+    """
     doubted = []
     for rest in found.setup.rests:
         size = _departure(found.setup, found.smoothed, rest)
@@ -434,7 +459,7 @@ def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
 
 
 def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
-    """Return the largest difference between the motion and a robot at rest, in standard deviations."""
+    """Return the largest deviation of the motion from standstill in a rest, in standard deviations."""
     record, path, errors = setup.record, smoothed.path, smoothed.errors
     nodes = rest_nodes(rest, path)
     if not len(nodes):
@@ -466,12 +491,13 @@ def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
 
 
 def _fused(setup: Setup, poses: Poses) -> Estimate:
-    """Align the two logs, and smooth both together."""
+    """Align the recording with another log, and estimate the motion from the two logs together."""
     refusal = None
     try:
         offsets = alignment.align(setup.record, setup.source, poses, setup.options.clock_offset_s)
     except NoTrustworthyResult as error:
-        # Fixes that are held out may still show that the logs move together with equal clocks.
+        # The alignment may fail although held-out fixes show that the logs move together with synchronised
+        # clocks.
         refusal, offsets = error, alignment.align(setup.record, setup.source, poses, 0.0)
     if offsets[0].handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
@@ -498,7 +524,7 @@ def _fused(setup: Setup, poses: Poses) -> Estimate:
 
 
 def _start_mount(setup: Setup, found: Offset) -> tuple[Setup, list[Finding]]:
-    """Return the setup with the initial mounting, and findings.
+    """Return the setup with the initial mounting of the sensor, and findings about the mounting.
 
     The mounting is the stated one. Otherwise it follows from the three angles of the other log or, if these
     are missing, from gravity.
@@ -514,10 +540,10 @@ def _start_mount(setup: Setup, found: Offset) -> tuple[Setup, list[Finding]]:
 
 
 def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
-    """Return the poses with a first estimate of their noise.
+    """Return the poses of another log as fixes, with a first estimate of their noise.
 
-    Only poses within the record for every candidate offset contribute to the log-likelihood, so that offsets
-    are compared on the same poses.
+    Only poses within the record for every candidate clock offset contribute to the log-likelihood. Thus the
+    offsets are compared on the same poses.
     """
     position = poses.position.copy()
     sd = np.array([white_noise_sd(position[:, k], MIN_SD_M) for k in range(3)])
@@ -540,7 +566,7 @@ def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
 
 
 def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimate:
-    """Return the most likely result, with its clock offset, and whether it assumes equal clocks."""
+    """Return the estimate with the most likely clock offset, or with synchronised clocks."""
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
         found = _at_offset(setup, fixes, stated_s, held=True)
@@ -551,8 +577,8 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
             starts.append(one)
     attempts = [_at_offset(setup, fixes, start.value_s, held=False) for start in starts]
     free = max(attempts, key=lambda found: found.likelihood)
-    # half of the penalty of the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136) for
-    # one additional parameter, the offset; equal clocks cannot be compared without common fixes
+    # Use half of the penalty of the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136)
+    # for one additional parameter, the offset. Synchronised clocks cannot be compared without common fixes.
     price = 0.5 * float(np.log(max(fixes.counted.sum(), 1)))
     if abs(free.smoothed.path.clock_s) <= BAND * CLOCK_SD:
         equal = _at_offset(setup, fixes, 0.0, held=True, after=free)
@@ -570,7 +596,9 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
 def _at_offset(
     setup: Setup, fixes: Fixes, offset_s: float, *, held: bool, after: Estimate | None = None
 ) -> Estimate:
-    """Smooth both logs, and estimate noise, weights and error class of the sensor from the residuals.
+    """Estimate the motion from the two logs at a clock offset, with noise, weights and error class.
+
+    Noise and weights of the fixes and the error class of the sensor are estimated from the residuals.
 
     Parameters
     ----------
@@ -587,20 +615,23 @@ def _at_offset(
         smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
         known = replace(after.fixes, weight=np.ones_like(after.fixes.weight))
         return _with_noise(replace(begun, fixes=known, smoothed=smoothed), noise_known=True)
-    # the effect of a clock offset depends on the velocity: the offset is fixed until the velocity is known
+    # The effect of a clock offset depends on the velocity. Therefore the offset is fixed until the velocity
+    # is known.
     fixed = replace(begun, sd={**begun.sd, "clock_s": HELD_CLOCK_SD})
     gated = replace(_smooth(fixed, setup.sensor, 2, GATE), sd=begun.sd)
     attempts = [_with_noise(gated)]
     if gated.smoothed.errors.rejected > MAX_STRAY * len(fixes.time_s):
-        # with many outliers, either the fixes or the path can be wrong: compare both assumptions
+        # With many outliers, either the fixes or the path can be wrong. Compare an estimate for each
+        # assumption.
         attempts.append(_with_noise(replace(_smooth(fixed, setup.sensor, 2), sd=begun.sd)))
     return max(attempts, key=lambda found: found.likelihood)
 
 
 def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, held: bool = True) -> Estimate:
-    """Return what is known before smoothing, with the setup in the world of the other log.
+    """Return the estimate before smoothing: initial state, its standard deviations, and fixes.
 
-    Without another log, the path starts at the origin of the world. If ``held``, the clock offset is fixed.
+    The setup is in the world axes of the other log. Without another log, the path starts at the origin of the
+    world. If ``held``, the clock offset is fixed.
     """
     source, place, velocity_sd = setup.source, np.zeros(3), VELOCITY_SD
     place_sd, yaw_sd = ORIGIN_SD, ORIGIN_SD
@@ -641,7 +672,7 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
 
 
 def _with_noise(found: Estimate, *, noise_known: bool = False) -> Estimate:
-    """Iterate noise, weights, error class of the sensor and motion until the noise converges."""
+    """Iterate noise and weights of the fixes, error class of the sensor and motion until convergence."""
     for step in range(NOISE_STEPS):
         fixes = last = found.fixes
         if step or not noise_known:
@@ -655,9 +686,11 @@ def _with_noise(found: Estimate, *, noise_known: bool = False) -> Estimate:
 
 
 def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
-    """Return residuals of coordinates and angles, and their variances due to the motion, each shape (m, 6).
+    """Return the residuals of the fixes, and the variances of the residuals due to the motion.
 
-    Elements are NaN where nothing was measured and for fixes outside of the record.
+    Each has one column for each coordinate and angle, shape (m, 6).
+
+    Residuals are NaN where nothing was measured, and for fixes outside of the record.
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
     index, nodes, off, by_error = _differences(fixes, smoothed.path)
@@ -667,7 +700,7 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
 
 
 def _is_measured(fixes: Fixes, residual: Array) -> Flags:
-    """Return flags of the residuals of measured values, shape (m, 6).
+    """Return flags of those residuals of the fixes that are of measured values, shape (m, 6).
 
     In a planar log, the coordinates across the plane are assumed and not measured.
     """
@@ -676,7 +709,7 @@ def _is_measured(fixes: Fixes, residual: Array) -> Flags:
 
 
 def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
-    """Return the fixes with noise and weights that are estimated from their residuals.
+    """Return a copy of the fixes with noise and weights that are estimated from their residuals.
 
     The noise follows from one step of expectation maximisation (Shumway and Stoffer 1982, sec. 3) over the
     fixes that are not outliers. The weight of an outlier decreases with the square of its residual (Cauchy).
@@ -697,7 +730,7 @@ def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) ->
 
 
 def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Array, Array]:
-    """Return the standard deviation of every column, shape (3,), and the weight of every row.
+    """Return the standard deviation of each column of residuals, shape (3,), and the weight of each row.
 
     The standard deviation of a column without values is NaN.
     """
@@ -709,7 +742,10 @@ def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Arra
 
 
 def _final_offset(smoothed: Smoothed) -> Offset:
-    """Return the final clock offset, with an interval that is widened if innovations are too large."""
+    """Return the clock offset that the smoother estimated, with its 95 % interval.
+
+    The interval is widened if the innovations exceed their standard deviations.
+    """
     scores = smoothed.errors.scores
     seen = [score for kind in ("position", "orientation") for score in scores.get(kind, ())]
     widening = 1.0
@@ -724,9 +760,11 @@ def _final_offset(smoothed: Smoothed) -> Offset:
 
 
 def _hold_out(found: Estimate) -> dict[str, float] | None:
-    """Predict every fourth block of fixes from the other blocks; return None for too few fixes.
+    """Predict every fourth block of fixes from the other blocks, and return the errors of the prediction.
 
-    A block lasts half a second, because neighbouring fixes would determine a single fix.
+    Return None for too few fixes.
+
+    A block lasts half a second, because a single held-out fix would be determined by its neighbours.
     """
     fixes = found.fixes
     block = np.floor((fixes.time_s - fixes.time_s[0]) / BLOCK_S).astype(int)
@@ -752,7 +790,7 @@ def _hold_out(found: Estimate) -> dict[str, float] | None:
 
 
 def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
-    """Return whether the errors of held-out fixes are small enough to show that both logs move together."""
+    """Return whether the errors of held-out fixes are so small that the two logs move together."""
     if held_out is None or held_out["deviations"] > MAX_HELD_OUT:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]
@@ -764,8 +802,8 @@ def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
 def _lasting_factor(found: Estimate) -> float:
     """Return the factor by which correlated errors of the fixes enlarge the standard error of their mean.
 
-    It is the square root of the integrated autocorrelation of the residuals. The sum ends before the first
-    autocorrelation that is not positive (initial sequence of Geyer 1992, doi:10.1214/ss/1177011137).
+    The factor is the square root of the integrated autocorrelation of the residuals. The sum ends before the
+    first autocorrelation that is not positive (initial sequence of Geyer 1992, doi:10.1214/ss/1177011137).
     """
     fixes = found.fixes
     residual, _ = _residuals(fixes, found.smoothed)

@@ -1,4 +1,4 @@
-"""The options of ``track imu``."""
+"""Options of the command ``track imu``."""
 
 from __future__ import annotations
 

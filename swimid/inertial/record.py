@@ -1,7 +1,7 @@
-"""Recordings of an inertial unit, and everything that is determined before the motion is estimated.
+"""Recording of an inertial unit, and the quantities that are known before the motion is estimated.
 
-That is the errors of the sensor, the rests, the noise, the mounting and the attitude. The module also reads
-the poses in another log of the same trial.
+These quantities are the errors of the sensor, the rests, the noise, the mounting and the attitude. The module
+also reads the poses in another log of the same trial.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from swimid.notices import Progress, warn
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Names of the columns of specific force, turn rate, both together, attitude (sensor to world) and magnetic
-#: field.
+#: Names of the columns of specific force, of turn rate, of the two together, of the attitude (sensor to
+#: world), and of the magnetic field.
 ACCELERATION = ("ax_m_s2", "ay_m_s2", "az_m_s2")
 RATE = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 CHANNELS = (*ACCELERATION, *RATE)
@@ -42,9 +42,9 @@ MAGNETIC = ("mx", "my", "mz")
 GRAVITY_M_S2 = 9.80665
 #: Minimum number of samples of a recording.
 MIN_SAMPLES = 64
-#: Maximum coordinate of a position, m. Larger values are codes for "no sample".
+#: Maximum magnitude of a coordinate, m. Larger values are codes for a missing sample.
 MAX_POSITION_M = 1e4
-#: Minimum number of samples and maximum sample time (s) of a track that is searched for jumps.
+#: Minimum number of samples, and maximum sample time, s, of a track that is searched for jumps.
 MIN_TRACK_SAMPLES, MAX_TRACK_STEP_S = 40, 0.25
 
 
@@ -60,10 +60,11 @@ class Record:
     quaternion: Array | None = None
     #: Magnetic field in any unit, shape (n, 3).
     magnetic: Array | None = None
-    #: Flags of interpolated samples of the accelerometer and of the gyroscope, shape (n, 2).
+    #: Flags of samples that are interpolated, with one column for the accelerometer and one for the
+    #: gyroscope, shape (n, 2).
     filled: Flags = field(default_factory=lambda: np.zeros((0, 2), dtype=bool))
     metadata: Mapping[str, Any] = field(default_factory=dict)
-    #: Name of the file in messages.
+    #: Name of the recording in messages.
     name: str = "the log"
 
     def __post_init__(self) -> None:
@@ -75,54 +76,54 @@ class Record:
 
     @property
     def step_s(self) -> float:
-        """Median sample time, s."""
+        """Median time step of the record, s."""
         return float(np.median(np.diff(self.time_s)))
 
     @property
     def channels(self) -> Array:
-        """Accelerations and turn rates in the order of :data:`CHANNELS`, shape (n, 6)."""
+        """Accelerations and turn rates as columns in the order of :data:`CHANNELS`, shape (n, 6)."""
         return np.hstack([self.acceleration, self.rate])
 
     def take(self, rows: Any) -> Record:
-        """Return the record with the rows selected by indices or flags."""
+        """Return a copy of the record with only the rows selected by indices or flags."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Fault that was found in a recording."""
+    """Fault that was found in a recording, and what was done about it."""
 
     #: Name of the fault, as in ``docs/imu.md``.
     fault: str
-    #: "handled": repaired, or suspected; "noted": reported only; "refuted": a column is wrong and is not
-    #: used.
+    #: Verdict on the fault. "handled": repaired, or suspected; "noted": reported only; "refuted": a column is
+    #: wrong and is not used.
     verdict: Literal["handled", "noted", "refuted"]
-    #: Sentence that says what was found and what was done.
+    #: Sentence on the fault that was found and on its treatment.
     text: str
     #: Number of affected samples; 0 if the fault does not concern single samples.
     count: int = 0
 
 
 def resampled(at_s: Array, time_s: Array, values: Array) -> Array:
-    """Return columns, shape (n, k), interpolated linearly to the times ``at_s``, shape (m, k)."""
+    """Return columns, shape (n, k), that are interpolated linearly to other times ``at_s``, shape (m, k)."""
     return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 
 def rotations(quaternion: Array) -> Rotation:
-    """Return the rotations given by quaternions (w, x, y, z), shape (n, 4)."""
+    """Return the rotations for quaternions (w, x, y, z), shape (n, 4)."""
     return Rotation.from_quat(quaternion, scalar_first=True)
 
 
 def turns_of(rotation: Rotation) -> Array:
-    """Return the rotation vectors from each attitude to the next about body axes, rad, shape (n - 1, 3)."""
+    """Return the rotation vector about body axes from each attitude to the next, rad, shape (n - 1, 3)."""
     return np.asarray((rotation[:-1].inv() * rotation[1:]).as_rotvec())
 
 
 def turn_to_angles(body: Rotation) -> Array:
-    """Return the derivatives of roll, pitch and yaw with respect to small rotations, shape (n, 3, 3).
+    """Return the derivatives of roll, pitch and yaw with respect to a small rotation, shape (n, 3, 3).
 
-    The rotations are about world axes, and the body is nearly level. Roll is then about the heading
+    The rotation is about world axes, and the body is nearly level. In this case roll is about the heading
     direction, pitch about starboard (nose up), and yaw about the vertical.
     """
     yaw = angles(body)[2]
@@ -135,29 +136,29 @@ def turn_to_angles(body: Rotation) -> Array:
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of the robot at m times in another log, on the clock of that log."""
+    """Poses of the robot at m times according to another log, on the clock of that log."""
 
     time_s: Array
-    #: Position along world axes, m, shape (m, 3); NaN where not measured.
+    #: Positions along world axes, m, shape (m, 3); NaN where not measured.
     position: Array
     #: Roll, pitch and yaw, rad, with the signs of :func:`swimid.logs.kinematics.angles`, shape (m, 3); NaN
-    #: where not measured. A log has all three, or only yaw, or only pitch, or none, and a row has all of them
-    #: or none.
+    #: where not measured. A log has all three angles, or only yaw, or only pitch, or none. A row has all
+    #: angles of its log or none.
     angles: Array
 
     @property
     def measured(self) -> Flags:
-        """Flags of the angles that were measured at any time, shape (3,)."""
+        """Flags of the angles that the other log measures at any time, shape (3,)."""
         return np.asarray(np.isfinite(self.angles).any(axis=0))
 
     @property
     def rotation(self) -> Rotation:
-        """Attitudes from body to world, with missing angles set to 0."""
+        """Rotations from body to world, with 0 for each missing angle."""
         return from_angles(*np.nan_to_num(self.angles).T)
 
     @property
     def turned(self) -> Flags:
-        """Flags of the rows in which all measured angles are known, shape (m,)."""
+        """Flags of the poses in which all measured angles are known, shape (m,)."""
         return np.asarray(np.isfinite(self.angles).any(axis=1))
 
 
@@ -167,7 +168,7 @@ class Poses:
 def read_record(
     given: Path | Log, rules: mapping.Mapping | None, named: Path, progress: Progress
 ) -> tuple[Record, list[str]]:
-    """Return a recording without repairing its faults, and notes on how it was read.
+    """Read a recording without repairing its faults; also return notes on the reading.
 
     Parameters
     ----------
@@ -175,13 +176,13 @@ def read_record(
     rules : Mapping or None
         Columns and units of a foreign log.
     named : path
-        File that defines the columns, for error messages: the mapping, or the recording itself.
+        File named in error messages about columns: the mapping, or the recording itself.
     progress : Progress
 
     Raises
     ------
     InputError
-        When the file or the mapping cannot be used, a column is missing, or the recording is too short.
+        The file or the mapping cannot be used, a column is missing, or the recording is too short.
     """
     path = path_of(given)
     mapped = mapping.apply(rules, given, progress=progress)
@@ -202,14 +203,14 @@ def read_record(
 
 
 def read_poses(read: Log) -> Poses:
-    """Return positions and angles in another log; interpolated samples count as missing.
+    """Return the poses in another log. Interpolated samples count as missing.
 
-    Measured columns (``x_raw_m``) are preferred to smoothed ones (``x_m``).
+    Measured positions (``x_raw_m``) are preferred to smoothed ones (``x_m``).
 
     Raises
     ------
     InputError
-        When the log has neither positions nor angles.
+        The log has neither positions nor angles.
     """
     bridged = np.zeros(len(read), dtype=bool)
     for name, value in (("found", 0), ("interpolated", 1)):
@@ -241,7 +242,7 @@ def read_poses(read: Log) -> Poses:
 
 
 def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
-    """Set samples of a dense track to NaN, in place, if they repeat a picture or jump."""
+    """Set poses of another log to NaN, in place, if they repeat a picture or jump; skip a sparse track."""
     wrong = (np.abs(position) > MAX_POSITION_M).any(axis=1)
     position[wrong] = np.nan
     repeated = np.zeros_like(wrong)
@@ -260,7 +261,7 @@ def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
 
 
 def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation:
-    """Return the attitude at every sample by integration of turn rates.
+    """Return the attitude at every sample, computed by integration of the turn rates.
 
     Parameters
     ----------
@@ -272,8 +273,8 @@ def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation
 
     Notes
     -----
-    Each step rotates by the trapezoidal integral of the rates plus the coning term ``(w0 x w1) dt^2 / 12``
-    (Bortz 1971, doi:10.1109/TAES.1971.310252, for rates that change linearly).
+    The rotation in each step is the trapezoidal integral of the rates plus the coning term ``(w0 x w1) dt^2 /
+    12`` (Bortz 1971, doi:10.1109/TAES.1971.310252, for rates that change linearly).
     """
     dt = np.diff(time_s)[:, None]
     turn = 0.5 * (rate[1:] + rate[:-1]) * dt + np.cross(rate[:-1], rate[1:]) * dt**2 / 12
@@ -282,7 +283,7 @@ def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation
 
 
 def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
-    """Return the trapezoidal integral of every column from the first sample, shape (n, d).
+    """Return the trapezoidal integral of every column over time, from the first sample, shape (n, d).
 
     The formulas are Eqs 12 and 13 of Shang et al. (2012), with the actual time steps between samples.
     """
@@ -292,7 +293,7 @@ def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
 # ---------------------------------------------------------------- sensor errors
 
 
-#: Conversion factors: 1 mg in m/s^2, and 1 degree in rad.
+#: Conversion factors of units: 1 mg in m/s^2, and 1 degree in rad.
 MILLI_G = 1e-3 * GRAVITY_M_S2
 DEG = np.pi / 180
 #: Half-width of a 95 % interval, in standard deviations.
@@ -301,65 +302,68 @@ BAND = 1.96
 
 @dataclass(frozen=True)
 class Sensor:
-    """Standard deviations of the errors of an inertial unit. The defaults are those of the 3DM-GX1."""
+    """Standard deviations of the errors of an inertial unit. The default values are those of the 3DM-GX1."""
 
-    #: Bias before any calibration, m/s^2 and rad/s.
+    #: Standard deviations of the biases before any calibration, m/s^2 and rad/s.
     acceleration_bias_sd: float = 10 * MILLI_G
     rate_bias_sd: float = 1.0 * DEG
-    #: Change of a bias in :data:`DRIFT_TIME_S`, m/s^2 and rad/s: 0.2 mg ("short-term stability", Table I of
-    #: Shang et al. 2012) and 0.02 deg/s.
+    #: Standard deviations of the change of a bias in :data:`DRIFT_TIME_S`, m/s^2 and rad/s: 0.2 mg
+    #: ("short-term stability", Table I of Shang et al. 2012) and 0.02 deg/s.
     acceleration_drift: float = 0.2 * MILLI_G
     rate_drift: float = 0.02 * DEG
-    #: Relative error of scale and alignment of accelerometer and gyroscope.
+    #: Standard deviation of the relative errors of scale and alignment, for accelerometer and gyroscope.
     scale_sd: float = 0.005
-    #: Relative change of the scale over the range of motion (nonlinearity) of accelerometer and gyroscope.
+    #: Relative change of the scale over the range of motion (nonlinearity), for accelerometer and gyroscope.
     bending_sd: float = 0.002
 
 
-#: Errors of chips as soldered: limits of their data sheets divided by sqrt(3) (uniform distribution). The
-#: chips are InvenSense MPU-6050 (PS-MPU-6000A rev. 3.4, sec. 6.1 and 6.2: +-50 mg, +-20 deg/s, scale +-3 %,
-#: cross-axis +-2 %), ICM-20948 (DS-000189: +-50 mg on a board, +-5 deg/s, +-1.5 %), Bosch BMI160 (+-40 mg,
-#: +-3 deg/s), and ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, these chips have biases as constant as
-#: those of better units.
+#: Errors of sensor chips that are not calibrated after soldering: limits of their data sheets divided by
+#: sqrt(3) (uniform distribution). The chips are InvenSense MPU-6050 (PS-MPU-6000A rev. 3.4, sec. 6.1 and 6.2:
+#: +-50 mg, +-20 deg/s, scale +-3 %, cross-axis +-2 %), ICM-20948 (DS-000189: +-50 mg on a board, +-5 deg/s,
+#: +-1.5 %), Bosch BMI160 (+-40 mg, +-3 deg/s), and ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, these
+#: chips have biases as constant as those of better units.
 CHIP = Sensor(30 * MILLI_G, 5.0 * DEG, scale_sd=0.015)
-#: Classes of sensors that a recording can show, in addition to the default. A chip warms up by ten degrees in
-#: five minutes, and its biases change by 0.5 mg and 0.16 deg/s per degree (MPU-6050: +-35 mg over 70 degrees,
-#: +-20 deg/s over 125 degrees). The values are the changes in 100 s.
+#: Error classes of sensors, one of which is chosen if it explains a recording better than the default. A chip
+#: warms up by ten degrees in five minutes, and its biases change by 0.5 mg and 0.16 deg/s per degree
+#: (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125 degrees). The values are the changes in 100 s.
 CLASSES = {
     "a consumer's chip (biases of 30 mg, scales off by 1.5 %)": CHIP,
     "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)": (
         replace(CHIP, acceleration_drift=1.7 * MILLI_G, rate_drift=0.5 * DEG)
     ),
 }
-#: Time over which the drift of a bias is stated, s.
+#: Time to which the stated drift of a bias refers, s.
 DRIFT_TIME_S = 100.0
 
 
 # ---------------------------------------------------------------- still periods
 
 
-#: Length of the windows in which motion is detected, and minimum length of a still period, s.
+#: Length of the windows in which motion is detected, s, and minimum length of a still period, s.
 WINDOW_S, MIN_REST_S = 0.5, 1.0
-#: Fraction of the windows that are assumed to be still. The maximum standard deviation among them is the
-#: noise.
+#: Fraction of the windows of a recording that are assumed to be still. The maximum standard deviation among
+#: them is taken for the noise.
 NOISE_SHARE = 0.05
-#: Maximum standard deviation in a still window, in units of the noise.
+#: Maximum standard deviation of the readings in a still window, in units of the noise.
 NOISE_RATIO = 2.0
-#: Minimum values of the threshold between still and moving windows, however low the noise is: standard
-#: deviations of the specific force, m/s^2, and of the turn rate, rad/s.
+#: Minimum thresholds between still and moving windows, which apply however low the noise is: standard
+#: deviation of the specific force, m/s^2, and of the turn rate, rad/s.
 MIN_MOTION_ACCELERATION, MIN_MOTION_RATE = 0.03, 0.01
 #: Maximum standard deviations of the readings of a sensor at rest, m/s^2 and rad/s.
 MAX_REST_ACCELERATION, MAX_REST_RATE = 0.25, 0.05
 #: Maximum mean turn rate shown by a gyroscope at rest, rad/s: 20 deg/s on each axis (InvenSense MPU-6050).
 MAX_STILL_RATE = 20 * np.sqrt(3) * DEG
-#: Fraction of a recording at each end. A still period within the first fraction is at the "start", and one
-#: within the last fraction at the "end".
+#: Fraction of a recording that counts as its start, and as its end. A still period within the first fraction
+#: is at the "start", and one within the last fraction at the "end".
 EDGE_SHARE = 0.02
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Still period from row ``first`` to ``last`` (exclusive), at the "start", at the "end" or "between"."""
+    """Still period in a record, from row ``first`` to ``last`` (exclusive).
+
+    Its place is at the "start", at the "end" or "between".
+    """
 
     first: int
     last: int
@@ -367,16 +371,16 @@ class Rest:
 
     @property
     def rows(self) -> slice:
-        """Rows of the still period in the record."""
+        """Rows of the record that belong to the still period."""
         return slice(self.first, self.last)
 
 
 def find_rests(record: Record) -> list[Rest]:
-    """Return the still periods of a record.
+    """Return the periods of a record in which the sensor does not move.
 
     A window is still if the standard deviations of specific force and turn rate are at most ``NOISE_RATIO``
-    times those of the least moving 5 % of the record, and if its mean turn rate is close to the median of
-    such windows.
+    times those of the least moving 5 % of the record. In addition, its mean turn rate must be close to the
+    median of such windows.
 
     Notes
     -----
@@ -396,7 +400,7 @@ def find_rests(record: Record) -> list[Rest]:
     off = np.linalg.norm(mean_rate - np.median(mean_rate[steady], axis=0), axis=1)
     rests = []
     for first, last in runs(steady & (off <= limits[1])).tolist():
-        # the outer half of a window at the edge of a still period may contain motion
+        # The outer half of a window at either end of a still period may contain motion.
         begin = first + size // 2 * (first > 0)
         end = last - size // 2 * (last < len(record))
         if end - begin >= 4 and record.time_s[end - 1] - record.time_s[begin] >= MIN_REST_S:
@@ -407,28 +411,28 @@ def find_rests(record: Record) -> list[Rest]:
 def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
     """Return the mean acceleration in each still period, shape (periods, 3).
 
-    Without still periods it is the mean over the whole record.
+    Without still periods the result is the mean over the whole record.
     """
     parts = [record.acceleration[r.rows] for r in rests] or [record.acceleration]
     return np.array([part.mean(axis=0) for part in parts])
 
 
 def mean_rate(record: Record, rests: list[Rest]) -> Array:
-    """Return the median of the mean turn rates in still periods, rad/s, shape (3,); 0 without any."""
+    """Return the median over the still periods of the mean turn rate, rad/s, shape (3,); 0 without any."""
     if not rests:
         return np.zeros(3)
     return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))
 
 
 def _declared(record: Record, windows: Sequence[tuple[float, float]]) -> list[Rest]:
-    """Return the rests that the user states by their times, s.
+    """Return the rests of the robot that the user states by start and end times, s.
 
     Raises
     ------
     UsageError
-        When a stated rest does not end after it begins.
+        A stated rest does not end after it begins.
     InputError
-        When the sensor rotates in a stated rest.
+        The sensor rotates in a stated rest.
     """
     rests = []
     for start, end in windows:
@@ -455,22 +459,23 @@ def _rest(record: Record, first: int, last: int) -> Rest:
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise of the sensor."""
+    """Densities of the white noise of an inertial unit."""
 
     acceleration_m_s2_per_rt_hz: float
     rate_rad_s_per_rt_hz: float
-    #: Source of the noise densities: "still periods" or "data sheet".
+    #: Source of the noise densities: "still periods" of the record, or "data sheet".
     source: str
 
 
-#: Noise assumed without still periods (MicroStrain 3DM-GX1 data sheet; Shang et al. 2012, Table I).
+#: Noise that is assumed for a record without still periods (MicroStrain 3DM-GX1 data sheet; Shang et al.
+#: 2012, Table I).
 DATA_SHEET = Noise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
 
 
 def measure_noise(record: Record, rests: list[Rest]) -> Noise:
-    """Return the white noise in still periods, averaged over the axes.
+    """Return the white noise of the sensor in its still periods, averaged over the axes.
 
-    Without still periods it is the noise of the data sheet.
+    Without still periods the result is the noise of the data sheet.
     """
     if not rests:
         return DATA_SHEET
@@ -487,9 +492,9 @@ def _moving_mean(values: Array, size: int) -> Array:
 
 
 def _deviation(values: Array, size: int) -> Array:
-    """Return the standard deviation in a window about each sample, shape (n,).
+    """Return the standard deviation of a sensor's readings in a window about each sample, shape (n,).
 
-    It is the square root of the sum of the variances of all axes.
+    The result is the square root of the sum of the variances of all axes.
     """
     centred = values - values.mean(axis=0)
     spread = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
@@ -499,29 +504,29 @@ def _deviation(values: Array, size: int) -> Array:
 # ---------------------------------------------------------------- mounting and attitude
 
 
-#: Name of the attitude source for quaternions in the log itself.
+#: Name of the source of the attitude if the log itself has quaternions.
 QUATERNIONS = "quaternion columns"
-#: Standard deviations of the attitude, rad: of quaternions in a log (3DM-GX1, Table I of Shang et al.), and
-#: of an attitude filter.
+#: Standard deviation of the attitude, rad: by quaternions in a log (3DM-GX1, Table I of Shang et al. 2012),
+#: and by an attitude filter.
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
-#: Standard deviations of a mounting from gravity and of a stated one, rad.
+#: Standard deviation of the mounting, rad: if it follows from gravity, and if the user states it.
 GRAVITY_MOUNT_SD, STATED_MOUNT_SD = 3 * DEG, 0.5 * DEG
-#: Maximum angle between the verticals of rests in the same attitude, rad.
+#: Maximum angle between the directions of gravity in two rests that count as rests in the same attitude, rad.
 UPRIGHT = 45 * DEG
-#: Positions of the still periods that are rests of the robot, for each value of the option ``--rest``.
+#: Places of the still periods that count as rests of the robot, for each value of the option ``--rest``.
 REST_PLACES = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
 
 
 @dataclass(frozen=True)
 class Source:
-    """Attitude at every sample before smoothing, and its source."""
+    """Attitude of the sensor at every sample before smoothing, and its source."""
 
-    #: Rotation from sensor to world axes, n elements.
+    #: Rotation from sensor to world axes at each of n samples.
     rotation: Rotation
     #: Whether the yaw is measured, by a compass or by the filter in the sensor.
     heading: bool
-    #: Name of the source: "quaternion columns", "gyroscope and accelerometer" or "gyroscope, accelerometer
-    #: and magnetometer".
+    #: Name of the source of the attitude: "quaternion columns", "gyroscope and accelerometer" or "gyroscope,
+    #: accelerometer and magnetometer".
     kind: str
 
 
@@ -529,31 +534,31 @@ class Source:
 class Mount:
     """Mounting of the sensor on the body."""
 
-    #: Rotation from body to sensor axes.
+    #: Mounting: rotation from body to sensor axes.
     rotation: Rotation
-    #: Source of the mounting, in words: "given", "quaternions", "level at rest" or others.
+    #: Source of the mounting, as text: "given", "quaternions", "level at rest" or others.
     by: str
-    #: Unit vector opposite to gravity at rest, along sensor axes.
+    #: Unit vector opposite to gravity when the robot is at rest, along sensor axes.
     up: Array
-    #: Standard deviation of the rotation, rad.
+    #: Standard deviation of the mounting, rad.
     sd: float = GRAVITY_MOUNT_SD
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Record with everything that is determined before its motion is estimated."""
+    """Inertial record with all that is known before the motion is estimated, such as mounting and noise."""
 
     record: Record
     options: TrackImuOptions
-    #: Still periods, the rests of the robot among them, and the noise of the sensor.
+    #: Still periods of the sensor (the rests of the robot are among them), rests, and noise of the sensor.
     still: list[Rest]
     rests: list[Rest]
     noise: Noise
     mount: Mount
     source: Source
-    #: Errors of the sensor.
+    #: Standard deviations of the errors of the sensor.
     sensor: Sensor = Sensor()
-    #: Function that is called after each smoothing, to show the progress.
+    #: Function that shows the progress and is called after each application of the smoother.
     advance: Callable[[], Any] = lambda: None
 
     @property
@@ -574,25 +579,25 @@ class Setup:
 
     @property
     def attitude(self) -> Rotation:
-        """Attitude from body to world before smoothing, n elements."""
+        """Rotation from body to world before smoothing, at each of n samples."""
         return self.source.rotation * self.mount.rotation
 
     @property
     def lever(self) -> Array:
-        """Vector from the sensor to the reference point, sensor axes, m, shape (3,)."""
+        """Lever: vector from the sensor to the body's reference point, sensor axes, m, shape (3,)."""
         return np.asarray(self.mount.rotation.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
 
     def without(self, rests: list[Rest]) -> Setup:
-        """Return the setup without the given rests.
+        """Return a copy of the setup without the given rests of the robot.
 
-        An attitude that comes from a filter is estimated again.
+        An attitude from a filter is estimated again without these rests.
         """
         still, used = ([r for r in some if r not in rests] for some in (self.still, self.rests))
         return replace(self, still=still, rests=used, source=_attitude(self.record, still))
 
 
 def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Finding]]:
-    """Return the setup of a record (rests, mounting and attitude), and findings about its mounting."""
+    """Return the setup of a record (rests, mounting, attitude), and findings about the mounting."""
     stated, places = _declared(record, options.still), REST_PLACES[options.rests]
     free = [r for r in find_rests(record) if not any(r.first < d.last and d.first < r.last for d in stated)]
     still = sorted([*stated, *free], key=lambda rest: rest.first)
@@ -603,7 +608,7 @@ def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Findi
 
 
 def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> tuple[Mount, list[Finding]]:
-    """Find the mounting without another log.
+    """Find the mounting of the sensor on the body without another log.
 
     A log with quaternion columns is in body axes, since the quaternions convert from body to world. If the
     robot comes to rest in another attitude than at the start, the mounting follows from its first rest.
@@ -611,7 +616,7 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
     Raises
     ------
     InputError
-        When gravity points down the z axis: the sensor is upside down, or its signs are wrong.
+        Gravity points down the z axis: the sensor is upside down, or its signs are wrong.
     """
     seen = mean_accelerations(record, rests)
     seen = seen / np.linalg.norm(seen, axis=1, keepdims=True)
@@ -645,14 +650,14 @@ def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> t
 
 
 def _level(up: Array) -> Rotation:
-    """Return the inverse of the smallest rotation that turns the direction ``up`` into the z axis."""
+    """Return the smallest rotation that turns the z axis into the direction ``up``."""
     return Rotation.align_vectors(up[None], [[0.0, 0.0, 1.0]])[0]
 
 
 def _attitude(record: Record, rests: list[Rest]) -> Source:
-    """Return the attitude before smoothing.
+    """Return the attitude of the sensor before smoothing, and its source.
 
-    The attitude is that of the quaternion columns. Without quaternions it is estimated from turn rates,
+    The attitude is that of the quaternion columns. If there are none, it is estimated from turn rates,
     accelerations and the magnetic field by the offline form of VQF, which runs forwards and backwards (Laidig
     and Seel 2023, doi:10.1016/j.inffus.2022.10.014). Without a magnetic field the yaw of the first sample is
     0.
@@ -674,5 +679,5 @@ def _attitude(record: Record, rests: list[Rest]) -> Source:
     if field is None:
         yaw = rotation[0].as_euler("ZYX")[0]
         return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
-    # the world axes of VQF are east, north and up; yaw is counted from x, which is east
+    # The world axes of VQF are east, north and up. Yaw is counted from x, which is east.
     return Source(rotation, True, "gyroscope, accelerometer and magnetometer")

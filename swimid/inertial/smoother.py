@@ -1,11 +1,11 @@
 """Estimation of a motion with its uncertainty by an error-state Kalman filter and smoother.
 
-Accelerations are integrated along a first estimate of the attitude. The result is a path. Its errors are
-estimated from the samples and from all observations (rests, attitudes, statements of the user, another log).
-This is repeated about the corrected path until it converges: the iterated smoother of Bell (1994,
-doi:10.1137/0804035), which makes Gauss-Newton steps on the whole path. The iteration does not start from
-integrated turn rates: after a minute of fast rotation their attitude is wrong by radians, and small
-corrections cannot repair it.
+Accelerations are integrated along a first estimate of the attitude, which gives a path. The errors of the
+path are estimated from the samples and from all observations (rests, attitudes, statements of the user,
+another log). This is repeated about the corrected path until it converges. The method is the iterated
+smoother of Bell (1994, doi:10.1137/0804035), which makes Gauss-Newton steps on the whole path. The iteration
+does not start from integrated turn rates: after a minute of fast rotation their attitude is wrong by radians,
+and small corrections cannot repair it.
 
 The errors are those of position, velocity and attitude (true minus estimated, a small rotation about world
 axes), the biases of accelerometer and gyroscope (sensor axes), and their errors of scale and alignment. With
@@ -29,7 +29,7 @@ from swimid.inertial import record as recording
 from swimid.inertial.record import Array, Noise, Record, Sensor, Setup, integral, resampled
 from swimid.logs.kinematics import angles
 
-#: Position of each part in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
+#: Slice of each quantity in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
 PARTS = {
     "position": slice(0, 3),
     "velocity": slice(3, 6),
@@ -43,37 +43,38 @@ PARTS = {
     "tilt": slice(39, 41),
     "clock_s": slice(41, 42),
 }
-#: Number of errors without and with another log.
+#: Number of elements of the vector of errors: without another log, and with another log.
 ALONE, FUSED = 33, 42
-#: Number of errors that change by the equations of motion. The other errors are constant or drift.
+#: Number of elements of the vector of errors that change by the equations of motion. The other errors are
+#: constant or drift.
 MOVING = 9
 
 
-#: Errors that change from sample to sample.
+#: Names of the quantities whose errors change from sample to sample.
 CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
-#: Number of linearisations. Biases and attitude converge in two.
+#: Number of linearisations of the smoother. Biases and attitude converge in two.
 PASSES = 3
-#: Minimum time step that contains lost samples, in median sample times.
+#: Minimum time step of a record that counts as a loss of samples, in median sample times.
 LONG_STEP = 1.5
-#: Correlation time of the motion hidden by interpolated samples, and of nonlinearity errors (half a stroke),
-#: s.
+#: Correlation time of the motion that interpolated samples hide, s, and correlation time of nonlinearity
+#: errors (half a stroke), s.
 HIDDEN_S, RHYTHM_S = 0.1, 0.5
-#: Maximum step between nodes, s, and maximum number of nodes. Errors are estimated at the nodes.
+#: Maximum time between nodes, s, and maximum number of nodes. Errors are estimated at the nodes only.
 NODE_S, MAX_NODES = 0.02, 20_000
 #: Value added to the diagonal of a predicted covariance, so that the matrix can be inverted.
 RIDGE = 1e-18
 
 
 def jacobian(states: int, *shape: int, **by: Array) -> Array:
-    """Return derivatives with respect to all errors, shape (*shape, states).
+    """Return a matrix of derivatives with respect to the vector of errors, shape (*shape, states).
 
     Parameters
     ----------
     states : int
-        Number of errors. Parts of the vector of errors beyond this number, which need another log, are
+        Number of elements of the vector of errors. Quantities beyond this number, which need another log, are
         omitted.
     **by : ndarray
-        Derivatives with respect to a part, by its name in :data:`PARTS`. Other derivatives are 0.
+        Derivatives with respect to a quantity, by its name in :data:`PARTS`. Other derivatives are 0.
     """
     out = np.zeros((*shape, states))
     for name, values in by.items():
@@ -84,40 +85,40 @@ def jacobian(states: int, *shape: int, **by: Array) -> Array:
 
 @dataclass(frozen=True)
 class Observation:
-    """Measurement of m values that depend on the errors at one node."""
+    """Observation: measurement of m values that depend on the errors of a path at one node."""
 
     node: int
-    #: Kind of observation. Innovations are reported separately for each kind.
+    #: Kind of the observation, such as "rest". Innovations are reported separately for each kind.
     kind: str
-    #: Measured minus predicted values, shape (m,).
+    #: Measured minus predicted values of the observation, shape (m,).
     residual: Array
-    #: Derivatives of the values with respect to the errors, shape (m, states).
+    #: Derivatives of the observed values with respect to the errors, shape (m, states).
     sensitivity: Array
-    #: Standard deviations of the independent noise of the values, shape (m,).
+    #: Standard deviations of the independent noise of the observed values, shape (m,).
     sd: Array
-    #: Maximum innovation, in standard deviations. Observations with larger innovations are outliers and are
-    #: not used.
+    #: Maximum innovation, in standard deviations. An observation with a larger innovation is an outlier and
+    #: is not used.
     gate: float = np.inf
-    #: Whether the observation contributes to the log-likelihood. Observations that are outside of the record
-    #: for another candidate clock offset do not.
+    #: Whether the observation contributes to the log-likelihood. It does not if it is outside of the record
+    #: for another candidate clock offset.
     counted: bool = True
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Smoothed errors at the nodes."""
+    """Errors of a path at its nodes, as the smoother estimates them."""
 
-    #: Means of the errors, shape (nodes, states).
+    #: Estimated means of the errors at the nodes, shape (nodes, states).
     mean: Array
-    #: Covariances of the errors, shape (nodes, states, states).
+    #: Covariances of the errors at the nodes, shape (nodes, states, states).
     covariance: Array
     #: Smoother gains, shape (nodes - 1, states, states). They relate the errors at successive nodes.
     gain: Array
-    #: Log-likelihood of the observations with ``counted``.
+    #: Log-likelihood of the observations for which ``counted`` is true.
     likelihood: float
     #: Normalised innovations for each kind of observation.
     scores: dict[str, list[Array]]
-    #: Number of observations that are outliers.
+    #: Number of observations that were left out as outliers.
     rejected: int
 
     @threadpool_limits.wrap(limits=1)
@@ -160,7 +161,7 @@ class Errors:
         return drawn
 
 
-@threadpool_limits.wrap(limits=1)  # threads cost time with matrices of this size
+@threadpool_limits.wrap(limits=1)  # with matrices of this size threads cost time
 def smooth_errors(
     start_mean: Array,
     start: Array,
@@ -169,7 +170,7 @@ def smooth_errors(
     observations: list[Observation],
     defect: Array,
 ) -> Errors:
-    """Return the smoothed errors, by a Kalman filter forwards and a smoother backwards.
+    """Return estimates of the errors at the nodes, by a Kalman filter forwards and a smoother backwards.
 
     Parameters
     ----------
@@ -216,7 +217,7 @@ def smooth_errors(
 
 
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
-    """Return mean, covariance, normalised innovation and log-likelihood after an observation.
+    """Return mean and covariance of the errors after an observation, with its innovation and log-likelihood.
 
     An outlier leaves mean and covariance unchanged, and its innovation is None.
     """
@@ -230,7 +231,7 @@ def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, A
     inverse = np.linalg.inv(spread)
     gain = shared.T @ inverse
     left = np.eye(len(mean)) - gain @ h
-    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form stays positive definite
+    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form keeps it positive definite
     size = len(innovation) * np.log(2 * np.pi) + np.log(np.linalg.det(spread))
     likely = -0.5 * float(size + innovation @ inverse @ innovation)
     return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely
@@ -246,7 +247,10 @@ def cross_matrix(vectors: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Quantities whose errors are in :data:`PARTS`, at one time or, for a path, at n samples."""
+    """State of the motion and of the sensor: the quantities whose errors are in :data:`PARTS`.
+
+    A state is at one time or, for a path, at n samples.
+    """
 
     #: Rotation from sensor to world axes.
     rotation: Rotation
@@ -256,26 +260,26 @@ class State:
     #: Biases of accelerometer, m/s^2, and gyroscope, rad/s, along sensor axes, shape (3,) or (n, 3).
     acceleration_bias: Array = field(default_factory=partial(np.zeros, 3))
     rate_bias: Array = field(default_factory=partial(np.zeros, 3))
-    #: Errors of scale and alignment, shape (3, 3). The product of this matrix and a reading is subtracted
-    #: from the reading.
+    #: Errors of scale and alignment of the sensor, shape (3, 3). The product of this matrix and a reading is
+    #: subtracted from the reading.
     acceleration_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
     rate_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
-    #: Vector from the sensor to the reference point, sensor axes, m, shape (3,).
+    #: Lever: vector from the sensor to the reference point of the body, sensor axes, m, shape (3,).
     lever: Array = field(default_factory=partial(np.zeros, 3))
-    #: Rotation from body to sensor axes.
+    #: Mounting: rotation from body to sensor axes.
     mount: Rotation = field(default_factory=Rotation.identity)
-    #: Horizontal components of gravity along world axes, divided by g, shape (2,).
+    #: Tilt of the world axes: horizontal components of gravity, divided by g, shape (2,).
     tilt: Array = field(default_factory=partial(np.zeros, 2))
     #: Clock offset: time to add to the times of the other log, s.
     clock_s: float = 0.0
 
     def corrected(self, error: Array) -> Self:
-        """Return the state with an error added, shape (states,), or (n, states) for a path."""
+        """Return the state after an error is added, shape (states,), or (n, states) for a path."""
         parts: dict[str, Any] = {}
         for name, part in PARTS.items():
             off, value = error[..., part], getattr(self, name)
             if not off.size:
-                break  # without another log the error is shorter
+                break  # without another log the vector of errors is shorter
             if name not in CHANGING:
                 off = np.atleast_2d(off)[-1]
             if isinstance(value, Rotation):
@@ -285,7 +289,7 @@ class State:
         return replace(self, **parts)
 
     def minus(self, other: State) -> Array:
-        """Return the difference from another state as an error, shape (FUSED,)."""
+        """Return this state minus another state as a vector of errors, shape (FUSED,)."""
         parts = []
         for name in PARTS:
             here, there = getattr(self, name), getattr(other, name)
@@ -298,16 +302,16 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class Nominal(State):
-    """Path at n samples about which the errors are estimated."""
+    """Path at n samples about which the errors are linearised and estimated."""
 
     time_s: Array
     #: Corrected specific force, sensor axes, m/s^2, shape (n, 3).
     force: Array
     #: Corrected turn rate, sensor axes, rad/s, shape (n, 3).
     rate: Array
-    #: Rows at which the errors are estimated, shape (nodes,).
+    #: Rows of the samples at which the errors are estimated (nodes), shape (nodes,).
     nodes: np.ndarray
-    #: Number of errors: :data:`ALONE` or :data:`FUSED`.
+    #: Number of elements of the vector of errors: :data:`ALONE` or :data:`FUSED`.
     states: int
 
     @property
@@ -323,25 +327,25 @@ class Nominal(State):
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Corrected path with the covariance of its errors."""
+    """Path after the correction of its errors, with the covariance of the remaining errors."""
 
     path: Nominal
-    #: Errors estimated in the last linearisation.
+    #: Errors of the path that were estimated in the last linearisation.
     errors: Errors
-    #: State at the first sample, with which another linearisation would start.
+    #: State at the first sample, from which a further linearisation would start.
     origin: State
-    #: Sensor whose errors are assumed.
+    #: Error class of the sensor that was assumed.
     sensor: Sensor
 
     def score(self, kind: str) -> float | None:
-        """Return the root-mean-square normalised innovation of a kind of observation; None if it has none."""
+        """Return the root-mean-square normalised innovation of one kind of observation; None without any."""
         if kind not in self.errors.scores:
             return None
         return float(np.sqrt(np.mean(np.concatenate(self.errors.scores[kind]) ** 2)))
 
 
 def gravity(tilt: Array) -> Array:
-    """Return gravity along world axes, m/s^2, shape (3,)."""
+    """Return the gravity vector along tilted world axes, m/s^2, shape (3,)."""
     return -recording.GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
@@ -365,13 +369,13 @@ def smooth(
     start : State
         State at the first sample before any observation.
     sd : mapping
-        Standard deviations of the parts of this state, except for the biases and scales of the sensor.
+        Standard deviations of the quantities of this state, except for the biases and scales of the sensor.
     sensor : Sensor
     observe : callable
         Returns the observations of a path; see :mod:`swimid.inertial.estimate`.
     states : int
-        Number of errors: :data:`ALONE`, or :data:`FUSED` to estimate also lever, mounting, tilt of the world
-        and clock.
+        Number of elements of the vector of errors: :data:`ALONE`, or :data:`FUSED` to estimate also lever,
+        mounting, tilt of the world and clock offset.
     after : Smoothed, optional
         Result from which the iteration continues.
     passes : int
@@ -390,7 +394,7 @@ def smooth(
         transition, defect = _transitions(record, path)
         mean = start.minus(now)[:states]
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
-        # the next linearisation assumes constant biases, equal to the means over the record
+        # The next linearisation assumes constant biases, equal to the means over the record.
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
         now = now.corrected(begin)
@@ -400,7 +404,7 @@ def smooth(
 
 
 def _integrated(setup: Setup, start: State, states: int) -> Nominal:
-    """Return the path by integration of the accelerations along the attitude before smoothing."""
+    """Return the path that follows from the accelerations, integrated along the attitude before smoothing."""
     record, t = setup.record, setup.record.time_s
     nodes = np.arange(len(record))
     spacing = max(NODE_S, float(t[-1] - t[0]) / MAX_NODES)
@@ -413,7 +417,7 @@ def _integrated(setup: Setup, start: State, states: int) -> Nominal:
 
 
 def _about(record: Record, origin: State, path: Nominal) -> Nominal:
-    """Return the path with the biases, scales and other constants of the state ``origin``."""
+    """Return a copy of the path with the biases, scales and other constants of the state ``origin``."""
     constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
     for name in ("acceleration_bias", "rate_bias"):
         constant[name] = np.broadcast_to(getattr(origin, name), path.rate.shape)
@@ -421,14 +425,14 @@ def _about(record: Record, origin: State, path: Nominal) -> Nominal:
 
 
 def _with_readings(record: Record, path: Nominal) -> Nominal:
-    """Return the path with its readings corrected by its biases and scales."""
+    """Return a copy of the path with readings that are corrected by its biases and scales."""
     force = record.acceleration - path.acceleration_bias - record.acceleration @ path.acceleration_scale.T
     rate = record.rate - path.rate_bias - record.rate @ path.rate_scale.T
     return replace(path, force=force, rate=rate)
 
 
 def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Array:
-    """Return the covariance of the errors before any observation, shape (states, states)."""
+    """Return the initial covariance of the errors, before any observation, shape (states, states)."""
     sds = {
         **sd,
         "acceleration_bias": sensor.acceleration_bias_sd,
@@ -441,12 +445,13 @@ def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Arr
 
 
 def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
-    """Return the transition matrices of the steps between nodes, and their defects, shape (steps, 9).
+    """Return the transition matrices of the errors for the steps between nodes, and the defects of the path.
 
     The matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of
     GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, without the rotation of
-    the earth). A defect is the change of position, velocity and attitude in a step according to the samples,
-    minus the change of the path in this step. It is 0 for a path that was integrated from the samples.
+    the earth). The defects have the shape (steps, 9). A defect is the change of position, velocity and
+    attitude in a step according to the samples, minus the change of the path in this step. It is 0 for a path
+    that was integrated from the samples.
     """
     t, rows, states, turn = path.time_s, path.nodes, path.states, path.rotation.as_matrix()
     dt = np.diff(t[rows])[:, None]
@@ -456,9 +461,9 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
         return steps.reshape(-1, *values.shape[1:])
 
     def turn_by(readings: Array) -> Array:
-        """Return products of columns of the rotation matrix and components of readings.
+        """Return products of the columns of a rotation matrix and the components of readings.
 
-        The index of the component varies fastest.
+        The index of the component of the readings varies fastest.
         """
         parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
         return np.stack(parts, axis=-1).reshape(-1, 3, 9)
@@ -493,9 +498,10 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
 
 
 def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) -> Array:
-    """Return the covariance that is added in each step between nodes, shape (steps, states, states).
+    """Return the noise covariance of the errors for each step between nodes, (steps, states, states).
 
-    It contains the noise of the sensor, its nonlinearity, and the motion that missing samples hide.
+    The covariance contains the noise of the sensor, its nonlinearity, and the motion that missing samples
+    hide.
     """
     dt = np.diff(record.time_s)
     hidden = np.maximum(dt - LONG_STEP * record.step_s, 0.0)
@@ -504,7 +510,7 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         lost = record.filled[1:, sensed] | record.filled[:-1, sensed]
         variance = density**2 * dt
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
-        # nonlinearity errors are correlated over half a stroke; over longer times they act as white noise
+        # Nonlinearity errors are correlated over half a stroke. Over longer times they act as white noise.
         variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 
@@ -526,11 +532,13 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
 # ---------------------------------------------------------------- the motion of the reference point
 
 
-#: Number of random error trajectories. They give a standard deviation to 1 / sqrt(2 N_DRAWS) = 6 %.
+#: Number of random error trajectories, from which a standard deviation is computed. Its relative error is 1 /
+#: sqrt(2 N_DRAWS) = 6 %.
 N_DRAWS = 128
-#: Minimum number of samples for the high-pass filter, and its maximum cut-off frequency in sample rates.
+#: Minimum number of samples for the high-pass filter, and its maximum cut-off frequency as a fraction of the
+#: sample rate.
 MIN_FILTERED, MAX_CUTOFF = 32, 0.45
-#: Quantities that are left empty where the motion is impossible.
+#: Names of the quantities that are left empty where the motion is impossible.
 EMPTIED = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
 #: Motion of the reference point at n samples, as arrays of shape (n, 3) by name: ``position`` (m) and
 #: ``velocity`` (m/s) along world axes, ``body_velocity`` (m/s), ``angle`` (roll, pitch and yaw, rad),
@@ -540,10 +548,10 @@ Motion = dict[str, Array]
 
 
 def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
-    """Return the velocity at the reference point, and the derivatives of the motion there.
+    """Return the velocity of the reference point, and the derivatives of its motion with respect to errors.
 
     The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
-    body rotation with respect to the errors at the nodes. Each has shape (nodes, 3, states).
+    body rotation with respect to the errors at the nodes. Each has the shape (nodes, 3, states).
     """
     rows = path.nodes
     rate, rotation = path.rate[rows], path.rotation[rows]
@@ -564,7 +572,7 @@ def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
 
 
 def at_reference(smoothed: Smoothed) -> Motion:
-    """Return the motion of the reference point with its standard deviations."""
+    """Return the motion of the reference point of the body, with its standard deviations."""
     path, covariance = smoothed.path, smoothed.errors.covariance
     body, rows = path.rotation * path.mount, path.nodes
     velocity, by_place, by_speed, by_turn = _carried(path)
@@ -586,7 +594,7 @@ def at_reference(smoothed: Smoothed) -> Motion:
 
 
 def attitude_only(rotation: Rotation, rate: Array, acceleration: Array, sd: float = np.nan) -> Motion:
-    """Return a motion without position and velocity.
+    """Return a motion that holds the attitude, but neither position nor velocity.
 
     Parameters
     ----------
@@ -603,7 +611,7 @@ def attitude_only(rotation: Rotation, rate: Array, acceleration: Array, sd: floa
 
 
 def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Array) -> Array:
-    """Return velocity errors along body axes, from the errors of velocity and rotation along world axes.
+    """Return errors of the velocity along body axes, from errors along world axes and of the rotation.
 
     ``velocity`` has shape (n, 3). The errors have shape (n, 3, m), where m counts random samples or
     derivatives.
@@ -613,10 +621,11 @@ def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Ar
 
 
 def surge_within_stroke(smoothed: Smoothed, cutoff_hz: float) -> Motion:
-    """Return the surge velocity within a stroke, ``surge``, and its standard deviation, m/s, shape (n, 1).
+    """Return the high-pass filtered surge velocity (oscillation within a stroke), and its standard deviation.
 
-    The velocity is high-pass filtered along world axes before it is converted to body axes. Otherwise drift
-    would enter the surge velocity as the heading oscillates.
+    The result has the entry ``surge``, m/s, shape (n, 1). The velocity is high-pass filtered along world axes
+    before it is converted to body axes. Otherwise drift would enter the surge velocity as the heading
+    oscillates.
 
     Notes
     -----
@@ -635,10 +644,10 @@ def surge_within_stroke(smoothed: Smoothed, cutoff_hz: float) -> Motion:
 
 
 def _high_pass(time_s: Array, values: Array, cutoff_hz: float) -> Array:
-    """Return channels, shape (n, k), after a high-pass filter with the cut-off frequency ``cutoff_hz``.
+    """Return channels, shape (n, k), without oscillations slower than ``cutoff_hz``.
 
-    The filter is a Butterworth filter of fourth order without phase shift. The result is NaN if the record is
-    too short for the filter or has too low a sample rate.
+    The high-pass filter is a Butterworth filter of fourth order without phase shift. The result is NaN if the
+    record is too short for the filter or has too low a sample rate.
     """
     from scipy import signal
 

@@ -1,4 +1,4 @@
-"""The command ``swimid track imu``: from an inertial recording to a log of motion and its evidence."""
+"""Command ``swimid track imu``, which converts an inertial recording to a log of motion with evidence."""
 
 from __future__ import annotations
 
@@ -118,10 +118,11 @@ def track_imu(
 # ---------------------------------------------------------------- motion
 
 
-#: Maximum half-width of the 95 % band of a usable position: in m, and relative to the distance travelled.
+#: Maximum half-width of the 95 % band of a position that can be used: in m, and relative to the distance
+#: travelled.
 TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
-#: Minimum frequency of motion within a stroke: relative to the stroke frequency, and in Hz if that is
-#: unknown.
+#: Minimum frequency of an oscillation that counts as motion within a stroke: relative to the stroke
+#: frequency, and in Hz if that frequency is unknown.
 STROKE_SHARE, LOWEST_HZ = 0.5, 0.3
 #: Names of the three angles of an attitude.
 ANGLES = ("roll", "pitch", "yaw")
@@ -129,42 +130,42 @@ ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class Run:
-    """Motion of a recording, with everything that the log and its evidence contain."""
+    """Result of the estimation for one recording: setup, motion, and all values for log and evidence."""
 
-    #: Setup, with the sensor and the rests that were used.
+    #: Setup of the recording, with the error class of the sensor and the rests that were used.
     setup: Setup
     findings: list[Finding]
     stroke: Rhythm | None
-    #: Stroke frequency in the metadata, Hz; None if absent.
+    #: Stroke frequency that the metadata state, Hz; None if absent.
     stated_hz: float | None
     cutoff_hz: float
-    #: Motion, with the surge within a stroke (``surge``).
+    #: Estimated motion, with the surge velocity within a stroke (``surge``).
     motion: Motion
     poses: recording.Poses | None = None
-    #: Most likely motion of the smoother; None for the method of the paper.
+    #: Most likely motion according to the smoother; None for the method of Shang et al. (2012).
     found: Estimate | None = None
-    #: Time up to which the position can be used, s; None if it can be used throughout.
+    #: Time until which the position can be used, s; None if it can be used throughout.
     trusted_until_s: float | None = None
-    #: Biases of accelerometer (m/s^2) and gyroscope (rad/s) at the end, shape (6,).
+    #: Biases of accelerometer (m/s^2) and gyroscope (rad/s) at the last sample, shape (6,).
     bias: Array | None = None
     #: Root-mean-square innovation of the velocity at rests, in standard deviations.
     rest_score: float | None = None
-    #: Reasons why positions and velocities are empty.
+    #: Reasons why positions and velocities are left empty.
     impossible: Sequence[str] = ()
 
     @property
     def by_paper(self) -> bool:
-        """Whether the method is that of :func:`compute_by_paper`, which has no standard deviations."""
+        """Whether the motion was computed by :func:`compute_by_paper`, which gives no standard deviations."""
         return self.setup.options.method == "paper"
 
     @property
     def alone(self) -> bool:
-        """Whether the motion was estimated from the inertial unit by itself."""
+        """Whether the motion was estimated from the inertial unit without another log."""
         return self.fused is None and not self.by_paper
 
     @property
     def fused(self) -> Estimate | None:
-        """Result of the fusion with another log."""
+        """Estimate from the recording and another log together; None without another log."""
         if self.found is None or self.found.fixes is None:
             return None
         return self.found
@@ -178,7 +179,7 @@ class Run:
 
     @property
     def against(self) -> str | None:
-        """Words that say how the stroke contradicts the metadata; None if the two agree."""
+        """Message on how the stroke contradicts the metadata; None if the two agree."""
         stroke, stated_hz = self.stroke, self.stated_hz
         if stroke is None or stated_hz is None:
             return None
@@ -187,7 +188,7 @@ class Run:
         return beat.contradiction(stroke.beat, stated_hz)
 
     def columns(self) -> dict[str, Any]:
-        """Return the columns of the log, in order."""
+        """Return the columns of the log of the motion, in their order."""
         record, motion = self.setup.record, self.motion
         columns = {"t_s": record.time_s, **_columns(motion, "")}
         if self.by_paper:
@@ -197,7 +198,7 @@ class Run:
         return columns | {"u_osc_sd_m_s": motion["surge_sd"][:, 0], "bridged": bridged}
 
 
-#: Names of the columns of each quantity of a motion, in their order in a log.
+#: Names of the columns for each quantity of a motion, in their order in a log.
 COLUMNS = {
     "position": ("{}{}_m", "xyz"),
     "angle": ("{}{}_rad", ANGLES),
@@ -210,7 +211,10 @@ COLUMNS = {
 
 
 def _columns(motion: Motion, ending: str) -> dict[str, Array]:
-    """Return the columns of the quantities of a motion, or with the ending ``_sd`` of their deviations."""
+    """Return the columns of the quantities of a motion.
+
+    With the ending ``_sd``, return the columns of their standard deviations.
+    """
     known = {name: named for name, named in COLUMNS.items() if name + ending in motion}
     columns = {}
     for name, (pattern, parts) in known.items():
@@ -228,7 +232,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
     ----------
     setup : Setup
     findings : list of Finding
-        Faults found so far.
+        Faults of the recording that were found before.
     poses : Poses or None
         Poses of another log of the trial.
     """
@@ -262,10 +266,11 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
 
 
 def _checked(run: Run) -> Run:
-    """Return a motion without the samples that are too fast, and the time until which it can be used.
+    """Return the result without samples that are too fast, and with the time until which it can be used.
 
-    A sample is too fast if it is beyond the top speed by more than the 95 % band, or by more than GATE times
-    the standard deviation that the smoother assumes for the speed.
+    A sample is too fast if it exceeds the top speed by more than the 95 % band. It is also too fast if it
+    exceeds the top speed by more than GATE times the standard deviation that the smoother assumes for the
+    speed.
     """
     moved, top_m_s = run.motion, run.setup.options.top_speed_m_s
     speed = np.linalg.norm(moved["velocity"], axis=1)
@@ -284,14 +289,14 @@ def _checked(run: Run) -> Run:
 
 
 def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOptions) -> tuple[Motion, Array]:
-    """Compute the motion of a vehicle by the method of the long-fin paper.
+    """Compute the motion from an inertial recording by the method of Shang et al. (2012).
 
     Parameters
     ----------
     record : Record
         Recording of n samples in body axes.
     rotation : Rotation
-        Attitude from body to earth, shape (n,): the inverse of ``M_e^f`` of the paper.
+        Attitude from body to earth, shape (n,): the inverse of ``M_e^f`` of Shang et al. (2012).
     options : TrackImuOptions
         Thresholds ("discarded", sec. 5.2) and motion mode. In the modes ``marching`` and ``receding`` the
         constant parts of all six channels are errors and gravity, and are subtracted. In the mode
@@ -329,9 +334,11 @@ def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOption
 
 
 def find_trust(time_s: Array, position: Array, position_sd: Array) -> float | None:
-    """Return the time at which the horizontal 95 % band exceeds 0.1 m and 10 % of the distance travelled.
+    """Return the time from which the position cannot be used.
 
-    The time is on the clock of the log, s. It is None if the whole position can be used.
+    From then on the horizontal 95 % band exceeds 0.1 m and 10 % of the distance travelled.
+
+    The time is on the clock of the log, s. The result is None if the whole position can be used.
 
     Parameters
     ----------
@@ -353,23 +360,24 @@ VQF = "Laidig, Seel (2023). Information Fusion 91, 187-204. doi:10.1016/j.inffus
 #: Maximum root-mean-square innovation of the velocity at rests, in standard deviations. Two rests give at
 #: least six innovations. Their chi-square exceeds four times its degrees of freedom in 1 of 2000 cases.
 MAX_REST_SCORE = 2.0
-#: Maximum number of samples of a trace in a figure.
+#: Maximum number of samples of a curve in a figure.
 N_DRAWN = 2000
-#: Verdict of a check and code of its warning, for each verdict of a finding.
+#: Verdict of a check, and code of its warning, for each verdict of a finding about the recording.
 GRADES: dict[str, tuple[Literal["info", "warn", "fail"], str]] = {
     "noted": ("info", ""),
     "handled": ("warn", "SWM080"),
     "refuted": ("fail", "SWM090"),
 }
-#: Names of the checks that fail if they do not pass. The other checks warn.
+#: Names of the checks that fail if they do not pass. All other checks give a warning.
 FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
 
-#: Code of the warning, name, value and limit of a check, whether it passes, and the reason if it does not.
+#: Type of a check in a list: code of the warning, name, value, limit, whether the check passes, and the
+#: reason if it does not.
 Test = tuple[str, str, str, str, bool, str]
 
 
 def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
-    """Return the log of a recording with its evidence; warn of the checks that do not pass.
+    """Return the log of motion with its evidence; warn of the checks that do not pass.
 
     Parameters
     ----------
@@ -411,7 +419,7 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
 
 
 def _still_periods(run: Run) -> list[dict[str, Any]]:
-    """Return start, end and position of each still period, and whether it is used as a rest."""
+    """Return start, end and place of each still period, and whether it counts as a rest."""
     t, setup = run.setup.record.time_s.tolist(), run.setup
     return [
         {"from_s": t[r.first], "to_s": t[r.last - 1], "at": r.at, "used_as_rest": r in setup.rests}
@@ -424,7 +432,7 @@ def _rms(values: Array) -> float | None:
 
 
 def _largest(values: Any) -> float | None:
-    """Return the maximum of the finite values; None if there are none."""
+    """Return the maximum of the finite values of an array; None if there are none."""
     finite = np.asarray(values)[np.isfinite(values)]
     return float(finite.max()) if finite.size else None
 
@@ -513,7 +521,7 @@ def _motion_tests(run: Run) -> Iterator[Test]:
     reason = "no still period found; the biases are known to data-sheet accuracy only"
     yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
     size = float(np.mean(np.linalg.norm(recording.mean_accelerations(setup.record, setup.still), axis=1)))
-    # half-width of the 95 % band, relative to g, from bias and scale of the sensor's class
+    # Compute the half-width of the 95 % band, relative to g, from bias and scale of the sensor's class.
     share = BAND * float(np.hypot(setup.sensor.acceleration_bias_sd / GRAVITY_M_S2, setup.sensor.scale_sd))
     value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
     yield "", "Gravity", value, limit, abs(size / GRAVITY_M_S2 - 1) <= share, f"gravity is {value}"
@@ -649,7 +657,7 @@ def _figures(run: Run) -> list[Figure]:
 
 
 def _panels(run: Run, names: Sequence[str], unit: str, quantity: str, factor: float = 1.0) -> list[Panel]:
-    """Return a panel over time for each component of a quantity, with its band.
+    """Return one panel of a figure for each component of a quantity over time, with its 95 % band.
 
     The positions in the other log are shown with those of the motion. ``factor`` converts the quantity to
     ``unit``.

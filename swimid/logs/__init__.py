@@ -1,4 +1,4 @@
-"""Logs of trials: read, imported from other programs, cleaned, and examined without a model.
+"""Logs of trials: reading, import from other programs, cleaning, and examination without a model.
 
 ``log`` is the log of one trial, ``trials`` the file that lists the trials. ``plot`` draws logs. ``options``
 holds the options of the commands of this package.

@@ -1,4 +1,4 @@
-"""Beat frequency of one channel, stroke of a swimmer from all channels, and course averaged over strokes."""
+"""Beat frequency of a channel, stroke of a swimmer from all its channels, and course against heading."""
 
 from __future__ import annotations
 
@@ -17,47 +17,49 @@ from swimid.notices import warn
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Length of the windows in which a beat is fitted, cycles. Successive windows overlap by all but one cycle.
+#: Length of the windows in which a sine is fitted to a channel, cycles. Successive windows overlap by all but
+#: one cycle.
 WINDOW_CYCLES = 2
-#: Order of the polynomial that is fitted together with the beat in each window. Drift and turns of the path
-#: are slower than two cycles.
+#: Order of the polynomial that is fitted together with the sine in each window. It describes drift and turns
+#: of the path, which are slower than two cycles.
 DRIFT_ORDER = 3
 #: Minimum number of cycles for a frequency estimate. With fewer cycles a spectral line cannot be
 #: distinguished from the noise near its frequency.
 MIN_CYCLES = 4.0
-#: Time-bandwidth product and number of tapers of the test for a spectral line, and maximum number of cycles
-#: for this test. In longer records the frequency of a rhythm varies, and the test with windows is powerful
-#: enough.
+#: Time-bandwidth product and number of tapers of the test for a spectral line (Thomson's F test), and maximum
+#: number of cycles of a record for this test. In longer records the beat frequency varies, and the comparison
+#: of phases between windows is powerful enough.
 BAND, N_TAPERS, MAX_LINE_CYCLES = 3.0, 5, 30.0
-#: Fraction of a record at either end that is tapered before its spectrum is computed.
+#: Fraction of a record at its start, and at its end, that is tapered before the spectrum is computed.
 TAPERED_SHARE = 0.1
-#: Minimum fraction of known samples for the test for a spectral line.
+#: Minimum fraction of samples of a record that are not missing, for the test for a spectral line.
 MIN_KNOWN_SHARE = 0.8
-#: Probability of a false detection: noise of any spectrum, without a beat, is taken for a beat.
+#: Probability of a false detection of a beat in noise of any spectrum.
 FALSE_ALARM = 0.01
-#: Minimum fraction of the variance about the drift that a beat explains. One beat of a channel at least must
-#: reach the first limit. Every beat must reach the second limit, because a stroke may be weaker than its own
-#: harmonic.
+#: Minimum fractions of a channel's variance about the drift that a beat explains. At least one beat of a
+#: channel must reach the first fraction. Every beat must reach the second fraction, which is smaller because
+#: a stroke may be weaker than its own harmonic.
 MIN_SHARE, MIN_FAINT_SHARE = 0.1, 0.02
-#: Relative tolerance for two frequencies that are equal, or of which one is a multiple of the other.
+#: Relative tolerance within which two frequencies count as equal, or one as a multiple of the other.
 SAME_RTOL = 0.03
-#: Maximum number of windows whose phases are regressed. The windows are spread over the record.
+#: Maximum number of windows of a record in the linear regression of the phase over time. The windows are
+#: spread over the record.
 MAX_WINDOWS = 120
-#: Minimum number of samples in a window of two cycles.
+#: Minimum number of samples in a window of two cycles to which a sine is fitted.
 MIN_SAMPLES = DRIFT_ORDER + 5
-#: Ridge that is added to the covariance of the phases to make it regular. A window has no phase if its
-#: amplitude, divided by the largest amplitude, is below the square root of this ridge.
+#: Ridge that is added to the covariance of the phases to make it regular. The phase of a window is ignored if
+#: its amplitude, divided by the largest amplitude, is below the square root of this ridge.
 RIDGE = 1e-9
-#: Maximum harmonic order, for a beat that may be a harmonic of a stronger and slower motion.
+#: Maximum order of a harmonic of a stronger and slower motion. A faster beat is not taken for a harmonic.
 MAX_HARMONIC = 5
-#: Maximum ratio of two sums of squared residuals for a periodic slow motion: that of a sine fit divided by
-#: that of a polynomial with as many coefficients. The polynomial describes a drift or a turn.
+#: Maximum ratio of two sums of squared residuals for a slow motion that counts as periodic: that of a sine
+#: fit divided by that of a polynomial with as many coefficients. The polynomial describes a drift or a turn.
 PERIODIC_SHARE = 0.5
 
 
 @dataclass(frozen=True)
 class Beat:
-    """Periodic component of a channel.
+    """Beat: periodic component of a channel, with its frequency, amplitude and errors.
 
     Attributes
     ----------
@@ -79,7 +81,10 @@ class Beat:
 
     @property
     def interval_hz(self) -> tuple[float, float]:
-        """95 % interval of the frequency, Hz, by Student's t with the number of cycles as sample size."""
+        """95 % interval of the beat frequency, Hz.
+
+        It is Student's interval with the number of cycles as sample size.
+        """
         from scipy import special
 
         half = float(special.stdtrit(max(self.cycles - WINDOW_CYCLES - 1.0, 1.0), 0.975)) * self.stderr_hz
@@ -91,7 +96,7 @@ class Beat:
 
 
 def contradiction(found: Beat, stated_hz: float) -> str | None:
-    """Return words that say how a beat contradicts a stated frequency; None if the two agree.
+    """Return a message on how a beat contradicts a stated frequency; None if the two frequencies agree.
 
     >>> contradiction(Beat(2.0, 0.01, 1.0, 0.9), 1.0)
     'beats at 2.000 ± 0.010 Hz, 2.00 times as fast'
@@ -108,14 +113,14 @@ def contradiction(found: Beat, stated_hz: float) -> str | None:
 def stated_against_found(
     trial: str, stated_hz: float, beat: Beat | None, consequence: str
 ) -> dict[str, float | str | None]:
-    """Return the stated and the found frequency of a trial, Hz, and warn if they contradict each other.
+    """Return the stated and the estimated stroke frequency of a trial, Hz, and warn of a contradiction.
 
     Parameters
     ----------
     beat : Beat or None
         Beat of the heading.
     consequence : str
-        Clause of the warning that says which of both frequencies the caller uses.
+        Clause of the warning that says which of the two frequencies the caller uses.
     """
     found: dict[str, float | str | None] = {"stated_hz": stated_hz, "found_hz": None, "stderr_hz": None}
     if beat is not None:
@@ -129,14 +134,16 @@ def stated_against_found(
 def find_beat(
     time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None
 ) -> Beat | None:
-    """Return the strongest beat that :func:`find_beats` finds; None if it finds none."""
+    """Return the strongest beat of a channel, by :func:`find_beats`; None if there is no beat."""
     return next(iter(find_beats(time_s, values, lowest_hz=lowest_hz, highest_hz=highest_hz)), None)
 
 
 def find_beats(
     time_s: Array, values: Array, *, lowest_hz: float | None = None, highest_hz: float | None = None
 ) -> list[Beat]:
-    """Find the periodic components of a channel, the strongest first, without multiples of the first one.
+    """Find the periodic components (beats) of a channel, without harmonics of the strongest one.
+
+    The strongest beat is the first in the list.
 
     Parameters
     ----------
@@ -174,7 +181,8 @@ def find_beats(
         return []
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = max(lowest_hz or 0.0, MIN_CYCLES / duration)
-    # an unevenly sampled record has no more frequencies than an evenly sampled one of as many samples
+    # An unevenly sampled record determines no more frequencies than an evenly sampled record of as many
+    # samples.
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
         return []
@@ -184,7 +192,8 @@ def find_beats(
     sure = [beat for chance, beat in found if chance < limit]
     slow = find_slow_motion(t, x) if lowest_hz is None else None
     if has_levels(x):
-        # a signal with jumps has harmonics of any order, but at most half as many cycles as jumps
+        # A signal that jumps between levels has harmonics of any order. It has at most half as many cycles as
+        # jumps.
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if slow is not None:
@@ -198,14 +207,15 @@ def find_beats(
     if not large:
         return []
     largest = max(large, key=lambda beat: beat.amplitude)
-    # a harmonic may be larger than the stroke itself, which must then be among the detected beats
+    # A harmonic may be larger than the stroke itself. In that case the stroke must be among the detected
+    # beats.
     below = [
         beat
         for _, beat in found
         if any(abs(k * beat.frequency_hz - largest.frequency_hz) < 1.0 / duration for k in (2, 3))
     ]
     first = max(below, key=lambda beat: beat.amplitude, default=largest)
-    # windows of two cycles cannot separate a beat from another beat at a similar frequency
+    # Windows of two cycles cannot separate two beats of similar frequency.
     others = [
         beat
         for beat in sure
@@ -216,7 +226,7 @@ def find_beats(
 
 
 def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
-    """Return a channel's strongest motion if it is periodic and has too few cycles for a beat; else None.
+    """Return a channel's strongest motion if it is periodic but has too few cycles for a beat; else None.
 
     Parameters
     ----------
@@ -263,7 +273,9 @@ def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Arr
 
 
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
-    """Return the harmonic order of one beat relative to another; 0 if it is no multiple.
+    """Return the ratio of two beat frequencies if it is a whole number; 0 if it is not.
+
+    Frequencies are compared within their errors.
 
     Frequencies are compared within their errors.
     """
@@ -274,8 +286,9 @@ def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
 
 
 def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list[float]:
-    """Return the peak frequencies of the spectra of a channel and of its first two derivatives."""
-    # the frequency grid begins below ``low``, so that the flank of a slower motion is not taken for a peak
+    """Return the frequencies of spectral peaks in a channel and in its first two derivatives."""
+    # The frequency grid begins below ``low``, so that the flank of the peak of a slower motion is not taken
+    # for a peak.
     grid = np.arange(max(low - 3.0 / duration, 1.0 / duration), high, 0.1 / duration)
     if len(grid) < 4:
         return []
@@ -294,9 +307,9 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
 
 
 def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float, Beat] | None:
-    """Return the beat at a frequency, and the probability of such a test result for noise.
+    """Return the probability that noise passes the test for a beat at a frequency, and the beat.
 
-    The result is None if there is no beat.
+    The result is None if the channel has no beat at this frequency.
     """
     windows = demodulate(t, x, frequency)
     if windows is None:
@@ -309,14 +322,14 @@ def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float,
     slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
     found = frequency + slope / (2 * np.pi)
     beat = Beat(found, stderr / (2 * np.pi), float(np.mean(size)), share, found * duration)
-    # Phases that drift by a cycle over the record belong to another frequency. The number of cycles in the
-    # record must be known with an error below one.
+    # Phases that drift by a cycle over the record belong to another frequency. Therefore the number of cycles
+    # in the record must be known with an error below one.
     resolved = beat.interval_hz[1] - found < 1.0 / duration
     return (chance, beat) if resolved and abs(found - frequency) < 1.0 / duration else None
 
 
 def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, float, float, float] | None:
-    """Fit a sine of given frequency, together with a polynomial, in windows of two cycles.
+    """Fit a sine of given frequency and a polynomial to a channel, in each window of two cycles.
 
     Parameters
     ----------
@@ -336,7 +349,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
         Duration of a window, and time between successive windows, s. The result is None if fewer than three
         windows are left.
     """
-    # at a low sample rate the windows must be longer, so that they hold enough samples
+    # At a low sample rate the windows must be longer than two cycles, so that they hold enough samples.
     step = float(np.median(np.diff(t)))
     hop = max(1.0, np.ceil(MIN_SAMPLES * step * frequency / WINDOW_CYCLES)) / frequency
     width = WINDOW_CYCLES * hop
@@ -345,7 +358,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
         return None
     starts = t[0] + hop * np.arange(count)
     if count > MAX_WINDOWS:
-        # pairs of successive windows that do not overlap, spread over the record
+        # Select pairs of successive windows that do not overlap, spread over the record.
         first = np.linspace(0, count - WINDOW_CYCLES - 1, MAX_WINDOWS // 2).astype(int)
         starts = starts[np.unique(np.concatenate((first, first + WINDOW_CYCLES)))]
     ends = np.searchsorted(t, np.column_stack((starts, starts + width)))
@@ -361,7 +374,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
 
 
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
-    """Return the probability that noise of any spectrum is as coherent from window to window."""
+    """Return the probability that noise has the observed coherence between successive windows, or more."""
     pairs = [(i, int(j)) for i, j in enumerate(np.searchsorted(time, time + width - 0.5 * hop))]
     pairs = [(i, j) for i, j in pairs if j < len(time) and abs(time[j] - time[i] - width) < 0.1 * hop]
     if len(pairs) < 2:
@@ -370,13 +383,16 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     inner = abs(np.vdot(amplitude[i], amplitude[j]))
     size = float(np.sqrt(np.sum(np.abs(amplitude[i]) ** 2) * np.sum(np.abs(amplitude[j]) ** 2)))
     coherence = min(inner / max(size, 1e-300), 1.0)
-    # a window that overlaps another window by one half counts as two thirds of an independent window
+    # A window that overlaps another window by one half counts as two thirds of an independent window.
     independent = len(pairs) * 2.0 / 3.0
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
 
 def _slepian_tapers(count: int) -> Array:
-    """Return the tapers most concentrated within :data:`BAND` cycles per record, shape (N_TAPERS, count)."""
+    """Return the tapers that concentrate a spectral line within :data:`BAND` cycles per record.
+
+    They are discrete prolate spheroidal sequences, shape (N_TAPERS, count).
+    """
     from scipy.linalg import eigh_tridiagonal
 
     k = np.arange(count)
@@ -386,7 +402,7 @@ def _slepian_tapers(count: int) -> Array:
 
 
 def _no_line(t: Array, x: Array, frequency: float) -> float:
-    """Return the probability of such a spectral line in noise whose spectrum is flat near a frequency.
+    """Return the p-value of a spectral line at a frequency, against noise with a flat spectrum near it.
 
     This is Thomson's F test, applied to the amplitudes under orthogonal tapers. The spectrum must be flat
     within :data:`BAND` cycles per record on either side. The frequency of the line may differ by a tenth of a
@@ -399,7 +415,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     even = np.linspace(t[0], t[-1], count)
     u = 2.0 * (even - t[0]) / duration - 1.0
     values = np.interp(even, t, x)
-    # a gap of more than a quarter of a cycle is filled with the fitted line itself
+    # Fill a gap of more than a quarter of a cycle with the fitted line itself.
     after = np.clip(np.searchsorted(t, even), 1, len(t) - 1)
     known = t[after] - t[after - 1] <= 0.25 / frequency
     if known.mean() < MIN_KNOWN_SHARE:
@@ -417,14 +433,15 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
         left = float(np.sum(np.abs(tapered - line * sums) ** 2))
         best = max(best, (N_TAPERS - 1) * abs(line) ** 2 * float(sums @ sums) / max(left, 1e-300))
     best *= float(known.mean())
-    # p-value: survival function of the F distribution with 2 and 2 (N_TAPERS - 1) degrees of freedom
+    # The p-value is the survival function of the F distribution with 2 and 2 (N_TAPERS - 1) degrees of
+    # freedom.
     return float((1.0 + best / (N_TAPERS - 1)) ** (1 - N_TAPERS))
 
 
 def _fitted(
     t: Array, x: Array, ends: NDArray[np.intp], middles: Array, width: float, frequency: float
 ) -> tuple[Complex, float]:
-    """Return the complex amplitude of a frequency in each window, and the fraction of variance explained."""
+    """Return a sine's complex amplitude in each window, and the fraction of variance that it explains."""
     rows = ends[:, :1] + np.arange(int(np.max(ends[:, 1] - ends[:, 0])))
     inside = rows < ends[:, 1:]
     rows = np.minimum(rows, len(t) - 1)
@@ -438,7 +455,7 @@ def _fitted(
     right = np.einsum("wli,wl->wi", design, values)[..., None]
     weights = np.linalg.solve(normal, right)[..., 0]
     amplitude = weights[:, DRIFT_ORDER + 1] + 1j * weights[:, DRIFT_ORDER + 2]
-    # variance explained by the sine in addition to the drift
+    # Compute the variance that the sine explains in addition to the drift.
     d = DRIFT_ORDER + 1
     level = np.linalg.solve(normal[:, :d, :d], right[:, :d])
     drifted = float(np.sum(right[:, :d] * level))
@@ -449,8 +466,8 @@ def _fitted(
 def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     """Return the slope of phases over time and its standard error, by restricted maximum likelihood.
 
-    The covariance of the phases is a sum of two parts: white noise in overlapping windows, relative to the
-    amplitudes, and a random walk. The ratio of both parts maximises the likelihood.
+    The covariance of the phases is the sum of two terms: white noise in overlapping windows, relative to the
+    amplitudes, and a random walk. The ratio of the two terms maximises the likelihood.
     """
     from scipy.linalg import eigh
 
@@ -460,7 +477,7 @@ def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     small = np.mean(size) / size
     noise = np.clip(1.0 - hops / WINDOW_CYCLES, 0.0, 1.0) * np.outer(small, small)
     walk = (np.minimum.outer(time, time) - time[0]) / hop
-    # transform to coordinates in which both covariances are diagonal
+    # Transform to coordinates in which the covariances of noise and random walk are both diagonal.
     shares, axes = eigh(walk, noise + RIDGE * np.eye(n))
     design = axes.T @ np.column_stack((np.ones(n), time - time.mean()))
     turned = axes.T @ phase
@@ -484,8 +501,8 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
     if np.ptp(steps) > 1e-3 * step:
         from scipy.signal import lombscargle
 
-        # scipy builds arrays of frequencies times samples; splitting the frequencies limits the size of these
-        # arrays
+        # The frequencies are split into blocks, because scipy builds an array with one element per frequency
+        # and sample.
         parts = np.array_split(2 * np.pi * grid, 1 + len(t) * len(grid) // 1_000_000)
         return np.concatenate([lombscargle(t, x, part) for part in parts])
     count = 1 << int(np.ceil(np.log2(20 * len(x))))
@@ -494,20 +511,24 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
 
 # ---------------------------------------------------------------- stroke from all channels
 
-#: Channels that oscillate once per stroke, because they have opposite signs in the two half strokes.
+#: Pattern of the channels that oscillate once per stroke, because they have opposite signs in the two half
+#: strokes.
 SIDEWAYS = re.compile(
     r"(joint|cmd|fin|tail)\w*(?<!_likelihood)(?<!_area_px)|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|"
     r"pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
 )
-#: Channels that may oscillate twice per stroke, because both half strokes push.
+#: Pattern of the channels that may oscillate twice per stroke, because the robot is pushed forward in both
+#: half strokes.
 PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
-#: Channels of the drive. If one of them is logged, its frequency is taken for the stroke frequency.
+#: Pattern of the channels of the drive. If one of them is logged, its frequency is taken for the stroke
+#: frequency.
 DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
-#: Channels returned by :func:`swing` that may oscillate twice per stroke.
+#: Names of the channels returned by :func:`swing` that may oscillate twice per stroke.
 ALONG = ("surge", "long_axis", "short_axis")
-#: Channels of the motion of the body to the side.
+#: Pattern of the channels that show a sideways motion of the body.
 MOVED = re.compile(r"sway|v_m_s|w_m_s|ay_m_s2|(joint|fin|tail)\w*_(m|px)")
-#: Channels of each kind of motion. Several channels of one kind of motion count once.
+#: Patterns of the channels, one for each kind of motion (heading, sway, ...). Several channels of the same
+#: kind of motion count once.
 MOTIONS = tuple(
     re.compile(part)
     for part in (
@@ -519,18 +540,18 @@ MOTIONS = tuple(
         rf"{PUSHED.pattern}|surge|\w+_axis",
     )
 )
-#: Columns that are not searched for a stroke: positions (see :func:`swing`), standard deviations, likelihoods
-#: and states.
+#: Pattern of the columns that are not searched for a stroke: positions (see :func:`swing`), standard
+#: deviations, likelihoods and states.
 NO_MOTION = re.compile(
     r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*confidence|.*area_px|interpolated|status|frame"
 )
-#: Maximum ratio of the smaller to the larger of the two counter-rotating components of a path that counts as
-#: a lap. For an ellipse with half axes a and b the ratio is (a - b) / (a + b). Below this maximum the
-#: circular part of the ellipse has more power than the linear part.
+#: Maximum ratio of the smaller to the larger of the two counter-rotating components of a periodic path. Below
+#: this ratio the path counts as a lap. For an ellipse with half axes a and b the ratio is (a - b) / (a + b).
+#: Below the maximum the circular component has more power than the linear component.
 MAX_LAP_RATIO = np.sqrt(2.0) - 1.0
-#: Maximum harmonic order of a lap: a rectangular pool has four corners. Maximum harmonic order of a compass
-#: heading under rotation: the compass deviation has one or two periods per rotation (semicircular and
-#: quadrantal deviation).
+#: Maximum order of a harmonic that laps of the path cause (a rectangular pool has four corners), and maximum
+#: order of a harmonic that rotation causes in a compass heading. The deviation of a compass has one or two
+#: periods per rotation (semicircular and quadrantal deviation).
 MAX_LAP_HARMONIC, MAX_COMPASS_HARMONIC = 4, 2
 #: Maximum frequency of a stroke, Hz. Faster motion is taken for vibration. Bainbridge (J. Exp. Biol. 35,
 #: 1958) found 25 Hz for dace of 5 cm and 20 Hz for dace of 8 cm.
@@ -538,19 +559,19 @@ MAX_STROKE_HZ = 20.0
 #: Maximum sample rate in the search for a beat, Hz. Channels with a higher rate are averaged over blocks of
 #: samples.
 MAX_RATE_HZ = 60.0
-#: Minimum fraction of a channel's samples in its longest gap-free part, for a search in this part only. With
-#: a smaller fraction all samples are used with their gaps, if there are at most ``MAX_SAMPLES``.
+#: Minimum fraction of a channel's samples that its longest gap-free segment holds. Then only this segment is
+#: searched for a beat. Otherwise all samples are searched, if there are at most ``MAX_SAMPLES``.
 MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
 
 
 @dataclass(frozen=True)
 class Rhythm:
-    """Stroke of one log.
+    """Stroke that was found in a log, and the channels in which it was found.
 
     Attributes
     ----------
     beat : Beat
-        Periodic motion of the channel whose frequency has the smallest standard error.
+        Beat of the channel whose frequency has the smallest standard error.
     channel : str
         Name of that channel.
     channels : dict of str to Beat
@@ -571,7 +592,7 @@ class Rhythm:
 
     @property
     def doubt(self) -> str:
-        """Reason to doubt this stroke, in words; empty if there is no reason."""
+        """Reason to doubt this stroke, as text for a message; empty if there is no reason."""
         said = []
         if self.rivals:
             others = " and ".join(f"{n} at {b.frequency_hz:.4g} Hz" for n, b in self.rivals.items())
@@ -629,9 +650,10 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
 
 
 def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
-    """Return the values and the slopes per sample of lines fitted to ``width`` samples around each sample.
+    """Return the values and the slopes of straight lines fitted to ``width`` samples around each sample.
 
-    Within half a window of the ends the values are those of the first and the last complete window's line.
+    The slopes are per sample. Within half a window of either end of the path, the line of the first or last
+    complete window is used.
     """
     half = width // 2
     offsets = np.arange(-half, half + 1)
@@ -644,13 +666,13 @@ def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
 
 
 def coordinates(columns: Mapping[str, Array]) -> list[str]:
-    """Return the names of the coordinates of a track: in metres if the log has them, else in pixels."""
+    """Return the names of the position columns of a log: those in metres, or if there are none, in pixels."""
     metres, pixels = ([n for n in (f"x_{u}", f"y_{u}", f"z_{u}") if n in columns] for u in ("m", "px"))
     return metres or pixels
 
 
 def _coordinates(columns: Mapping[str, Array]) -> list[Array]:
-    """Return the first two coordinates of a track, or its single coordinate, or an empty list."""
+    """Return the samples of the first two position columns, or of the only one; empty if there is none."""
     return [columns[name] for name in coordinates(columns)[:2]]
 
 
@@ -703,8 +725,7 @@ def find_stroke(
         is_stated = (
             stated_hz is not None and abs(chosen.frequency_hz - stated_hz) <= FREQUENCY_RTOL * stated_hz
         )
-        # among the channels that beat with the stroke frequency, take the one with the smallest standard
-        # error
+        # Take the channel with the smallest standard error among those that beat with the stroke frequency.
         at_it = {name: [b for b in found if multiple(b, chosen) == 1] for name, found in beats.items()}
         best = {name: min(found, key=lambda b: b.stderr_hz) for name, found in at_it.items() if found}
         channel = min(best, key=lambda name: best[name].stderr_hz)
@@ -724,7 +745,7 @@ def find_stroke(
 def _motions(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """Return the beats found in the channels of a log that may move with the stroke.
+    """Return the beats of the channels that may move with the stroke.
 
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
@@ -750,8 +771,8 @@ def _motions(
             seen[name] = [
                 b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= MAX_COMPASS_HARMONIC
             ]
-        # a rounding error is at most half of the rounding step, and periodic in a steady motion: a beat that
-        # is not larger cannot be distinguished from it
+        # A rounding error is at most half of the rounding step, and it is periodic in a steady motion. A beat
+        # that is not larger cannot be distinguished from a rounding error.
         measured = _coordinates(columns)
         if name in columns:
             measured = [columns[name]]
@@ -761,7 +782,7 @@ def _motions(
 
 
 def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) -> bool:
-    """Return whether the path makes one lap per period of a frequency."""
+    """Return whether the path of a track makes one lap per period of a given frequency."""
     axes = _coordinates(columns)
     if len(axes) < 2:
         return False
@@ -774,7 +795,7 @@ def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) ->
 
 
 def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
-    """Return the complex amplitudes of a frequency in windows; in a short record, a single amplitude."""
+    """Return the complex amplitude of a sine in each window; in a short record, a single amplitude."""
     windows = demodulate(t, x, frequency_hz)
     if windows is not None:
         return windows[1]
@@ -784,16 +805,17 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
 
 
 def _turns(angle: Array) -> float:
-    """Return the number of full rotations from the first to the last sample of an unwrapped angle."""
+    """Return by how many full rotations an unwrapped angle changes from its first to its last sample."""
     known = angle[np.isfinite(angle)]
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
 def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
-    """Return the channel whose strongest oscillation has too few cycles for a frequency, and this beat.
+    """Return the channel whose slow oscillation has too few cycles for a frequency, and this oscillation.
 
-    If the drive is logged, only its channels are searched. Otherwise all channels that oscillate to the side
-    are searched, and the track. If several channels qualify, the one with the highest frequency is returned.
+    If the drive is logged, only the channels of the drive are searched. Otherwise the track and all channels
+    that oscillate sideways are searched. Of several slow oscillations, the one with the highest frequency is
+    returned.
     """
     driven = [n for n in columns if DRIVEN.fullmatch(n)]
     names = driven or [n for n in columns if SIDEWAYS.fullmatch(n)]
@@ -813,10 +835,10 @@ def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat
 
 
 def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]) -> Beat:
-    """Return the candidate that is taken for the stroke, by the rules given in :func:`find_stroke`."""
+    """Return the candidate beat that is taken for the stroke, by the rules given in :func:`find_stroke`."""
 
     def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
-        # fraction of each channel's variance that its beats explain, from the amplitudes
+        # Compute the fraction of each channel's variance that the beats explain, from their amplitudes.
         at_it = {}
         for name, beats in seen.items():
             whole = sum(b.amplitude**2 for b in beats) / beats[0].share
@@ -837,10 +859,10 @@ def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]
 
 
 def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
-    """Return the largest beat of each channel that contradicts the stroke.
+    """Return the largest beat of each channel whose frequency contradicts that of the stroke.
 
-    Multiples of the stroke frequency, and faster beats with little power relative to the stroke, do not
-    count.
+    Beats at a multiple of the stroke frequency do not contradict it, nor do faster beats with little power
+    relative to the stroke.
     """
     found = {}
     for name, beats in seen.items():
@@ -854,14 +876,14 @@ def _rivals(chosen: Beat, seen: Mapping[str, list[Beat]]) -> dict[str, Beat]:
 
 
 def add_time_error(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
-    """Return the stroke with a standard error that includes errors of the first and last time stamps."""
+    """Return a copy of the stroke whose standard error includes errors of the first and last time stamps."""
     error = stroke.beat.frequency_hz * np.sqrt(2.0) * time_sd_s / float(np.ptp(time_s))
     beat = replace(stroke.beat, stderr_hz=float(np.hypot(stroke.beat.stderr_hz, error)))
     return replace(stroke, beat=beat)
 
 
 def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
-    """Return the reason why no stroke is found, and the frequency of a slow motion, Hz, or None."""
+    """Return the reason why no stroke is found in a log, and the frequency of a slow motion, Hz, or None."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
     slow = find_slowest(time_s, columns)
     slow_hz, laps, axes = None, [], _coordinates(columns)
@@ -886,7 +908,7 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
 def _beats(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """Return the beats of each channel that has a beat."""
+    """Return the beats of each channel, without the channels that have no beat."""
     low, high = within or (None, None)
     found = {}
     for name, values in columns.items():
@@ -897,7 +919,7 @@ def _beats(
 
 
 def _unwrap(name: str, values: Array) -> Array:
-    """Return a channel. Angles are unwrapped, so that they have no jumps by full rotations."""
+    """Return the samples of a channel; those of an angle are unwrapped."""
     if name.endswith("_rad"):
         known = np.isfinite(values)
         values = values.copy()
@@ -906,10 +928,10 @@ def _unwrap(name: str, values: Array) -> Array:
 
 
 def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return times and samples of a channel at a rate of at most :data:`MAX_RATE_HZ`.
+    """Return the samples of a channel for the search for a beat, reduced to :data:`MAX_RATE_HZ` or less.
 
-    The samples are those of the longest part without gaps, at even time steps. If that part is too short, all
-    samples are returned.
+    The result holds times and samples. The samples are those of the longest segment without gaps, at even
+    time steps. If that segment is too short, all samples are returned.
     """
     time, even = longest_even(time_s, values, MAX_RATE_HZ)
     there = np.isfinite(values)
@@ -926,13 +948,13 @@ def _prepared(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 # ---------------------------------------------------------------- course and heading
 
-#: Minimum number of windows in which the course is compared with the heading.
+#: Minimum number of time windows in which the course is compared with the heading.
 MIN_COURSE_WINDOWS = 8
 #: Natural logarithm of the smallest Bayes factor that counts as "very strong" evidence (Kass and Raftery
 #: 1995, JASA 90).
 VERY_STRONG = math.log(150.0)
-#: Maximum drift angle of a hull in its tightest turn, rad (Fossen 2011, *Handbook of Marine Craft
-#: Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle between direction of travel and heading is
+#: Maximum angle between direction of travel and heading, rad: the drift angle of a hull in its tightest turn
+#: (Fossen 2011, *Handbook of Marine Craft Hydrodynamics*, 7.1: 10 to 20 degrees for ships). A larger angle is
 #: taken for an error of the columns.
 LARGEST_SLIP = math.radians(30.0)
 
@@ -948,7 +970,7 @@ class Course:
     spread_rad : float
         Circular standard deviation of course minus heading, rad.
     mirrored : bool
-        Whether the course follows minus the heading, and not the heading.
+        Whether the course follows the negative of the heading, as in a mirrored image.
     """
 
     slip_rad: float
@@ -983,9 +1005,9 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
 
 
 def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
-    """Return whether the course follows the heading only if the headings are interpreted as degrees.
+    """Return whether the course follows the headings only if these are taken to be in degrees.
 
-    Tracks that all have the same course do not show this; the result is then False.
+    If all tracks have the same course, the unit cannot be determined, and the result is False.
 
     Parameters
     ----------
@@ -995,7 +1017,7 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
     tracks = list(tracks)
     turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
     plain, found = compare_course(tracks, window_s), compare_course(turned, window_s)
-    # circular standard deviation of the course itself
+    # Compute the circular standard deviation of the course itself, by comparison with a heading of zero.
     still = compare_course([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
     if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
         return False
@@ -1006,7 +1028,7 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
 def _windows(
     time: Array, x: Array, y: Array, heading: Array, window_s: float
 ) -> list[tuple[complex, complex]]:
-    """Return unit vectors of course and mean heading, for each window with more advance than sway."""
+    """Return unit vectors of course and mean heading, for each window in which advance exceeds sway."""
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
     if there.sum() < 3:
         return []
@@ -1033,8 +1055,8 @@ def _likelihood(length: float, count: int) -> float:
     from scipy.special import i0e
 
     length = min(length, 1.0 - 1e-6)
-    # maximum-likelihood estimate of the concentration: Fisher 1993, *Statistical Analysis of Circular Data*,
-    # 4.5.5
+    # Use the maximum-likelihood estimate of the concentration: Fisher 1993, *Statistical Analysis of Circular
+    # Data*, 4.5.5.
     if length < 0.53:
         kappa = 2 * length + length**3 + 5 * length**5 / 6
     elif length < 0.85:

@@ -1,7 +1,8 @@
-"""Columns of one log that contradict each other, and channels whose values no working sensor gives.
+"""Checks of a log: columns that contradict each other, and channels whose values no working sensor gives.
 
-The y axis of an image points down. If only one of track and heading is converted to a y axis that points up,
-they are mirrored to each other. Each column still looks plausible, but a model fitted to them is wrong.
+One cause of a contradiction is the y axis of an image, which points down. If only the track, or only the
+heading, is converted to a y axis that points up, one is the mirror image of the other. Each column still
+looks plausible, but a model fitted to them is wrong.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from swimid.logs.log import TIME, runs
 from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, has_levels, rounding_ratio
 
 Array = NDArray[np.float64]
-#: Minimum ratio of a gain (regression coefficient between two columns) to its standard error. A gain with a
-#: smaller ratio is not judged. Unrelated columns exceed the minimum in one of 16,000 pairs.
+#: Minimum ratio of a gain (regression coefficient between two columns) to its standard error, for a judgement
+#: of the gain. Unrelated columns exceed this ratio in one of 16,000 pairs.
 MIN_STDERRS = 4.0
-#: Minimum number of increments that do not overlap. With fewer the standard error of a gain is not useful.
+#: Minimum number of non-overlapping increments of a column in a regression. With fewer increments the
+#: standard error of the gain is not useful.
 MIN_WINDOWS = 8
-#: Factors by which a column is wrong if degrees and radians are confused.
+#: Gains of a column that is in degrees instead of radians, and in radians instead of degrees.
 _DEGREES = (np.pi / 180, 180 / np.pi)
 
 
@@ -39,10 +41,10 @@ class Comparison:
     column, against : str
         Name of the column, and name of the quantity that the column is compared with.
     gain, stderr : float
-        Increments of the other quantity divided by increments of the integrated column, by regression, and
-        the standard error of this gain. The gain is 1 if both agree.
+        Ratio of increments of the other quantity to increments of the integrated column, by regression, and
+        the standard error of this gain. The gain is 1 if the two agree.
     text : str
-        Mistake that explains the gain, in words; empty if both agree.
+        Mistake that explains the gain, as text for a message; empty if the column agrees with the quantity.
     """
 
     column: str
@@ -53,11 +55,11 @@ class Comparison:
 
 
 def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
-    """Compare rates with the change of their pose, and the direction of travel with the heading.
+    """Compare rates with the derivatives of the pose, and the direction of travel with the heading.
 
-    The result holds those of the following comparisons for which the log has the columns: u, v with the
-    velocity of the track in the body frame, every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and
-    ``<name>_rad``, the yaw rate with the heading, and turn rates with the attitude quaternion.
+    A comparison is made if the log has its columns: u, v with the velocity of the track in the body frame,
+    every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and ``<name>_rad``, the yaw rate with the
+    heading, and turn rates with the attitude quaternion.
 
     Parameters
     ----------
@@ -117,7 +119,7 @@ def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float) -> 
 def _of_quaternion(
     time: Array, q: Array, columns: Mapping[str, Array], turns: Sequence[str]
 ) -> list[Comparison]:
-    """Compare turn rates with the rotation between consecutive attitudes, in the body frame."""
+    """Compare turn rates about body axes with the rotation between consecutive attitudes."""
     from scipy.spatial.transform import Rotation
 
     there = np.isfinite(q).all(axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05)
@@ -151,11 +153,13 @@ def _judge(
     *,
     angle: bool,
 ) -> list[Comparison]:
-    """Regress increments of the pose on those of the integrated rates, and name gains that differ from 1.
+    """Compare rates with a pose by regression, and describe the mistake of each gain that differs from 1.
 
-    ``rates[k]`` holds the contribution of the rate ``names[k]`` to each coordinate of the pose. The
-    increments span the number of samples at which the rates explain the largest fraction of the sum of
-    squares of the pose increments. Gains that do not differ significantly from 0 are left out.
+    The regression is that of increments of the pose on increments of the integrated rates.
+
+    ``rates[k]`` holds the contribution of the rate ``names[k]`` to each coordinate of the pose. Each
+    increment spans the same number of samples: the one with which the rates explain the largest fraction of
+    the pose increments. Gains that do not differ significantly from 0 are left out.
     """
     there = np.isfinite([time, *pose, *(part for parts in rates for part in parts)]).all(axis=0)
     if there.sum() < 2 * MIN_WINDOWS:
@@ -178,7 +182,7 @@ def _judge(
         x /= scale
         gain, *_ = np.linalg.lstsq(x, y, rcond=None)
         squares = float(np.sum((y - x @ gain) ** 2))
-        # overlapping increments are not independent: the degrees of freedom count one in ``lag``
+        # Overlapping increments are not independent: only one increment in ``lag`` adds a degree of freedom.
         freedom = max(len(y) / lag - x.shape[1], 1.0)
         stderr = np.sqrt(squares / freedom * np.diag(np.linalg.pinv(x.T @ x)))
         explained = 1.0 - squares / float(y @ y)
@@ -195,7 +199,7 @@ def _judge(
 
 
 def _named(gain: float, *, angle: bool) -> str:
-    """Return in words the mistake whose factor is nearest to a column's gain; empty for a gain near 1."""
+    """Return a description of the mistake that explains a column's gain; empty for a gain near 1."""
     factors = [10.0**k for k in range(-3, 4)]
     if angle:
         factors += _DEGREES
@@ -217,10 +221,10 @@ def _named(gain: float, *, angle: bool) -> str:
 #: Minimum distance of an outlying value (a code for missing samples, or an error) from all other values,
 #: divided by the range of the other values.
 FAR = 10.0
-#: Minimum number of consecutive samples at the largest or smallest value, and minimum number of such runs, of
-#: a channel that is saturated.
+#: Minimum number of consecutive samples at the largest or smallest value of a channel, and minimum number of
+#: such sequences, for a channel that counts as saturated.
 CUT_SAMPLES, CUT_TIMES = 3, 3
-#: Relative tolerance of the increments of a column that counts the rows.
+#: Relative tolerance for an increment of 1 between successive samples of a column that counts the rows.
 COUNT_RTOL = 1e-6
 #: Two names of the yaw rate. Columns with these names may be equal.
 SYNONYMS = {"wz_rad_s", "yaw_rate_rad_s"}
@@ -230,8 +234,8 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     """Return the channels whose values no working sensor gives, each with a description of the fault.
 
     Such a channel is constant, counts the rows, equals another column, is saturated at a value, or holds a
-    value far from all others. Commands, standard deviations, likelihoods and confidences are not checked, nor
-    are channels with fewer than :data:`LONG_ENOUGH` values.
+    value far from all others. Channels with fewer than :data:`LONG_ENOUGH` values are not checked, nor are
+    commands, standard deviations, likelihoods and confidences.
 
     Parameters
     ----------
@@ -273,7 +277,7 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
 
 
 def _find_far(known: Array) -> str:
-    """Return words that name an extreme value far from all other values; empty if there is none."""
+    """Return a message on an extreme value of a channel far from all other values; empty if none is."""
     for extreme in (known.min(), known.max()):
         others = known[known != extreme]
         away = float(np.min(np.abs(others - extreme)))
@@ -284,7 +288,7 @@ def _find_far(known: Array) -> str:
 
 
 def _find_cut(known: Array) -> str:
-    """Return words that name the value at which a channel is saturated; empty if there is none."""
+    """Return a message on the value at which a channel is saturated; empty if it is not saturated."""
     if has_levels(known) or rounding_ratio(known) > NEAR_ROUNDED:
         return ""
     for extreme in (known.min(), known.max()):

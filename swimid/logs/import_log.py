@@ -1,4 +1,4 @@
-"""Command ``swimid import``: converts logs of other programs to the log format."""
+"""Command ``swimid import``, which converts logs of other programs to the log format."""
 
 from __future__ import annotations
 
@@ -117,23 +117,24 @@ def import_log(
 # ---------------------------------------------------------------- examination
 
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
-#: Columns of ``swimid track`` with a pose before smoothing, and columns of a pose or of its rates of change.
+#: Pattern of the columns of ``swimid track`` with a pose before smoothing, and pattern of the columns of a
+#: pose or of its rates of change.
 _RAW = re.compile(r"(x|y|z|yaw|pitch|roll)_raw_(.+)")
 _OF_POSE = re.compile(r"(x|y|z|yaw|pitch|roll)_.+|(u|v|w|vx|vy|vz)_(sd_)?(m|px)_s2?")
 
 
 @dataclass(frozen=True)
 class Examined:
-    """Foreign log with its rows in order, together with the findings of the examination.
+    """Imported log with its rows in order of time, and the findings of its examination.
 
     Attributes
     ----------
     mapped : MappedLog
-        The log as it was read. Its columns are changed to those that are written.
+        Log as it was read. Its columns are changed in place to those that are written.
     log : Log
-        The log as it is written.
+        Log as it is written.
     order : Order
-        Rows that were moved or left out.
+        Order of the rows, with the number of rows that were moved or left out.
     cleaning : Cleaning or None
         Repeated samples, jumps and gaps of the track; None without a track.
     cleaned : bool
@@ -143,7 +144,7 @@ class Examined:
     stroke : Rhythm or None
         Stroke; None if none is found.
     against : str
-        Words that say how the stroke contradicts the metadata; empty if both agree.
+        Message on how the stroke contradicts the metadata; empty if the two agree.
     unknown : str
         Reason why no stroke is found; empty if one is found.
     doubts : list of Doubt
@@ -151,9 +152,9 @@ class Examined:
     comparisons : list of Comparison
         Comparisons of columns that show the same motion.
     uneven : str
-        Range of the time steps of uneven sampling, in words; empty for even sampling.
+        Range of the time steps, as text for a message; empty for even sampling.
     bursts : bool
-        Whether the samples are stamped in bursts.
+        Whether the time stamps come in bursts.
     """
 
     mapped: MappedLog
@@ -172,17 +173,17 @@ class Examined:
 
     @property
     def unit(self) -> str:
-        """Unit of the track: m or px."""
+        """Unit of the positions: m or px."""
         return "px" if {"x_px", "y_px", "z_px"} & set(beat.coordinates(self.log.columns)) else "m"
 
     @property
     def done(self) -> str:
-        """Words for the treatment of repeated samples and jumps of the track."""
+        """Treatment of repeated samples and jumps of the track, as a participle for messages."""
         return "left out" if self.cleaned else "kept"
 
 
 def examine(source: MappedLog, options: ImportOptions) -> Examined:
-    """Clean a foreign log and its track, and find the speed and the stroke.
+    """Clean the rows and the track of a foreign log, and estimate speed and stroke.
 
     ``source.columns`` is changed in place, so that a long log is in memory only once.
 
@@ -259,7 +260,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
 
 
 def _in_order(source: MappedLog) -> Order:
-    """Return the row order with strictly increasing times; raise an error if the clock was reset."""
+    """Return the order of the rows with strictly increasing times; raise an error if the clock was reset."""
     channels = {name: values for name, values in source.columns.items() if name != TIME}
     order = mapping.in_order(source.time_s, channels)
     if len(order.index) < 2:
@@ -275,13 +276,16 @@ def _in_order(source: MappedLog) -> Order:
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
-    """Reduce all columns to the given rows, in place."""
+    """Reduce all columns of a log to the given rows, in place."""
     for name in columns:
         columns[name] = columns[name][rows]
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Return a doubt for each angle that oscillates over more than 180 degrees, which no joint can."""
+    """Return a doubt about each angle that oscillates with an amplitude above 180 degrees.
+
+    No joint of a robot can move so far.
+    """
     if stroke is None:
         return []
     text = "swings by ±{:.3g} rad: state the unit if it is degrees (a factor of 57.3)"
@@ -290,7 +294,10 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
 
 
 def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
-    """Empty the pose of repeated samples and of jumps in place, and remove rows that hold nothing else."""
+    """Remove repeated samples and jumps from a track, in place.
+
+    Their poses become NaN. Rows that hold nothing but the pose are removed.
+    """
     done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
     elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
     if elsewhere:
@@ -315,7 +322,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
 
 
 def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
-    """Return words that say how a stroke contradicts the metadata; warn of this and of a doubtful stroke."""
+    """Return a message on how the stroke contradicts the metadata; warn of this and of a doubtful stroke."""
     against = ""
     if stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
         against = f"{stroke.channel} {text}; the metadata say {stated_hz:g} Hz"
@@ -326,10 +333,10 @@ def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
 
 
 def _measured(columns: dict[str, Array]) -> dict[str, Array]:
-    """Return the columns as they were measured.
+    """Return the columns of a log as they were before smoothing and interpolation.
 
-    In a log written by ``swimid track`` the measured positions are those before smoothing, with NaN where a
-    gap was interpolated.
+    A log written by ``swimid track`` has the positions before smoothing in separate columns. Interpolated
+    samples become NaN.
     """
     raw = {_RAW.sub(r"\1_\2", name): values for name, values in columns.items() if _RAW.fullmatch(name)}
     bridged = columns.get("interpolated")
@@ -341,16 +348,19 @@ def _measured(columns: dict[str, Array]) -> dict[str, Array]:
 
 # ---------------------------------------------------------------- evidence
 
-#: Minimum number of values of each channel, and minimum number of samples, for the checks of a log.
+#: Minimum number of values of each channel, and minimum number of samples of a log, for the checks of an
+#: imported log.
 MIN_SAMPLES = LONG_ENOUGH + 1
-#: Minimum number of samples per stroke. With fewer samples the path between them is not known.
+#: Minimum number of samples per stroke. With fewer samples the path of the robot between two samples is not
+#: known.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: Maximum fraction of the rows that are dropped. With a larger fraction the time column is probably
-#: incomplete.
+#: Maximum fraction of the rows that are left out for their times. With a larger fraction the time column is
+#: probably incomplete.
 MAX_DROPPED = 0.1
-#: Maximum fraction of the samples in jumps. A larger fraction means that the columns are not a track.
+#: Maximum fraction of the samples of a track that lie in jumps. With a larger fraction the columns are
+#: probably not a track.
 MAX_JUMPED = 0.2
-#: Columns whose values are limited for a swimmer (:func:`swimid.logs.log.doubts`).
+#: Pattern of the columns for which the values of a swimmer have a limit (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 METHODS = [
     "Repeated pictures and jumps of a track are found by a Hampel identifier on its steps. The mean speed is "
@@ -367,7 +377,7 @@ REFERENCES = [
 
 
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
-    """Return the evidence of an imported log."""
+    """Return the evidence of an imported log: checks, tables, figures and notices."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
     with recorded(repeat=True) as drawn:
         shown = figures_of([found.log], found=found.stroke)
@@ -396,11 +406,11 @@ def _check(
     made: bool = True,
     fails: bool = False,
 ) -> Check:
-    """Return a check with its verdict: pass, warn, fail, or "not judged" if the data do not allow it.
+    """Return a check of an imported log with its verdict: pass, warn, fail or "not judged".
 
-    A check is not judged if nothing is wrong and ``made`` is False. ``reason`` says what is wrong if the
-    check does not pass. By default ``value`` is the reason, or the limit if the check passes. A check that
-    does not pass is a warning, or a failure with ``fails``.
+    The verdict is "not judged" if nothing is wrong but the data do not allow the check (``made`` is False).
+    ``reason`` says what is wrong if the check does not pass. By default ``value`` is the reason, or the limit
+    if the check passes. A check that does not pass is a warning, or a failure with ``fails``.
     """
     if passed and not made:
         return check(name, "not judged", None, limit, "no channel allows it, or the samples are too few")
@@ -410,7 +420,7 @@ def _check(
 
 
 def _amount_checks(found: Examined) -> list[Check]:
-    """Return the checks of rows, columns and times: whether they are complete and sufficient."""
+    """Return the checks of whether the rows, columns and times of an imported log are complete."""
     time, n, rows = found.log.time_s, len(found.log.time_s), len(found.mapped)
     counts = {name: int(np.isfinite(values).sum()) for name, values in found.log.signals.items()}
     scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES]
@@ -441,7 +451,7 @@ def _amount_checks(found: Examined) -> list[Check]:
         _check("Rows in order", not (odd or notes), "none", remarks, f"{odd} of {rows} odd", fails=many),
         _check("Quantity of every column", not names, "known", open_, names, fails=True),
     ]
-    # a mapping may say in its metadata that the rate is assumed
+    # The metadata of a mapping may say that the sample rate is assumed.
     if found.log.metadata.get("sample_rate") == "assumed":
         why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
         checks.append(_check("Sample rate", False, "stated", why, "assumed", fails=True))
@@ -452,7 +462,7 @@ def _amount_checks(found: Examined) -> list[Check]:
 
 
 def _value_checks(found: Examined) -> list[Check]:
-    """Return the checks of the values of the samples."""
+    """Return the checks of sample values and sampling: contradictions, frozen or faulty channels, limits."""
     stuck = find_frozen(found.log.time_s, _measured(found.log.columns))
     scales = {target: factor for target, (_, factor, _) in found.mapped.sources.items()}
     wrong = [one for one in found.comparisons if one.text]
@@ -524,7 +534,7 @@ def _stroke_checks(found: Examined) -> list[Check]:
 
 
 def _facts(found: Examined) -> dict[str, str]:
-    """Return the facts of an imported log, in addition to the facts of any log."""
+    """Return stroke, track and speed of an imported log, for the list of facts in the evidence."""
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     facts = {"Stroke": f"unknown: {found.unknown}"}
     if stroke is not None:
@@ -541,7 +551,7 @@ def _facts(found: Examined) -> dict[str, str]:
 
 
 def _tables(found: Examined) -> list[Table]:
-    """Return the tables of the speed and of the sources of the columns."""
+    """Return the table of mean speeds, and the table of the source of each column."""
     tables, speed, unit = [], found.speed, found.unit
     if speed is not None:
         rows: list[list[Any]] = [
@@ -562,7 +572,7 @@ def _frequency(stroke: Rhythm) -> str:
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
-    """Return the findings as plain data (numbers, text, lists and dicts)."""
+    """Return the findings of an import as plain data (numbers, text, lists and dicts)."""
     time, unit, step = found.log.time_s, found.unit, usual_step(found.log.time_s)
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     made: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Kinematics: attitudes, quantities of a swim over whole cycles, and swimming motion from a track.
+"""Attitudes, quantities of a swim over whole cycles, and speed and stroke of a swimmer from its track.
 
 Each quantity has one name and one definition, for simulations, logs and tracks alike. :data:`QUANTITIES`
 lists the names with their units and meanings. The beat frequency itself is estimated by
@@ -34,10 +34,10 @@ Flags = NDArray[np.bool_]
 
 
 def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
-    """Return roll, pitch and yaw, rad: a rotation by yaw about z, then by pitch, then by roll.
+    """Return the roll, pitch and yaw angles of rotations, rad.
 
-    Pitch is positive with the nose up, which is counter-clockwise in the x-z plane. Roll is positive with the
-    port side up. Yaw is unwrapped.
+    The rotation is by yaw about z, then by pitch, then by roll. Pitch is positive with the nose up, which is
+    counter-clockwise in the x-z plane. Roll is positive with the port side up. Yaw is unwrapped.
 
     >>> from scipy.spatial.transform import Rotation
     >>> nose_up = Rotation.from_rotvec([0.0, -0.1, 0.0])
@@ -51,18 +51,18 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
 
 
 def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
-    """Return the rotation of roll, pitch and yaw in rad, shape (n,): the inverse of :func:`angles`."""
+    """Return the rotations with given roll, pitch and yaw, rad, shape (n,): the inverse of :func:`angles`."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_euler("ZYX", np.column_stack((yaw, -np.asarray(pitch), roll)))
 
 
-#: Columns of an attitude quaternion from body to world; the real part is the first.
+#: Columns of the quaternion that rotates from body to world. The real part is the first.
 AXES = ("qw", "qx", "qy", "qz")
 
 
 def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") -> Array:
-    """Return quaternions, shape (n, 4), converted to real part first and to the direction from body to world.
+    """Return quaternions, shape (n, 4), that have the real part first and rotate from body to world.
 
     >>> rearranged(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()
     [[0.8, -0.0, -0.0, -0.6]]
@@ -75,20 +75,20 @@ def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") 
 
 
 def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
-    """Convert columns from axes forward, right, down to axes forward, left, up.
+    """Convert columns from body axes forward, right, down to body axes forward, left, up.
 
-    The components along y and z, and yaw, change their sign. Roll (right side down is port side up), pitch
-    (nose up), and the real and the x part of a quaternion do not.
+    The components along y and z change their sign, and so does yaw. Roll (right side down is port side up),
+    pitch (nose up), and the real and the x component of a quaternion keep theirs.
     """
     turned = re.compile(r"(desired_)?([awvmq]?[yz]|yaw)(_.*)?")
     return {name: -values if turned.fullmatch(name) else values for name, values in columns.items()}
 
 
 def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
-    """Return columns with roll, pitch and yaw computed from an attitude quaternion.
+    """Return the columns of a log, with roll, pitch and yaw computed from the quaternion columns.
 
     Samples whose quaternion is not of unit length have no angles (NaN). If no sample has a valid quaternion,
-    its columns are removed.
+    the quaternion columns are removed.
     """
     if not set(AXES) <= set(columns):
         return columns
@@ -107,7 +107,7 @@ def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
 
 
 class Kind(NamedTuple):
-    """Description of a quantity: its unit, its meaning, and the kinds of motion for which it is computed.
+    """Unit and meaning of a quantity of a swim, and the kinds of motion for which it is computed.
 
     ``of`` names one or several kinds of motion: ``plane`` (a free swim in a plane), ``cycle`` (one cycle in
     the vertical plane), ``power`` (driven joints).
@@ -118,8 +118,9 @@ class Kind(NamedTuple):
     of: str
 
 
-#: Quantities of a swim. Quantities of the rotation exist for yaw (horizontal plane) and for pitch (vertical
-#: plane). The amplitude of a passive joint, which is not listed, is named ``amplitude_<joint>_rad``.
+#: Quantities of a swim, by name. Quantities of the rotation exist for yaw (horizontal plane) and for pitch
+#: (vertical plane). The amplitude of a passive joint is not listed here; its name is
+#: ``amplitude_<joint>_rad``.
 QUANTITIES = {
     "mean_speed_m_s": Kind(
         "m/s", "length of the path through the mean positions of cycles, over time", "plane cycle"
@@ -154,26 +155,28 @@ QUANTITIES = {
     "peak_torque_N_m": Kind("N m", "maximum magnitude of a joint torque", "power"),
     "peak_joint_rate_rad_s": Kind("rad/s", "maximum magnitude of a joint rate", "power"),
 }
-#: Quantities of one cycle of a stroke in the vertical plane (sea lion, Tables I and II).
+#: Names of the quantities of one stroke cycle in the vertical plane (sea lion, Tables I and II).
 CYCLE_QUANTITIES = tuple(name for name, kind in QUANTITIES.items() if "cycle" in kind.of)
 
-#: Maximum number of cycles at the end of a trial from which the quantities are computed.
+#: Maximum number of cycles, at the end of a trial, from which the quantities of a swim are computed.
 N_CYCLES = 4
 #: Number of samples per cycle of a simulated trial that is evaluated over whole cycles.
 PER_CYCLE = 64
-#: Minimum number of samples in a cycle for the quantities of this cycle.
+#: Minimum number of samples in a cycle whose quantities are computed.
 MIN_SAMPLES = 6
-#: Minimum speed for a Strouhal number, body lengths per second, and maximum change of the heading from beat
-#: to beat for a Strouhal number, rad.
+#: Conditions for a Strouhal number: minimum speed, body lengths per second, and maximum change of the heading
+#: from beat to beat, rad.
 MIN_SPEED_BL_S, MAX_TURN_IN_BEAT = 0.05, math.radians(15.0)
-#: Minimum turning rate, rad/s, for a turning radius of a robot that is not commanded to turn.
+#: Minimum turning rate, rad/s, for the computation of a turning radius. It applies to a robot that is not
+#: commanded to turn.
 MIN_TURNING_RATE = math.radians(2.0)
-#: Maximum change of the speed from beat to beat in a steady swim, divided by the speed.
+#: Maximum change of the speed from beat to beat in a swim that counts as steady, divided by the speed.
 UNSTEADY = 0.005
-#: Tolerance of the settling time: deviation of the mean surge from its last value, divided by that value.
+#: Relative tolerance of the settling time: maximum deviation of the mean surge from its last value, divided
+#: by that value.
 SETTLED_RTOL = 0.05
-#: Maximum change of the course between successive blocks of a path, rad. A course that changes faster is not
-#: corrected for the curvature of the path.
+#: Maximum change of the course between successive blocks of a path, rad. If the course changes faster, the
+#: speed is not corrected for the curvature of the path.
 MAX_TURN_OF_COURSE = 1.0
 
 
@@ -182,7 +185,7 @@ MAX_TURN_OF_COURSE = 1.0
 
 @dataclass(frozen=True)
 class Window:
-    """Window of whole cycles in a record.
+    """Time window in a record that holds whole cycles of the stroke.
 
     Attributes
     ----------
@@ -198,21 +201,23 @@ class Window:
 
     @property
     def duration_s(self) -> float:
-        """Duration of the window, s."""
+        """Duration of the window of whole cycles, s."""
         return self.end_s - self.begin_s
 
     @property
     def edges_s(self) -> Array:
-        """Start of each cycle and end of the last one, s, shape (cycles + 1,)."""
+        """Times of the start of each cycle and of the end of the last one, s, shape (cycles + 1,)."""
         return np.linspace(self.begin_s, self.end_s, self.cycles + 1)
 
     def times(self) -> Array:
-        """Return :data:`PER_CYCLE` evenly spaced times per cycle, s, start and end of the window included."""
+        """Return :data:`PER_CYCLE` evenly spaced times per cycle, s, from start to end of the window."""
         return np.linspace(self.begin_s, self.end_s, self.cycles * PER_CYCLE + 1)
 
 
 def last_cycles(begin_s: float, end_s: float, frequency_hz: float) -> Window | None:
-    """Return the last :data:`N_CYCLES` whole cycles, fewer in a short trial; None if no cycle fits.
+    """Return the window of the last :data:`N_CYCLES` whole cycles of a trial, or of fewer in a short trial.
+
+    Return None if the trial holds no whole cycle.
 
     Parameters
     ----------
@@ -226,7 +231,7 @@ def last_cycles(begin_s: float, end_s: float, frequency_hz: float) -> Window | N
 
 
 def whole_cycles(time_s: Array, frequency_hz: float, *, begin_s: float = 0.0) -> list[Window]:
-    """Return each whole cycle of a record, counted from the time at which the stroke begins.
+    """Return one window for each whole cycle of a record, counted from the time at which the stroke begins.
 
     >>> [window.end_s for window in whole_cycles(np.arange(0, 8.8, 0.1), 1 / 2.9)]
     [2.9, 5.8, 8.7]
@@ -241,7 +246,9 @@ def whole_cycles(time_s: Array, frequency_hz: float, *, begin_s: float = 0.0) ->
 
 
 def cycle_means(time_s: Array, values: Array, edges_s: Array) -> Array:
-    """Return the mean between successive edges, shape (..., edges - 1), of linearly interpolated samples.
+    """Return the means of a channel between successive times ``edges_s``, shape (..., edges - 1).
+
+    The channel is interpolated linearly between its samples.
 
     Parameters
     ----------
@@ -262,17 +269,17 @@ def cycle_means(time_s: Array, values: Array, edges_s: Array) -> Array:
 
 
 def block_speeds(place: Array, duration_s: float, turn_rad: Array | None = None) -> Array:
-    """Return the speed between successive mean positions of a path, shape (m - 1,).
+    """Return the speeds along a path between its mean positions in successive blocks, shape (m - 1,).
 
     Parameters
     ----------
     place : ndarray, shape (2, m)
-        Mean positions over equal blocks of time.
+        Mean positions over blocks of equal duration.
     duration_s : float
         Duration of a block, s.
     turn_rad : ndarray, shape (m - 1,), optional
-        Rotation from each block to the next. By default it is the change of the course, if below
-        :data:`MAX_TURN_OF_COURSE`.
+        Rotation of the course from each block to the next, rad. By default it is the change of the course, if
+        below :data:`MAX_TURN_OF_COURSE`.
 
     Notes
     -----
@@ -291,7 +298,7 @@ def block_speeds(place: Array, duration_s: float, turn_rad: Array | None = None)
 
 
 def cycle_speeds(time_s: Array, place: Array, window: Window, heading_rad: Array | None = None) -> Array:
-    """Return the speed between the mean positions of successive cycles, shape (cycles - 1,).
+    """Return the speeds between the mean positions of successive stroke cycles, shape (cycles - 1,).
 
     The mean of these speeds is the mean speed of a swim.
 
@@ -320,9 +327,9 @@ def cycle_speeds(time_s: Array, place: Array, window: Window, heading_rad: Array
 
 
 def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float:
-    """Return the time, s, after which the mean surge over a beat stays near its last value.
+    """Return the time, s, after which the surge averaged over a beat stays near its last value.
 
-    The tolerance is :data:`SETTLED_RTOL`.
+    The tolerance of the deviation from the last value is :data:`SETTLED_RTOL`.
 
     Parameters
     ----------
@@ -345,7 +352,7 @@ def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float
 
 
 def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> list[Array]:
-    """Return surge, sway and turning rate from a pose, by :func:`swimid.logs.sampling.slope`.
+    """Return surge, sway and turning rate, computed from the pose by :func:`swimid.logs.sampling.slope`.
 
     Parameters
     ----------
@@ -360,7 +367,7 @@ def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> 
 
 
 def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None:
-    """Return the velocity along the x and z axes of the world, m/s, shape (2, n); None without positions.
+    """Return the velocity along the world's x and z axes, m/s, shape (2, n); None without positions.
 
     Notes
     -----
@@ -386,7 +393,7 @@ def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None
 
 
 def _differences(time_s: Array, values: Array) -> Array:
-    """Return central differences of the known samples; NaN where a sample is missing."""
+    """Return the central differences of a channel's known samples; NaN where a sample is missing."""
     known = np.isfinite(values)
     rates = np.full(len(values), np.nan)
     if known.sum() > 1:
@@ -418,8 +425,8 @@ def plane_quantities(
     turn : str
         Name of the rotation, ``"yaw"`` or ``"pitch"``.
     commanded_turn : bool
-        Whether the drive has a bias or an asymmetry. If it has neither, a turning radius is given only for a
-        turning rate above :data:`MIN_TURNING_RATE`.
+        Whether the drive has a bias or an asymmetry. If it has neither, a turning radius is returned only for
+        a turning rate above :data:`MIN_TURNING_RATE`.
     """
     heading, (surge, _, turning) = pose[2], velocity
     speeds = cycle_speeds(window.times(), np.array(pose[:2]), window, heading)
@@ -473,14 +480,14 @@ def tail_excursion(x_m: Array, y_m: Array) -> float:
 
 
 def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Window) -> dict[str, float]:
-    """Return those :data:`CYCLE_QUANTITIES` that the channels determine, for one cycle in the vertical plane.
+    """Return the :data:`CYCLE_QUANTITIES` of one cycle, as far as the channels determine them.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
     channels : mapping of str to ndarray, each shape (n,)
-        Channels ``x_m``, ``z_m`` and ``pitch_rad``, and their rates (see :func:`world_velocity`), as far as
-        known.
+        Those of the channels ``x_m``, ``z_m``, ``pitch_rad`` and their rates (see :func:`world_velocity`)
+        that are known.
 
     Notes
     -----
@@ -491,7 +498,7 @@ def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Windo
     found: dict[str, float] = {}
 
     def within(values: Array | None) -> tuple[Array, Array] | None:
-        """Return times and samples in the cycle; None if there are fewer than MIN_SAMPLES."""
+        """Return the times and samples of a channel in the cycle; None for fewer than MIN_SAMPLES."""
         if values is None:
             return None
         there = inside & np.isfinite(np.atleast_2d(values)).all(axis=0)
@@ -525,36 +532,38 @@ def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Windo
 
 # ---------------------------------------------------------------- swimming motion from a track
 
-#: Number of blocks of a track without a stroke, and maximum number of blocks of any track. In a longer track
-#: each block has several strokes.
+#: Number of blocks into which a track without a stroke is divided, and maximum number of blocks of any track.
+#: In a longer track each block has several strokes.
 N_BLOCKS, MAX_BLOCKS = 20, 200
-#: Minimum number of measured samples in a window.
+#: Minimum number of measured samples in the window of a track that is evaluated.
 MIN_WINDOW_SAMPLES = 12
-#: Minimum number of blocks in a steady part. With fewer blocks a trend cannot be distinguished from scatter.
+#: Minimum number of blocks in a period of steady swimming. With fewer blocks a trend cannot be distinguished
+#: from scatter.
 MIN_BLOCKS = 5
-#: Minimum speed of a block of the cruise, divided by the 90th percentile of the block speeds. Slower blocks
-#: are start, coasting or rest.
+#: Minimum speed of a block that belongs to the cruise, divided by the 90th percentile of the block speeds.
+#: Slower blocks are start, coasting or rest.
 MIN_CRUISE = 0.5
-#: Maximum change of the speed over a steady part, divided by the mean speed. A change that is not significant
-#: is also accepted.
+#: Maximum change of the speed over a period of steady swimming, divided by the mean speed. A larger change is
+#: accepted if it is not significant.
 MAX_CHANGE = 0.02
-#: Maximum absolute value in the 95 % interval of the change of speed over a steady part, divided by the mean
-#: speed.
+#: Maximum absolute value, within its 95 % interval, of the change of speed over a period of steady swimming,
+#: divided by the mean speed.
 MAX_CHANGE_REACH = 0.2
-#: Maximum fraction of the cruise blocks that is cut off as the start, and maximum fraction of the remaining
-#: blocks that is cut off as the end.
+#: Maximum fraction of the cruise blocks that is cut off as the start of the motion, and maximum fraction of
+#: the remaining blocks that is cut off as its end.
 MAX_START, MAX_END = 1 / 2, 1 / 3
-#: Number of strokes in each fit of an amplitude.
+#: Number of strokes to which each sine is fitted, for the amplitude.
 N_STROKES = 2.0
-#: Minimum ratio of a significant amplitude to its standard error, and to the error of the track.
+#: Minimum ratio of a significant amplitude to its standard error, and to the systematic error of the track.
 AMPLITUDE_Z = 3.0
-#: Minimum ratio of the lowest speed of a point to its mean speed, for a course that is defined at all times.
+#: Minimum ratio of the lowest speed of a point to its mean speed. Below it the course is not defined at all
+#: times.
 MIN_SPEED_SHARE = 0.2
 
 
 @dataclass(frozen=True)
 class Track:
-    """Track as measured and as smoothed, in one unit of length.
+    """Measured and smoothed track, in one unit of length.
 
     Attributes
     ----------
@@ -589,7 +598,8 @@ class Swimming:
     begin_s, end_s : float
         Start and end of the window, s.
     window : str
-        Kind of the window: ``given``, ``steady part``, or ``whole track`` if no part is steady.
+        Choice of the window: ``given`` by the user, ``steady part`` of the track, or ``whole track`` if no
+        part is steady.
     path_speed : Estimate or None
         Mean of the speed along the path, including sway; None if no segment is long enough.
     advance : Estimate or None
@@ -637,7 +647,11 @@ class Swimming:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of one or several strokes: middle (s), velocity (2, n), speed along the arc, duration (s)."""
+    """Speeds in successive blocks of a track, each of one or several strokes.
+
+    The fields are the middle of each block (s), its velocity, shape (2, n), its speed along the arc, and the
+    duration of a block (s).
+    """
 
     middle: Array
     velocity: Array
@@ -646,14 +660,17 @@ class _Blocks:
 
     @property
     def turn_round(self) -> bool:
-        """Whether the course makes at least one full rotation."""
+        """Whether the course of the track makes at least one full rotation."""
         course = np.unwrap(np.arctan2(self.velocity[1], self.velocity[0]))
         return len(course) > 1 and bool(abs(course[-1] - course[0]) >= 2.0 * np.pi)
 
 
 @dataclass(frozen=True)
 class _Stroke:
-    """Stroke of a window and a reason to doubt it; or the reason for no stroke, and a slow frequency, Hz."""
+    """Stroke in a window of a track, with a reason to doubt it.
+
+    Without a stroke, the fields are the reason why none is found, and the frequency of a slow motion, Hz.
+    """
 
     beat: Beat | None = None
     doubt: str = ""
@@ -678,13 +695,12 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
     Notes
     -----
     The path is averaged over one stroke, which removes the oscillation of the body. It is then cut into
-    blocks of one stroke, each of which is taken for an arc of a circle
-    (:func:`block_speeds`). The steady part lies in the longest sequence of blocks that
-    are not slower than :data:`MIN_CRUISE` of the cruise speed. The start and the end of this sequence are cut
-    off by the marginal standard error rule [1]_: the smallest number of blocks is cut off for which the
-    standard error of the mean of the remaining blocks is minimal, within the uncertainty of that error. The
-    steady part must have :data:`MIN_BLOCKS` blocks. The change of its speed must not be significant, or must
-    be at most :data:`MAX_CHANGE`.
+    blocks of one stroke, each of which is taken for an arc of a circle (:func:`block_speeds`). The steady
+    part lies in the longest sequence of blocks that are not slower than :data:`MIN_CRUISE` of the cruise
+    speed. The start and the end of this sequence are cut off by the marginal standard error rule [1]_. This
+    rule cuts off the smallest number of blocks for which the standard error of the mean of the remaining
+    blocks is minimal, within the uncertainty of that error. The steady part must have :data:`MIN_BLOCKS`
+    blocks. The change of its speed must not be significant, or must be at most :data:`MAX_CHANGE`.
 
     References
     ----------
@@ -705,7 +721,8 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
     stroke = _find_stroke(track, begin, end)
     blocks = _blocks(track, begin, end, stroke.period_s)
     advance = change = acceleration = across = frequency = None
-    # speeds of blocks shorter than a slow stroke oscillate with this stroke, unless the slow motion is a lap
+    # Speeds are computed unless a stroke is slower than the blocks, because the block speeds oscillate with
+    # it. A lap of the path is no such stroke.
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
         durations = np.full(len(blocks.speed), blocks.duration_s)
         advance = _not_negative(mean_of_blocks(blocks.speed, durations))
@@ -742,14 +759,17 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
 
 
 def _is_level(change: Estimate, speed: float) -> bool:
-    """Return whether the change of a speed is known well enough, and is small or not significant."""
+    """Return whether a change of speed counts as none.
+
+    Its uncertainty must be small relative to the speed. In addition it must be small or not significant.
+    """
     if max(-change.low, change.high) > MAX_CHANGE_REACH * abs(speed):
         return False
     return abs(change.value) <= MAX_CHANGE * abs(speed) or change.low <= 0 <= change.high
 
 
 def _not_negative(speed: Estimate | None) -> Estimate | None:
-    """Return an estimate of a speed whose interval is cut off at zero."""
+    """Return the estimate of a speed with its 95 % interval cut off at zero."""
     if speed is None:
         return None
     return Estimate(speed.value, max(speed.low, 0.0), speed.high)
@@ -759,12 +779,15 @@ def _not_negative(speed: Estimate | None) -> Estimate | None:
 
 
 def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
-    """Return the stroke of a window. In a track without a heading the course is searched for the stroke."""
+    """Return the stroke in a window of a track.
+
+    In a track without a heading the course is searched for the stroke.
+    """
     rows = np.flatnonzero((track.time_s >= begin) & (track.time_s <= end))
     if len(rows) < 3:
         return _Stroke(unknown="too few samples")
     raw, (vx, vy) = track.raw[:, rows], track.velocity[:, rows]
-    # the column names are those of the log format, whatever the unit of length is
+    # The column names are those of the log format, even if the unit of length is not the metre.
     columns = {"x_m": raw[0], "y_m": raw[1]}
     if track.angle is not None and track.raw_angle is not None:
         angle = track.angle[rows]
@@ -784,7 +807,8 @@ def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
     if found.maybe_double:
         return _Stroke(unknown="only motions that may swing twice a stroke keep a beat")
 
-    # any bend of a path deviates from a cubic: the amplitude of a stroke must be significant in the track
+    # Any bend of a path deviates from a cubic and may look like a beat. Therefore the amplitude of a stroke
+    # must be significant in the track.
     def is_significant(beat: Beat) -> bool:
         return bool(_amplitudes(track, begin, end, beat.frequency_hz))
 
@@ -798,16 +822,16 @@ def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
 
 
 def _is_under_way(velocity: Array) -> bool:
-    """Return whether a point never stops, so that its course is defined at all times."""
+    """Return whether a point of the robot never stops, so that its course is defined at all times."""
     speed = np.hypot(*velocity)
     return bool(np.isfinite(speed).all() and speed.min() > MIN_SPEED_SHARE * float(speed.mean()))
 
 
 def _stays(place: Array) -> bool:
-    """Return whether a point oscillates about one place.
+    """Return whether a point of the robot oscillates about one place.
 
-    Then the mean positions of the first and the second half of the track are closer together than half of
-    their distance at constant speed.
+    The criterion is the distance between the mean positions of the first and the second half of the track. It
+    must be smaller than half of the distance at constant speed.
     """
     along = _long_axis(place) @ place[:, np.isfinite(place).all(axis=0)]
     half = len(along) // 2
@@ -815,13 +839,13 @@ def _stays(place: Array) -> bool:
 
 
 def _long_axis(place: Array) -> Array:
-    """Return the unit vector of the direction with the largest variance of positions, shape (2, n)."""
+    """Return the unit vector along which positions, shape (2, n), have the largest variance."""
     known = place[:, np.isfinite(place).all(axis=0)]
     return np.asarray(np.linalg.eigh(np.cov(known))[1][:, -1])
 
 
 def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dict[str, Estimate]:
-    """Return the significant amplitudes at a frequency: of the sway and of the heading.
+    """Return the amplitudes of sway and heading at a frequency, as far as they are significant.
 
     The sway is the motion across the mean heading. Without a heading it is the motion across the mean path,
     or, for a point that stays in place, along the direction of its largest motion.
@@ -851,7 +875,7 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
 
 
 def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
-    """Return the mean amplitude of a sine fitted to successive strokes; None if it is not significant."""
+    """Return the mean amplitude of the sines fitted to successive strokes; None if it is not significant."""
     if not len(time):
         return None
     strokes = min(N_STROKES, float(time[-1] - time[0]) * frequency)
@@ -884,7 +908,7 @@ def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
 
 
 def _running_mean(time: Array, values: Array, period: float) -> Array:
-    """Return the running mean over one period; NaN where part of the period has no samples."""
+    """Return the running mean of a channel over one period; NaN where samples of the period are missing."""
     known = np.isfinite(values)
     safe = np.where(known, values, 0.0)
     area = np.concatenate(([0.0], np.cumsum(0.5 * np.diff(time) * (safe[1:] + safe[:-1]))))
@@ -897,11 +921,14 @@ def _running_mean(time: Array, values: Array, period: float) -> Array:
 
 
 def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Blocks:
-    """Return blocks of whole strokes inside gap-free parts; without a stroke, blocks of equal duration."""
+    """Return the blocks of a track, each of whole strokes and without gaps.
+
+    Without a stroke the blocks have equal durations.
+    """
     time = track.time_s
     if period is None or period > (end - begin) / 3:
         period = (end - begin) / N_BLOCKS
-    # errors of smoothed samples are correlated, so measured samples are used where there are any
+    # The errors of smoothed samples are correlated. Therefore measured samples are used where there are any.
     filled = np.where(track.measured & np.isfinite(track.raw), track.raw, track.smooth)
     path = np.array([_running_mean(time, row, period) for row in filled])
     known = np.isfinite(path[0])
@@ -922,7 +949,7 @@ def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Bl
 
 
 def _steady_part(blocks: _Blocks) -> tuple[float, float] | None:
-    """Return start and end of the steady part, s; None if no part is steady."""
+    """Return start and end of the period of steady swimming, s; None if no period is steady."""
     if len(blocks.speed) < MIN_BLOCKS:
         return None
     under_way = blocks.speed >= MIN_CRUISE * float(np.percentile(blocks.speed, 90))
@@ -937,10 +964,11 @@ def _steady_part(blocks: _Blocks) -> tuple[float, float] | None:
 
 
 def _transient(speed: Array, most: float) -> int:
-    """Return the number of blocks to cut off at the beginning, at most the fraction ``most`` of all blocks.
+    """Return the number of blocks at the beginning that belong to the start of the motion.
 
-    The result is the smallest number for which the squared standard error of the mean speed is within one
-    standard error of its minimum.
+    At most the fraction ``most`` of all blocks is cut off. The result is the smallest number for which the
+    squared standard error of the mean speed of the remaining blocks is within one standard error of its
+    minimum.
     """
     counts = len(speed) - np.arange(int(most * len(speed)) + 1)
     counts = counts[counts >= 3]
@@ -948,18 +976,21 @@ def _transient(speed: Array, most: float) -> int:
         return 0
     scores = np.array([float(np.var(speed[len(speed) - n :], ddof=1)) / n for n in counts])
     best = int(np.argmin(scores))
-    # a variance estimated from n samples has the relative standard error sqrt(2 / (n - 1))
+    # A variance that is estimated from n samples has the relative standard error sqrt(2 / (n - 1)).
     return int(np.argmax(scores <= scores[best] * (1 + math.sqrt(2 / (counts[best] - 1)))))
 
 
 def _change(middle: Array, speed: Array) -> Estimate:
-    """Return the change of the speed from the first to the last block, from a fitted line."""
+    """Return the change of the speed from the first to the last block, according to a fitted line."""
     span, slope = float(middle[-1] - middle[0]), _slope(middle, speed)
     return Estimate(span * slope.value, span * slope.low, span * slope.high)
 
 
 def _slope(time: Array, values: Array) -> Estimate:
-    """Return the slope of a fitted line with its 95 % interval, widened for correlated residuals."""
+    """Return the slope of a fitted line with its 95 % interval.
+
+    The interval is widened for correlated residuals.
+    """
     design = np.column_stack([np.ones(len(time)), time - time.mean()])
     weights = np.linalg.lstsq(design, values, rcond=None)[0]
     residual = values - design @ weights

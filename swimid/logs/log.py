@@ -1,7 +1,8 @@
-"""Log of one trial: a CSV or Parquet file (``docs/formats.md``), or a table in memory.
+"""Reading, checking and writing the log of one trial.
 
-The first column is ``t_s``, which increases strictly. A missing sample is an empty cell. Lines that begin
-with ``#`` before the header hold metadata as YAML ``key: value``. The name of a column ends in its unit.
+A log is a CSV or Parquet file (``docs/formats.md``), or a table in memory. The first column is ``t_s``, which
+increases strictly. A missing sample is an empty cell. Lines that begin with ``#`` before the header hold
+metadata as YAML ``key: value``. The name of a column ends in its unit.
 """
 
 from __future__ import annotations
@@ -28,18 +29,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIME = "t_s"
-#: Relative tolerance of a stroke frequency. A frequency that differs by more contradicts the stated
-#: frequency.
+#: Relative tolerance of a stroke frequency. A measured frequency that differs by more contradicts the
+#: frequency that the metadata state.
 FREQUENCY_RTOL = 0.05
-#: Number of samples written at once.
+#: Number of rows that are written to a file at once.
 ROWS = 100_000
-#: Type of a log as an argument: the path of the log, the log itself, or a table.
+#: Type of an argument that stands for a log: the path of the log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
 
 @dataclass(frozen=True)
 class Log:
-    """Samples of one trial.
+    """Log of one trial: its samples and metadata.
 
     Attributes
     ----------
@@ -118,7 +119,7 @@ class Log:
         return self if self.first_line is None else self.path
 
     def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
-        """Return the log with the required and the optional columns, after the checks of :func:`read`."""
+        """Return a copy of the log with the required and the optional columns, checked as by :func:`read`."""
         wanted = _wanted(list(self.columns), required, optional, self.path, None)
         log = replace(self, columns={name: self.columns[name] for name in wanted})
         _check(log, required)
@@ -126,15 +127,15 @@ class Log:
 
     @property
     def name(self) -> str:
-        """Name of the file, or name of a log in memory."""
+        """Name of the log's file, or name of a log in memory."""
         return self.path.name
 
     def digest(self) -> str:
-        """Return the SHA-256 of the names and samples of the columns, as hexadecimal digits."""
+        """Return the SHA-256 of the names and samples of the log's columns, as hexadecimal digits."""
         digest = hashlib.sha256()
         for name, values in self.columns.items():
             digest.update(f"{name}\n".encode())
-            if values.dtype.kind == "f":  # NaN has several bit patterns
+            if values.dtype.kind == "f":  # NaN has several bit patterns, of which one is used
                 values = np.where(np.isnan(values), np.nan, values)
             if values.dtype.kind in "biufM":
                 digest.update(values.tobytes())
@@ -149,11 +150,11 @@ class Log:
 
     @property
     def signals(self) -> dict[str, NDArray[np.float64]]:
-        """Columns except the time."""
+        """Columns of the log except the time."""
         return {name: values for name, values in self.columns.items() if name != TIME}
 
     def frame(self) -> pd.DataFrame:
-        """Return the columns as a table, one row per sample."""
+        """Return the columns of the log as a table, one row per sample."""
         import pandas as pd
 
         return pd.DataFrame(self.columns)
@@ -183,7 +184,9 @@ class Log:
 
 
 def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
-    """Return a log for any argument that stands for one: a path is read, a table is checked.
+    """Return the log for an argument of any allowed type.
+
+    A path is read, a table is checked, and a log is returned unchanged.
 
     Raises
     ------
@@ -199,7 +202,10 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
 
 
 def unread(given: LogLike, *, name: str = "log") -> Path | Log:
-    """Return a path, or a log in memory. A table is converted to a log without any check."""
+    """Return the argument as a path or a log, without reading or checking it.
+
+    A table is converted to a log.
+    """
     if isinstance(given, str | Path):
         return Path(given)
     if isinstance(given, Log):
@@ -208,7 +214,7 @@ def unread(given: LogLike, *, name: str = "log") -> Path | Log:
 
 
 def numeric(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns that hold numbers, converted as in :func:`read`, without columns of text."""
+    """Return the columns of numbers, converted as in :func:`read`, without the columns of text."""
     import pandas as pd
 
     frame = pd.DataFrame(dict(columns)).select_dtypes(["number", "bool"])
@@ -216,7 +222,7 @@ def numeric(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
 
 
 def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
-    """Return the columns of a table: numbers, dates (``datetime64[ns]``, UTC), or text.
+    """Return the columns of a table as arrays of numbers, dates (``datetime64[ns]``, UTC), or text.
 
     Raises
     ------
@@ -248,7 +254,7 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
 
 
 def written_by(metadata: Mapping[str, Any], program: str) -> bool:
-    """Return whether the metadata say that ``program`` (such as ``swimid track``) wrote the log."""
+    """Return whether the metadata of a log say that ``program`` (such as ``swimid track``) wrote it."""
     return str(metadata.get("made_by", "")).startswith(program)
 
 
@@ -314,7 +320,7 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     try:
         table = read(dict.fromkeys(wanted, float))
     except ValueError:
-        # read the cells as text, to find the columns of numbers and the cell that is not a number
+        # Read the cells as text, to find the columns of numbers and the cell that is not a number.
         try:
             table = read(str)
         except ValueError as error:
@@ -331,7 +337,7 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
 def _columns(
     cells: Mapping[str, Any], strict: set[str], place: Callable[[int], dict[str, Any]], path: Path
 ) -> dict[str, Array]:
-    """Return the columns of numbers; an error is raised for a column in ``strict`` that holds text."""
+    """Return the columns of numbers in a table; raise an error for text in a column listed in ``strict``."""
     found = {}
     for name, values in cells.items():
         numbers = cells_to_numbers(values, name in strict, place, path, name)
@@ -343,7 +349,9 @@ def _columns(
 def cells_to_numbers(
     cells: Any, strict: bool, place: Callable[[int], dict[str, Any]], path: Path, name: str, more: str = ""
 ) -> NDArray[np.float64] | None:
-    """Return a column as numbers; None for a column of text. ``more`` is added to the hint of the error.
+    """Return a column as numbers; None for a column of text.
+
+    ``more`` is added to the hint of the error.
 
     Raises
     ------
@@ -390,14 +398,14 @@ def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict
 
 
 def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
-    """Yield the number and the text of each line after the header, without blank lines."""
+    """Yield the number and the text of each line of a file after its header, without blank lines."""
     with path.open("r", encoding="utf-8", errors="replace") as stream:
         lines = enumerate(stream, start=1)
         yield from ((at, line) for at, line in lines if at > header_line and line.strip())
 
 
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
-    """Raise an error at the first line that has more or fewer cells than the header."""
+    """Raise an error that names the first line with more or fewer cells than the header."""
     for at, line in _samples(path, header_line):
         cells = tabular.count_cells(line.rstrip("\n"))
         if cells != width:
@@ -406,7 +414,7 @@ def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
 
 
 def _line_of(path: Path, header_line: int, row: int) -> int:
-    """Return the line number of a sample; blank lines count."""
+    """Return the line number of a sample in its file, counting blank lines."""
     samples = islice(_samples(path, header_line), row, None)
     return next((at for at, _ in samples), header_line + 1 + row)
 
@@ -416,7 +424,7 @@ def _line_of(path: Path, header_line: int, row: int) -> int:
 
 def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
     pyarrow = tabular.pyarrow()
-    path.stat()  # report a missing file as missing, not as damaged
+    path.stat()  # raise the error for a missing file, before the file counts as damaged
     try:
         file = pyarrow.parquet.ParquetFile(path)
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
@@ -438,7 +446,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
 
 
 def _check(log: Log, required: Sequence[str]) -> None:
-    """Raise an error for an invalid log; warn of missing samples and of unusual values."""
+    """Raise an error if a log is invalid; warn of missing samples and of unusual values."""
     time = log.time_s
     if len(time) < 2:
         raise InputError(f"has {len(time) or 'no'} samples; at least 2 are needed", file=log.path)
@@ -459,13 +467,16 @@ def _check(log: Log, required: Sequence[str]) -> None:
 
 
 def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str | None = None) -> None:
-    """Raise an error at the first sample that is flagged as bad."""
+    """Raise an error that names the first sample flagged as bad, if any sample is."""
     if bad.any():
         raise InputError(text, file=log.path, column=column, hint=hint, **log.place(int(np.argmax(bad))))
 
 
 def _warn_missing(log: Log) -> None:
-    """Warn once of all missing samples; columns with equal numbers of missing samples share one entry."""
+    """Warn of all missing samples of a log in one message.
+
+    Columns with equal numbers of missing samples share one entry.
+    """
     gaps: dict[tuple[int, int], list[str]] = {}
     for name, values in log.columns.items():
         missing = np.isnan(values)
@@ -481,7 +492,7 @@ def _warn_missing(log: Log) -> None:
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the unbroken runs of True as rows of (first index, last index + 1), shape (k, 2).
+    """Return each unbroken sequence of True as a row (first index, last index + 1), shape (k, 2).
 
     >>> runs(np.array([True, True, False, True])).tolist()
     [[0, 2], [3, 4]]
@@ -490,7 +501,7 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:
-    """Return the number of elements in the longest unbroken run of True.
+    """Return the number of elements in the longest unbroken sequence of True.
 
     >>> longest_run(np.array([True, False, True, True]))
     2
@@ -499,7 +510,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 
 def warn_units(log: Log) -> None:
-    """Warn of values that are unusual in the unit of their column."""
+    """Warn of values of a log that are unusual in the unit of their column."""
     for doubt in doubts(log.time_s, log.columns):
         warn("SWM002", f"{log.path.name}, '{doubt.column}': {doubt.text}")
 
@@ -532,7 +543,7 @@ def write(
             pyarrow = tabular.pyarrow()
             schema = pyarrow.Schema.from_pandas(frame, preserve_index=False)
             schema = schema.with_metadata({**(schema.metadata or {}), b"swimid": "\n".join(lines).encode()})
-            # measured values hardly ever repeat, so that a dictionary would only cost time
+            # Measured values hardly ever repeat. A dictionary of the values would only cost time.
             options = {"use_dictionary": False, "write_statistics": False}
             with pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer:
                 for piece in pieces:
@@ -549,8 +560,8 @@ def write(
 
 
 def _printed(samples: NDArray[np.float64]) -> bytes:
-    """Return samples, shape (n, k), as lines of CSV; no digits are lost."""
-    # pydantic writes a JSON list of numbers ten times as fast as pandas writes CSV
+    """Return samples, shape (n, k), as lines of CSV without loss of digits."""
+    # Let pydantic write a JSON list of numbers, which is ten times as fast as writing CSV with pandas.
     text = np.frombuffer(bytearray(to_json(samples.ravel().tolist(), inf_nan_mode="constants")), np.uint8)
     text[-1] = ord(",")
     width = samples.shape[1]
@@ -560,33 +571,33 @@ def _printed(samples: NDArray[np.float64]) -> bytes:
 
 # ---------------------------------------------------------------- values that are unusual in the stated unit
 
-# A warning does not change the unit: the values are used in the unit of their column.
+# A warning of unusual values does not change the unit. The values are used in the unit of their column.
 
 #: Maximum speed of a swimmer, m/s. Cavitation and muscle power limit it to 10 to 15 m/s. Iosilevskii, G.,
 #: Weihs, D. (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
 MAX_SPEED_M_S = 15.0
-#: Maximum usual turn rate, rad/s: about ten rotations per second, more than the fastest escape of a fish or a
-#: fin that beats through ±50 degrees at 10 Hz.
+#: Maximum usual turn rate, rad/s: about ten rotations per second. This is more than in the fastest escape of
+#: a fish, or of a fin that beats through ±50 degrees at 10 Hz.
 MAX_RATE_RAD_S = 60.0
-#: Maximum usual extent of a track, m. A tank, a pool and a field of view are smaller.
+#: Maximum usual extent of a track, m. Tanks, pools and fields of view are smaller.
 MAX_EXTENT_M = 100.0
-#: Minimum time step, s, and minimum duration, s, of a record whose times are probably in milliseconds.
+#: Minimum time step and minimum duration, s, of a record whose times are probably in milliseconds.
 MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
 #: Maximum fraction of the samples of a record that may exceed a limit without a warning. They are taken for
-#: outliers of a tracker.
+#: outliers of the tracking.
 OUTLIER_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Column with unusual values, and a text with the unit that would explain these values."""
+    """Doubt about a column: its unusual values, and the unit that would explain them."""
 
     column: str
     text: str
 
 
 def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
-    """Return the columns of a log with values that are unusual for a swimmer.
+    """Return the columns of a log whose values are unusual for a swimmer, each with a probable unit.
 
     Parameters
     ----------
@@ -606,7 +617,7 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
 
 
 def _doubt(name: str, time_s: Array, values: Array) -> str | None:
-    """Return words that name the unusual values of a column; None if there are none."""
+    """Return a message on the unusual values of a column; None if there are none."""
     low, high = _ends(values)
     largest = max(-low, high)
     if name.endswith("_rad"):
@@ -632,12 +643,16 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
 
 
 def _usual_rate(time_s: Array, values: Array) -> float:
-    """Return the rate that all but :data:`OUTLIER_SHARE` of the samples stay below; 0 if too short."""
+    """Return the rate of change that only a fraction :data:`OUTLIER_SHARE` of the samples exceeds.
+
+    The result is 0 if the record is too short.
+    """
     known = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[known], values[known]
     if len(t) < 3 or not np.median(np.diff(t)) > 0:
         return 0.0
-    # differences over at least 0.1 s, so that noise or a single jump does not cause a high rate
+    # Compute rates from differences over at least 0.1 s, so that noise or a single jump does not cause a high
+    # rate.
     lag = max(1, round(0.1 / float(np.median(np.diff(t)))))
     if len(t) <= 2 * lag:
         return 0.0

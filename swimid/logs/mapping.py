@@ -45,35 +45,36 @@ FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 #: Maximum number of instances (sensors, animals, tags) whose rows may alternate in one table.
 MAX_INSTANCES = 16
-#: Names of columns that are part of a time, and names of columns that number instances.
+#: Pattern of the names of columns that hold a time or a part of it, and pattern of the names of columns that
+#: number instances.
 OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
 _INSTANCE = re.compile(
     r"(.*[ _.])?(i|id|instance|instances|tag|track|individual|animal|sensor|marker|device)"
 )
-#: Minimum likelihood of a tracked point. Points with a lower likelihood are left empty. The value is the
-#: default ``pcutoff`` of DeepLabCut.
+#: Minimum likelihood of a tracked point. The coordinates of a point with a lower likelihood are left empty.
+#: The value is the default ``pcutoff`` of DeepLabCut.
 MIN_LIKELIHOOD = 0.6
 _LIKELIHOOD = re.compile(r"(?P<point>.+?)[ _.](likelihood|confidence|score|prob(ability)?)", re.I)
-#: Hint at the end of a message about a cell that is not a number.
+#: Hint at the end of an error message about a cell that is not a number.
 MISSING_HINT = ", or name what marks it under 'missing:' of the mapping"
-#: Pattern of a coordinate that follows the name of its point.
+#: Pattern of the rest of a column name after the name of a tracked point: a coordinate such as ``_x``.
 _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
-#: Unit of a dimensionless quantity in a mapping.
+#: Name of the unit of a dimensionless quantity in a mapping.
 NO_UNIT = "1"
 _TIME_OF_DAY = r"\d{1,2}:\d\d(:\d\d(\.\d+)?)?"
-#: Names of columns that hold a frame number or a row number.
+#: Pattern of the names of columns that hold a frame number or a row number.
 COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
 
-#: Placeholder in a drafted mapping for a value that the user must state.
+#: Placeholder in a drafted mapping. The user must replace it by a value.
 ASK = "ASK"
-#: Key of a column: its name in the file, or its number, counted from 1.
+#: Type of the key of a column: its name in the file, or its number, counted from 1.
 ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
 
 
 class Stated(yamlio.Document):
-    """Part of a mapping; a value that is still ``ASK`` is refused."""
+    """Base class of the sections of a mapping. It refuses a value that is still ``ASK``."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -89,22 +90,23 @@ class Stated(yamlio.Document):
 
 
 class Time(Stated):
-    """Source of the sample times (``time:`` of a mapping)."""
+    """Source of the sample times in a file (key ``time:`` of a mapping)."""
 
-    #: Column of the times, or several columns that form one time: date and time of day, or seconds and
-    #: nanoseconds.
+    #: Column that holds the times, or several columns that form one time: date and time of day, or seconds
+    #: and nanoseconds.
     source: ColumnKey | list[ColumnKey] | None = None
-    #: Column of frame numbers. The time is the frame number divided by the rate.
+    #: Key of the column that holds frame numbers. The time is the frame number divided by the rate.
     frame: ColumnKey | None = None
-    #: Unit of the source column, or a list with the unit of each source column.
+    #: Unit of the time column, or a list with the unit of each time column.
     unit: str | list[str] = "s"
-    #: Rate of the rows or frames, Hz, or the name of the single number in the file that states this rate.
+    #: Rate of the rows or frames, Hz, or the name of a single number in the file that states this rate.
     rate_hz: PositiveFloat | str | None = None
     #: Format of dates for ``datetime.strptime``, if they are not ISO 8601.
     format: str | None = None
     #: Value at which the time counter restarts from 0, in the unit of the source column.
     wraps_at: PositiveFloat | None = None
-    #: Origin of the time: ``keep`` leaves the times as in the file, ``first`` counts from the first sample.
+    #: Origin of the time: ``keep`` leaves the times as in the file, ``first`` counts the time from the first
+    #: sample.
     origin: Literal["keep", "first"] = "keep"
 
     @model_validator(mode="after")
@@ -122,7 +124,7 @@ class Time(Stated):
 
     @property
     def sources(self) -> list[str | int]:
-        """Columns that hold the time; empty if the time is counted from the rows."""
+        """Keys of the columns that hold the time; empty if the time is counted from the rows."""
         if self.frame is not None:
             return [self.frame]
         if isinstance(self.source, list):
@@ -131,22 +133,22 @@ class Time(Stated):
 
     @property
     def units_of_sources(self) -> list[str]:
-        """Unit of each column in ``sources``."""
+        """Unit of each column that holds the time, in the order of ``sources``."""
         if isinstance(self.unit, list):
             return self.unit
         return [self.unit] * len(self.sources)
 
 
 class Column(Stated):
-    """Mapping of one column: ``target = source * (factor of the unit) * factor + offset``."""
+    """Mapping of one column: ``target = source * (factor from the unit to SI) * factor + offset``."""
 
     source: ColumnKey
     target: str
-    #: Unit of the source, which is converted to the unit in the name of the target; ``1`` for a dimensionless
-    #: quantity.
+    #: Unit of the source column. Values are converted from it to the unit in the name of the target column.
+    #: The unit of a dimensionless quantity is ``1``.
     unit: str | None = None
     factor: float = 1.0
-    #: Offset in the unit of the target column.
+    #: Offset that is added, in the unit of the target column.
     offset: float = 0.0
 
     @field_validator("target")
@@ -171,7 +173,7 @@ class Column(Stated):
 
 
 class Quaternion(Stated):
-    """Convention of the attitude quaternion in the file."""
+    """Convention of the quaternions in the file: order of the elements, and direction of the rotation."""
 
     order: Literal["wxyz", "xyzw"] = "wxyz"
     direction: Literal["body-to-world", "world-to-body"] = "body-to-world"
@@ -181,19 +183,20 @@ class Mapping(Stated):
     """Content of a mapping file."""
 
     format: Literal["swimid-mapping/1"]
-    #: Name of the file format. If the format is a profile, it also names the columns.
+    #: Name of the file format. If the format is a profile, the columns are named by the profile.
     profile: str | None = Field(default=None, alias="as")
     #: Track, individual, topic, message type, struct or group to read, if the file holds several.
     select: str | int | None = None
-    #: Minimum likelihood of a tracked point. Points with a lower likelihood are left empty.
+    #: Minimum likelihood of a tracked point. The coordinates of a point with a lower likelihood are left
+    #: empty.
     min_likelihood: Annotated[float, Field(ge=0, le=1)] = MIN_LIKELIHOOD
     reader: Options = Options()
     time: Time | None = None
-    #: Rows to take: those with one of the given values in each named column.
+    #: Condition for the rows that are read: they have one of the given values in each named column.
     where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
-    #: Metadata that are added to the metadata of the file.
+    #: Metadata of the log that are added to those in the file.
     metadata: dict[str, str | float | int | bool | list[str | float | int]] = {}
 
     @model_validator(mode="after")
@@ -216,13 +219,13 @@ class Mapping(Stated):
 
     @property
     def name(self) -> str:
-        """Name that a mapping in memory has in the provenance of a result."""
+        """Name of a mapping in memory, for the provenance of a result."""
         return "mapping"
 
 
 @dataclass(frozen=True)
 class MappedLog:
-    """Foreign log, converted to target columns but not cleaned.
+    """Foreign log whose columns are converted to target columns and SI units. Its rows are not cleaned.
 
     Attributes
     ----------
@@ -243,7 +246,7 @@ class MappedLog:
     profile : str
         Name of the profile that read the file; empty without a profile.
     unlikely : dict of str to int
-        Number of samples that were left empty because of a low likelihood, by column of the likelihood.
+        Number of samples that were left empty because of a low likelihood, by name of the likelihood column.
     """
 
     path: Path
@@ -258,7 +261,7 @@ class MappedLog:
 
     @property
     def time_s(self) -> Array:
-        """Sample times as in the file, s, shape (n,)."""
+        """Sample times as they are in the file, s, shape (n,)."""
         return self.columns[TIME]
 
     def __len__(self) -> int:
@@ -266,7 +269,7 @@ class MappedLog:
 
 
 def of(given: str | Path | Mapping | dict[str, Any]) -> Mapping:
-    """Return the mapping given as a path of a mapping file, as an object, or as a dict with its keys.
+    """Return the mapping for an argument: the path of a mapping file, a mapping, or a dict with its keys.
 
     Raises
     ------
@@ -297,7 +300,7 @@ def apply(
     given : path or Log
         Path of the foreign log, or a log in memory (:func:`swimid.logs.log.unread`).
     stated : dict, optional
-        Statements of the user in addition to the mapping. ``profile``, ``select``, ``length_unit`` and
+        Values stated by the user in addition to the mapping. ``profile``, ``select``, ``length_unit`` and
         ``min_likelihood`` replace the values of the mapping. ``rate_hz`` is the frame rate, Hz, for a mapping
         without a time.
     progress : Progress
@@ -381,7 +384,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
 
 
 def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
-    """Return a column with the unit that the file states for it, unless the mapping states one."""
+    """Return the mapping of a column with the unit stated in the file, unless the mapping states a unit."""
     unit = canonical(stated or "")
     if unit not in UNITS.get(quantity_of(column.target) or "", {}):
         return column
@@ -395,12 +398,12 @@ def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
 
 
 def _short(value: Any) -> Any:
-    """Return the first line of a text, at most 120 characters; any other value is returned unchanged."""
+    """Return the first line of a text, at most 120 characters; return a value of another type unchanged."""
     return value.strip().partition("\n")[0][:120] if isinstance(value, str) else value
 
 
 def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
-    """Return the columns named as in the log format; warn of all other columns, which are left out."""
+    """Return a mapping of each column with a name of the log format to itself; warn of all other columns."""
     names = ", ".join(list(table.columns)[:20])
     hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
     if not {TIME, "frame"} & set(table.columns):
@@ -426,7 +429,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
 
 
 def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -> Time | None:
-    """Return the rule for the sample times; None if the time is a column of the log format."""
+    """Return the rule for computing the sample times; None if the time is a column of the log format."""
     time, has_frames = mapping.time, "frame" in table.columns and mapping.profile is not None
     if TIME in sources:
         if time is not None:
@@ -442,7 +445,7 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
 
 
 def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
-    """Return the number of rows of the columns in use; raise an error if their lengths differ."""
+    """Return the common number of rows of the columns in use; raise an error if their lengths differ."""
     lengths = {name: len(table.columns[name]) for name in names}
     if len(set(lengths.values())) > 1:
         text = ", ".join(f"{name} {rows}" for name, rows in lengths.items())
@@ -470,7 +473,10 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
 
 
 def _contradicted(table: Table, name: str) -> list[str]:
-    """Return a note if a time column has the name and the steps of a frame number; else an empty list."""
+    """Return a note on a time column that holds frame numbers, according to its name and its steps.
+
+    The result is a list, which is empty for any other column.
+    """
     values = table.columns[name]
     if values.dtype.kind not in "iuf" or not COUNT.fullmatch(name.strip().lower()):
         return []
@@ -485,7 +491,7 @@ def _contradicted(table: Table, name: str) -> list[str]:
 
 
 def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArray[np.bool_]:
-    """Return which rows have one of the wanted values in each column of ``where``, shape (rows,).
+    """Return flags of the rows that have one of the wanted values in each column of ``where``, shape (rows,).
 
     Raises
     ------
@@ -510,11 +516,12 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
 
 
 def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[str]) -> tuple[str, list[str]]:
-    """Return the column that numbers several instances whose rows alternate, and the values of this column.
+    """Return the column that numbers several instances whose rows alternate, and the values in it.
 
-    Such a column has few values and changes from row to row in at least half of the rows. In addition, either
-    its name is that of an instance, or the times are even within each of its values and uneven over all rows.
-    Without such a column the result is ``("", [])``.
+    An instance is a sensor, an animal or a tag. The column that numbers them has few values and changes from
+    row to row in at least half of the rows. In addition, either its name is that of an instance, or the times
+    are even within each of its values and uneven over all rows. Without such a column the result is ``("",
+    [])``.
     """
     time = time_s[kept]
     if len(time) < 10:
@@ -541,7 +548,7 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
 
 
 def _evenness(time: Array) -> float:
-    """Return the fraction of the time steps that lie within half of the median step."""
+    """Return the fraction of the time steps that differ from the median step by at most half of it."""
     steps = np.diff(time)
     if len(steps) == 0 or not np.median(steps) > 0:
         return 0.0
@@ -553,16 +560,16 @@ def _distinct(values: NDArray[Any]) -> list[str]:
     """Return the distinct values of a column in order of first appearance, without missing values."""
     import pandas as pd
 
-    # convert whole numbers, so that they are written without a decimal point
+    # Convert whole numbers to integers, so that they are written without a decimal point.
     known: list[str] = pd.Series(pd.unique(values)).dropna().convert_dtypes().astype(str).tolist()
     return known
 
 
 def empty_unlikely(columns: dict[str, Array], sources: dict[str, str], minimum: float) -> dict[str, int]:
-    """Empty the coordinates of unlikely points in place; return the number of emptied samples by likelihood.
+    """Set coordinates of unlikely tracked points to NaN, in place; return their number by likelihood column.
 
-    A likelihood belongs to the coordinates whose names begin with the same point, in the log or in the file.
-    A sample without a likelihood counts as unlikely.
+    A likelihood applies to the coordinates whose names begin with the name of the same point, in the log or
+    in the file. A sample without a likelihood counts as unlikely.
 
     >>> columns = {"x_px": np.array([1.0, 2.0]), "c": np.array([0.9, 0.1])}
     >>> empty_unlikely(columns, {"x_px": "nose_x", "c": "nose_likelihood"}, 0.6), columns["x_px"]
@@ -613,7 +620,7 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
             raise InputError(f"holds no positive number '{time.rate_hz}' for the rate", file=path, hint=hint)
         factors = [1.0 / rate]
     elif any(is_text(part) for part in parts):
-        # text of times of day is already converted to seconds
+        # The text of times of day is already converted to seconds at this point.
         parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
     known = np.logical_and.reduce([np.isfinite(part) for part in parts])
     if not known.any():
@@ -636,7 +643,7 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
 
 
 def _frames(table: Table, name: str, path: Path) -> Array:
-    """Return a column of frame numbers as floating-point numbers; a fraction or a text is refused."""
+    """Return a column of frame numbers as floating-point numbers; raise an error for a fraction or a text."""
     values = table.columns[name]
     if is_text(values) or values.dtype.kind == "M":
         raise InputError("holds no frame numbers", file=path, column=name)
@@ -651,7 +658,7 @@ def _frames(table: Table, name: str, path: Path) -> Array:
 
 
 def unwrapped(counts: NDArray[Any], period: float) -> Array:
-    """Return the values of a counter that restarts from 0 at ``period`` as values that keep growing.
+    """Return the values of a counter that restarts from 0 at ``period``, converted to values that only grow.
 
     >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
     [65534.0, 65535.0, 65536.0, 65537.0]
@@ -664,10 +671,10 @@ def unwrapped(counts: NDArray[Any], period: float) -> Array:
 def _parsed(
     parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
 ) -> NDArray[Any]:
-    """Return cells of text as dates (``datetime64[ns]``), or as times of day in s."""
+    """Return cells of text converted to dates (``datetime64[ns]``), or to times of day in s."""
     import pandas as pd
 
-    # whole numbers in a column next to a text column are written without a decimal point
+    # Write whole numbers in a column next to a text column without a decimal point.
     columns = [pd.Series(part).convert_dtypes().astype("string").str.strip() for part in parts]
     cells = columns[0].str.cat(columns[1:], sep=" ") if columns[1:] else columns[0]
     plain = cells.str.replace(",", ".", regex=False)
@@ -692,10 +699,10 @@ def _parsed(
 
 # ---------------------------------------------------------------- rows in order
 
-#: Maximum fraction of samples that arrive late, and maximum number of consecutive late samples. With more
-#: late samples, the clock is taken to have been reset.
+#: Maximum fraction of samples in a record with an earlier time than the sample before, and maximum number of
+#: such late samples in sequence. With more late samples, the clock is taken to have been reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
-#: Words of the summary for each kind of rows out of order.
+#: Text in the summary of a record for each kind of rows that are left out or moved.
 ODD_ROWS = {
     "untimed": "without a time left out",
     "repeated": "repeated left out",
@@ -706,7 +713,7 @@ ODD_ROWS = {
 
 @dataclass(frozen=True)
 class Order:
-    """Order of the rows of a record by their times.
+    """Order of the rows of a record by their times, and numbers of rows that were left out or moved.
 
     Attributes
     ----------
@@ -726,7 +733,7 @@ class Order:
 
     @property
     def summary(self) -> str:
-        """Words that say how many rows of each kind are left out or moved; empty if none is."""
+        """Summary of how many rows of each kind are left out or moved; empty if none is."""
         return "; ".join(f"{count} {ODD_ROWS[name]}" for name, count in self.counts.items() if count)
 
 
@@ -767,7 +774,8 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
 # ---------------------------------------------------------------- draft of a mapping
 
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
-#: Names that state a quantity but no unit: pattern of the whole name in lower case, and target column.
+#: Names of columns that state a quantity but no unit: pattern of the whole name in lower case, and target
+#: column.
 _NAMES: list[tuple[str, str]] = [
     (r"(lin(ear)?[ _.]*)?acc(el(eration|erometer)?)?" + _XYZ, "a{axis}_m_s2"),
     (r"(gyr(o(scope)?)?|ang(ular)?[ _.]?(vel(ocity)?|rate)|omega)" + _XYZ, "w{axis}_rad_s"),
@@ -792,11 +800,11 @@ _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
 
 @dataclass(frozen=True, eq=False)
 class Draft(Result):
-    """Drafted mapping: result of ``guess_mapping``. Its ``document`` is YAML text with comments."""
+    """Draft of a mapping, which ``guess_mapping`` returns. Its ``document`` is YAML text with comments."""
 
     @property
     def mapping(self) -> Mapping:
-        """Mapping, which ``import_log`` and ``track_imu`` accept.
+        """Mapping of the draft. ``import_log`` and ``track_imu`` accept it.
 
         Raises
         ------
@@ -811,11 +819,11 @@ class Draft(Result):
 
 
 def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:
-    """Draft the mapping of a foreign log.
+    """Draft a mapping that converts a foreign log to the log format.
 
-    The draft states what follows from a profile, from the name of a column or from a stated unit. All other
-    values are ``ASK``, with the first values of the column in a comment. A mapping with ``ASK`` is refused.
-    Nothing is inferred from the magnitude of the values.
+    The draft states the values that follow from a profile, from the name of a column or from a stated unit.
+    All other values are ``ASK``, with the first values of the column in a comment. A mapping with ``ASK`` is
+    refused. Nothing is inferred from the magnitude of the values.
 
     Parameters
     ----------
@@ -868,7 +876,7 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
 
 
 def _of_profile(table: Table) -> list[str]:
-    """Return the lines of the draft for a file of a known format."""
+    """Return the lines of a drafted mapping for a file whose format has a profile."""
     lines = [f"as: {table.profile}"]
     if TIME not in table.columns:
         lines.append(_line("time", {"rate_hz": ASK}, "frames per second of the film"))
@@ -877,7 +885,7 @@ def _of_profile(table: Table) -> list[str]:
 
 
 def _of_names(table: Table) -> list[str]:
-    """Return the lines of the draft that follow from column names and stated units."""
+    """Return the lines of a drafted mapping that follow from column names and stated units."""
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
     time = _guess_time(table, columns)
@@ -901,7 +909,10 @@ def _of_names(table: Table) -> list[str]:
 
 
 def _line(key: str, value: Any, comment: str = "") -> str:
-    """Return a line of YAML, ``key: value   # comment``, or an item of a list if the key is a dash."""
+    """Return a line of YAML, ``key: value # comment``.
+
+    If the key is a dash, the line is an item of a list.
+    """
     text = _written(key, value)
     if isinstance(value, dict):
         entries = [f"{name}: {_written(name, v)}" for name, v in value.items() if v is not None]
@@ -913,16 +924,19 @@ def _line(key: str, value: Any, comment: str = "") -> str:
 
 
 def _written(key: str, value: Any) -> str:
-    """Return a value as YAML: names and units of the file in quotes, column numbers and keywords plain."""
+    """Return a value as YAML.
+
+    Names and units of the file are in quotes, column numbers and keywords are not.
+    """
     if value == ASK or key in ("target", "origin") or (key in ("source", "frame") and str(value).isdecimal()):
         return str(value)
     return json.dumps(value, ensure_ascii=False)
 
 
 def named(source: str, written: str | None = None) -> tuple[str, str | None]:
-    """Return the target and the unit that follow from the name of a column and from the unit stated for it.
+    """Return target column and unit that follow from the name of a column and from its stated unit.
 
-    An unknown target or unit is ``ASK``. The unit is None for a column of the log format.
+    An unknown target column or unit is ``ASK``. The unit is None for a column of the log format.
 
     >>> named("Yaw [deg]"), named("accX"), named("x_m"), named("level (mm)")
     (('yaw_rad', 'deg'), ('ax_m_s2', 'ASK'), ('x_m', None), ('level_m', 'mm'))
@@ -941,7 +955,7 @@ def named(source: str, written: str | None = None) -> tuple[str, str | None]:
 
 
 def _split(name: str) -> tuple[str, str | None]:
-    """Return the name of a column without its unit, and the unit; None if the name states no unit."""
+    """Return the name of a column without its unit, and the unit, or None if the name states no unit."""
     if hit := _UNIT.fullmatch(name):
         return hit["bare"], hit["inside"] or hit["over"]
     if hit := _ENDING.fullmatch(name):
@@ -952,7 +966,7 @@ def _split(name: str) -> tuple[str, str | None]:
 
 
 def _target(bare: str, unit: str | None) -> str | None:
-    """Return the column of the log format that a name without unit states; None if there is none."""
+    """Return the column of the log format for a name without its unit; None if there is none."""
     for pattern, target in _NAMES:
         hit = re.fullmatch(pattern, bare)
         if hit is not None:
@@ -961,7 +975,7 @@ def _target(bare: str, unit: str | None) -> str | None:
             return wanted if unit is None or unit in fitting else None
     if unit is None or bare == "":
         return None
-    # the unit determines the quantity if no other quantity has this unit
+    # The unit determines the quantity if no other quantity has this unit.
     quantities = [quantity for quantity, table in UNITS.items() if unit in table]
     word = re.sub(r"[^a-z0-9]+", "_", bare).strip("_")
     if len(quantities) != 1 or not word[:1].isalpha():
@@ -970,10 +984,10 @@ def _target(bare: str, unit: str | None) -> str | None:
 
 
 def _guess_time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
-    """Return the value of ``time:``, as far as names and units state it."""
+    """Return the value of ``time:`` for a drafted mapping, as far as names and units state it."""
     stated = {name: _unit_of_time(name, table.units.get(name)) for name in columns}
     stamps = [n for n in columns if stated[n] != ASK or OF_TIME.fullmatch(_split(n.strip())[0])]
-    # the time stamp of the sensor has precedence over the time stamp of the recorder
+    # The time stamp of the sensor has precedence over the time stamp of the recorder.
     stamps.sort(key=lambda name: "header" not in name.lower())
     counts = [name for name in columns if COUNT.fullmatch(name.strip().lower())]
     if TIME in columns:
@@ -991,13 +1005,13 @@ def _guess_time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
 
 
 def _unit_of_time(name: str, written: str | None) -> str:
-    """Return the unit of time that a column states, in its name or as its name; ``ASK`` if it states none."""
+    """Return the unit of a time column, as its name states it; ``ASK`` if the name states no unit."""
     units_stated = (named(name, written)[1], canonical(name))
     return next((unit for unit in units_stated if unit in UNITS["time"]), ASK)
 
 
 def _first(values: Any) -> str:
-    """Return the first three values of a column as text."""
+    """Return the first three values of a column as text, for a comment."""
     if values.dtype.kind == "f":
         return ", ".join(f"{value:.6g}" for value in values[:3])
     return ", ".join(str(value)[:30] for value in values[:3])

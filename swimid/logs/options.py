@@ -1,4 +1,4 @@
-"""The options of ``import`` and ``plot``."""
+"""Options of the commands ``import`` and ``plot``."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class ImportOptions(Options):
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Statements about the file that replace or complete those of its mapping."""
+        """Values that the user states about a foreign file. They replace or complete those of its mapping."""
         names = {"profile", "select", "rate_hz", "length_unit", "min_likelihood"}
         return self.model_dump(include=names, exclude_none=True)
 
@@ -64,7 +64,7 @@ class ImportOptions(Options):
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
-        """Return the options as the provenance records them, without those that were not given."""
+        """Return the options for the provenance, without those that the user did not give."""
         return {key: value for key, value in super().settings(**found).items() if value is not None}
 
 

@@ -30,7 +30,7 @@ PICTURES = (".svg", ".png")
 
 @dataclass(frozen=True, eq=False)
 class Drawn(Result):
-    """Figures of logs: result of ``plot``. They are saved as one picture."""
+    """Figures of logs, which ``plot`` returns. They are saved as one picture."""
 
     kind = "Log"
 
@@ -42,7 +42,7 @@ class Drawn(Result):
         InputError
             The folder does not exist, or files cannot be written to it.
         UsageError
-            The path has another ending.
+            The path has an ending other than ``.svg`` or ``.png``.
         """
         path = _picture(Path(path))
         assert self.evidence is not None
@@ -127,9 +127,10 @@ def _picture(path: Path) -> Path:
 
 # ---------------------------------------------------------------- figures
 
-#: Maximum number of channels in the figure. Further channels are only listed in the table.
+#: Maximum number of channels in a figure. Further channels are only listed in the table.
 MAX_PANELS = 12
-#: Maximum number of shaded gaps in a panel, of spectra in a figure, and of arrows along a path.
+#: Maximum number of shaded gaps in a panel, maximum number of spectra in a figure, and maximum number of
+#: arrows along a path.
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
 
 
@@ -150,10 +151,10 @@ def figures_of(logs: Sequence[Log], *, found: Rhythm | None = None) -> list[Figu
 
 
 def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[float, float]]:
-    """Return start and end, s, of each gap in a channel.
+    """Return start and end times, s, of each gap in a channel.
 
-    A gap is a run of NaN values, or a pause in the time stamps. ``after`` has the index of the last sample
-    before each pause.
+    A gap is a sequence of NaN values, or a pause in the time stamps. ``after`` has the index of the last
+    sample before each pause.
     """
     empty = np.isnan(values)
     blank = np.add(runs(empty if empty.any() else empty[:0]), [-1, 0])
@@ -162,7 +163,7 @@ def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[
 
 
 def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Insert a NaN sample into every pause, so that no line is drawn across the pause."""
+    """Return a channel with a NaN sample in every pause, so that no line is drawn across the pause."""
     if not len(after):
         return time, values
     middle = 0.5 * (time[after] + time[after + 1])
@@ -170,14 +171,14 @@ def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array,
 
 
 def channels(logs: Sequence[Log]) -> Figure:
-    """Return the figure of the channels over time. Several logs share the panels, and gaps are shaded."""
+    """Return the figure of the channels over time, with shaded gaps. Several logs share the panels."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
     for number, record in enumerate(logs):
         for column, values in record.signals.items():
             by_channel.setdefault(column, []).append((number, record, values))
-    # list channels of several logs before the others
+    # List the channels that several logs have before the others.
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []
     for channel in order[:MAX_PANELS]:
@@ -209,14 +210,14 @@ def channels(logs: Sequence[Log]) -> Figure:
 
 
 def _names(logs: Sequence[Log]) -> list[str]:
-    """Return a short name for each log. Logs of the same name are preceded by the name of their folder."""
+    """Return a short name for each log. If two logs have the same name, their folder precedes it."""
     names = [record.path.name for record in logs]
     folders = [record.path.parent.name for record in logs]
     return [n if names.count(n) == 1 else f"{f}/{n}" for n, f in zip(names, folders, strict=True)]
 
 
 def track(logs: Sequence[Log]) -> Figure | None:
-    """Return the figure of the path from above or from the side, to scale, with arrows along the heading."""
+    """Return the figure of the path, to scale, from above or from the side, with arrows along the heading."""
     traces: list[Trace] = []
     across, several = "", len(logs) > 1
     for name, record in zip(_names(logs), logs, strict=True):
@@ -242,7 +243,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
-    """Return arrows along the heading, drawn as one line with interruptions."""
+    """Return a trace with arrows along the heading. It is one line with interruptions."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
     rows = good[np.linspace(0, len(good) - 1, min(MAX_ARROWS, len(good))).astype(int)]
     size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
@@ -256,7 +257,7 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
 
 
 def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
-    """Return the amplitude spectra of the channels that move with the stroke; its harmonics are marked."""
+    """Return the spectra of the channels that move with the stroke, with marked stroke harmonics."""
     told = (SIDEWAYS, PUSHED)
     signals = {n: v for n, v in record.signals.items() if any(names.fullmatch(n) for names in told)}
     caption = "No stroke was found."
@@ -292,7 +293,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    """Return frequencies, Hz, and amplitudes of the longest gap-free part of a channel; None if too short."""
+    """Return the spectrum of a channel: frequencies, Hz, and amplitudes; None if it is too short."""
     even_s, even = longest_even(time, values, MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None

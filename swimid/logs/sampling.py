@@ -1,4 +1,4 @@
-"""Sampling of a record: rate, gaps, repeated samples, rounding, noise and derivatives."""
+"""Sampling of a record: rate and gaps of the time stamps, repeated samples, rounding, noise, derivatives."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-#: Minimum length of a gap, in sampling intervals. A shorter pause is no gap.
+#: Minimum length of a gap in a record, in sampling intervals. A shorter pause is no gap.
 PAUSE = 6.0
 #: Maximum difference between a time step and a whole number of sampling intervals, as a fraction of one
-#: interval. A step within this tolerance is on the grid.
+#: interval. A time step within this tolerance is on the grid.
 ON_GRID = 0.15
-#: Minimum fraction of time steps on the grid in a uniformly sampled record.
+#: Minimum fraction of the time steps on the grid, for a record that counts as uniformly sampled.
 UNIFORM_SHARE = 0.8
 #: Minimum root-mean-square jitter of the time steps, in sampling intervals, for a warning.
 NOTABLE_JITTER = 0.05
-#: Minimum ratio of neighbouring time steps in uneven sampling, and in sampling in bursts. The sampling is
-#: uneven, or in bursts, if more than the fraction ``FEW_CHANGES`` of the steps has such a ratio. A single
-#: missing sample causes a ratio of 2.
+#: Limits for the judgement of the sampling: minimum ratio of neighbouring time steps in uneven sampling,
+#: minimum ratio in bursts, and minimum fraction of the steps that have such a ratio. A single missing sample
+#: causes a ratio of 2.
 UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
-#: Minimum number of time steps in a record whose sampling is judged. In fewer steps a missing sample cannot
+#: Minimum number of time steps of a record whose sampling is judged. With fewer steps a missing sample cannot
 #: be distinguished from coarse rounding.
 LONG_ENOUGH = 20
 #: Maximum number of consecutive missing samples within one piece of a record. A longer gap starts a new
@@ -35,18 +35,20 @@ LONGEST_FILL = 1000
 #: Maximum relative difference between two sampling intervals that count as equal.
 SAME_RATE = 0.01
 #: Minimum number of distinct values of a continuous signal, and minimum ratio of this number to the number of
-#: samples. A column with fewer distinct values holds commanded levels.
+#: samples. A column with fewer distinct values is taken for commanded levels.
 LEVELS, LEVEL_SHARE = 100, 0.05
-#: Maximum number of samples that are searched for a motion. Of a longer record only the middle is searched.
+#: Maximum number of samples of a record that are searched for a motion. Only the middle of a longer record is
+#: searched.
 LONGEST_SOUGHT = 1_000_000
-#: Maximum rounding step of a periodic computed signal, as a fraction of its range. A sine of 20 samples per
-#: period has few distinct values, but commanded levels are coarser than this step.
+#: Maximum rounding step of a computed periodic signal, as a fraction of its range. Such a signal has few
+#: distinct values, like commanded levels, but levels are coarser. An example is a sine with 20 samples per
+#: period.
 FINE = 1e-4
 
 
 @dataclass(frozen=True)
 class Rate:
-    """Rate and regularity of the sampling of one record.
+    """Sampling interval and regularity of the sampling of one record.
 
     Attributes
     ----------
@@ -65,7 +67,7 @@ class Rate:
 
     @property
     def uniform(self) -> bool:
-        """Whether a constant rate describes the record."""
+        """Whether the record is sampled at a constant rate, apart from missing samples."""
         return self.on_grid >= UNIFORM_SHARE
 
 
@@ -83,7 +85,7 @@ def usual_step(time_s: np.ndarray) -> float:
 
 
 def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
-    """Return the index of the last sample before each pause of more than :data:`PAUSE` sampling intervals.
+    """Return the index of the last sample before each pause longer than :data:`PAUSE` sampling intervals.
 
     By default the sampling interval is the median time step. A record of two samples has no pause.
     """
@@ -95,10 +97,10 @@ def pauses(time_s: np.ndarray, step_s: float | None = None) -> np.ndarray:
 
 
 def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
-    """Return the range of uneven time steps, in words, and whether the time stamps come in bursts.
+    """Return a message on the range of uneven time steps, and whether the time stamps come in bursts.
 
-    The words are empty for even sampling. Missing samples, pauses and a slowly changing rate count as even.
-    Time stamps in bursts tell when samples were received, not when they were measured.
+    The message is empty for even sampling. Missing samples, pauses and a slowly changing rate count as even.
+    Time stamps in bursts show when samples were received, not when they were measured.
 
     >>> find_uneven(np.cumsum(np.tile([137e-6, 19863e-6], 100)))[1], find_uneven(np.arange(50) / 7.0)
     (True, ('', False))
@@ -116,7 +118,7 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
 
 @dataclass(frozen=True)
 class Piece:
-    """Part of a record, assigned to a grid of constant rate.
+    """Piece of a record whose samples are assigned to a time grid of constant rate.
 
     Attributes
     ----------
@@ -131,12 +133,12 @@ class Piece:
     rows: np.ndarray
 
     def take(self, column: np.ndarray) -> np.ndarray:
-        """Return a column of the record on the grid of this piece, shape (n,); NaN for missing samples."""
+        """Return a column of the record on the time grid of this piece, with NaN for missing samples."""
         return np.where(self.rows >= 0, np.asarray(column, dtype=float)[self.rows], np.nan)
 
 
 def rate(time_s: np.ndarray) -> Rate:
-    """Return the sampling interval and the regularity of a record.
+    """Return the sampling interval of a record and the regularity of its time stamps.
 
     Parameters
     ----------
@@ -152,8 +154,8 @@ def rate(time_s: np.ndarray) -> Rate:
         line = _rounded_grid(time_s, (float(np.mean(steps)), median))
         if line is not None:
             return Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
-    # the median of time stamps rounded to milliseconds is biased, the mean of the steps near the median is
-    # not
+    # The median time step of stamps rounded to milliseconds is biased. The mean of the steps near the median
+    # is not.
     typical = float(f"{np.mean(steps[np.abs(steps - median) <= 0.5 * median]):.10g}")
     relative = steps / typical
     whole = np.maximum(np.round(relative), 1)
@@ -164,7 +166,9 @@ def rate(time_s: np.ndarray) -> Rate:
 
 
 def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray, float] | None:
-    """Return step and times of an even sensor whose samples are stamped late; None if no times agree.
+    """Return the measurement times of an evenly sampling sensor whose samples are stamped late.
+
+    Return None if no even times agree with the stamps.
 
     Parameters
     ----------
@@ -191,14 +195,14 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     fits = [line for line in lines if line is not None]
     if not fits:
         return None
-    # take the longest sampling interval that fits: it needs the fewest missing samples
+    # Take the longest sampling interval that fits, because it needs the fewest missing samples.
     step, number = max(fits, key=lambda line: line[0])
     reach = 4.0 * lateness_s / number[-1]
 
     def excess(one: float) -> float:
         return float(np.ptp(time_s - one * number)) - lateness_s
 
-    # the excess is convex in the step; evenly spaced times fit where the excess is not positive
+    # The excess is convex in the step. Evenly spaced times fit the stamps where the excess is not positive.
     bounds = step - reach, step + reach
     best = optimize.minimize_scalar(excess, bounds=bounds, method="bounded", options={"xatol": 1e-6 * reach})
     if best.fun >= 0.0 or min(excess(bound) for bound in bounds) <= 0.0:
@@ -248,14 +252,16 @@ def _rounded_grid(
         if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
             continue  # any rounded stamps lie on the grid of their rounding unit, with many gaps
         off = time_s - origin - step * number
-        # the error of the fitted line adds to the rounding error
+        # The error of the fitted line adds to the rounding error of the stamps.
         if np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step:
             return step, number.astype(int)
     return None
 
 
 def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
-    """Return a record as pieces on grids of one rate, cut where the times leave the grid.
+    """Return the pieces of a record that lie on time grids of the same rate.
+
+    The record is cut where the time stamps leave the grid.
 
     Parameters
     ----------
@@ -273,8 +279,8 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
     time_s = np.asarray(time_s, dtype=float)
     line = _rounded_grid(time_s, (step_s,))
     if line is not None and abs(line[0] / step_s - 1) < SAME_RATE:
-        # rounded stamps can lie on the grid although single steps are far from a whole number of sampling
-        # intervals
+        # Rounded stamps can lie on the grid although single steps are far from a whole number of sampling
+        # intervals.
         whole = np.diff(line[1]).astype(float)
         cut = np.zeros(len(whole), dtype=bool)
     else:
@@ -293,7 +299,10 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
 
 
 def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
-    """Flag pairs of time steps that add up to two sampling intervals: the stamp between them is off."""
+    """Return flags of pairs of time steps that add up to two sampling intervals.
+
+    The stamp between the two steps is off the grid.
+    """
     pair = relative[:-1] + relative[1:]
     whole = (np.abs(pair - np.round(pair)) <= ON_GRID) & (np.round(pair) == 2)
     return np.append(whole, False) | np.append(False, whole)
@@ -325,7 +334,7 @@ def rounding(values: Sequence[float] | np.ndarray) -> float:
 
 
 def has_levels(values: np.ndarray) -> bool:
-    """Return whether a channel is constant or returns repeatedly to a few levels.
+    """Return whether a channel holds commanded levels: it is constant, or returns repeatedly to a few values.
 
     >>> has_levels(np.tile([0.0, 0.0, 1.0, 1.0, 2.0, 1.0], 50)), has_levels(np.sin(np.arange(300.0)))
     (True, False)
@@ -336,7 +345,9 @@ def has_levels(values: np.ndarray) -> bool:
 
 
 def step_of(values: np.ndarray) -> float | None:
-    """Return the step of which all values are multiples, within 2 % of the step; None if there is none.
+    """Return the step of which all values are multiples; None if there is none.
+
+    The tolerance is 2 % of the step.
 
     Fewer than four distinct values have no step.
 
@@ -350,13 +361,13 @@ def step_of(values: np.ndarray) -> float | None:
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     count = np.round((values - values[0]) / step)
     if count[-1] > 0:
-        # the whole range gives a more precise step
+        # Compute the step again from the whole range, which gives a more precise value.
         step = float((values[-1] - values[0]) / count[-1])
     return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:
-    """Return the last decimal place of the values as a step (0.01 for two decimals); 0 if not rounded.
+    """Return the last decimal place of values as a step (0.01 for two decimals); 0 if not rounded.
 
     >>> quantum(np.array([0.25, 1.5, -0.75]))
     0.01
@@ -377,7 +388,7 @@ def quantum(values: Sequence[float] | np.ndarray) -> float:
 def longest_even(
     time_s: np.ndarray, values: np.ndarray, fastest_hz: float, most: int = 20_000
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the longest part of a channel without a gap, resampled to even time steps, for a spectrum.
+    """Return the longest gap-free segment of a channel, resampled to even time steps for a spectrum.
 
     Parameters
     ----------
@@ -419,9 +430,9 @@ def longest_even(
 
 
 def white_noise_sd(values: np.ndarray, least: float) -> float:
-    """Return the standard deviation of a channel's white noise, a robust estimate from third differences.
+    """Return the standard deviation of the white noise in a channel, robust against outliers.
 
-    The variance of the third differences of white noise is 20 times the variance of the noise.
+    The estimate is computed from third differences. Their variance is 20 times the variance of white noise.
 
     Parameters
     ----------
@@ -443,28 +454,29 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
 
 # ---------------------------------------------------------------- repeated samples
 
-#: Thresholds of the search for repeats with jitter: maximum ratio of a step of the signal to the next step. 0
-#: stands for exact repeats.
+#: Maximum ratios of a step of the signal to the next step in the search for repeated samples with jitter.
+#: Each ratio is tried. The ratio 0 stands for exact repeats.
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
-#: Probability of a false detection of repeats in a log without repeats.
+#: Probability of a false detection of repeated samples in a log that has none.
 FALSE_ALARM = 1e-3
-#: Minimum length of a rest or of a frozen sensor value, in measurement intervals. Maximum step of the signal
-#: after a rest, in median steps. The step after a frozen sensor value is larger.
+#: Minimum length of a rest, or of a period with a frozen sensor value, in measurement intervals; and maximum
+#: step of the signal after a rest, in median steps. The step after a frozen value is larger.
 LONG_HOLD, NEAR = 5.0, 3.0
-#: Columns that are commanded or computed, not measured: commands, standard deviations, likelihoods and
-#: confidences.
+#: Pattern of the columns that are commanded or computed, not measured: commands, standard deviations,
+#: likelihoods and confidences.
 SET = re.compile(r"cmd.*|.*_sd(_.*)?|.*likelihood|.*confidence")
-#: Maximum rounding step of a channel, as a fraction of its mean change per sample, for the detection of a
-#: sudden stop. A channel with coarser rounding also repeats values while it moves.
+#: Maximum rounding step of a channel that is searched for a sudden stop, as a fraction of its mean change per
+#: sample. A channel with coarser rounding repeats values even while it moves.
 NEAR_ROUNDED = 0.2
-#: Maximum relative sum of the steps before and after a turning point of a smooth signal. The value is twice
-#: the largest of ``RATIOS``, because the mean of both steps is about equal to the step between them.
+#: Maximum sum of the steps before and after a turning point of a smooth signal, relative to the sum of their
+#: magnitudes. The value is twice the largest of ``RATIOS``, because the mean of the two steps is about equal
+#: to the step between them.
 TURN = 2.0 * RATIOS[-1]
 
 
 @dataclass(frozen=True)
 class Held:
-    """Samples of a log that repeat the previous measurement.
+    """Result of a search for samples of a log that repeat the previous measurement.
 
     Attributes
     ----------
@@ -494,7 +506,7 @@ class Held:
 
 
 def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
-    """Find the samples that repeat the previous measurement.
+    """Find the samples of a sensor that repeat the previous measurement, in a log with a higher rate.
 
     Equal samples of a robot at rest, of a counter between its increments, and of a command with a few levels
     are not taken for repeats.
@@ -556,13 +568,13 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
 
 
 def may_freeze(name: str, values: Array) -> bool:
-    """Return whether a channel is measured, continuous, and long enough to detect a frozen sensor."""
+    """Return whether a channel can show a frozen sensor: it is measured, continuous, and long enough."""
     known = values[np.isfinite(values)]
     return not SET.fullmatch(name) and len(known) >= LONG_ENOUGH and not has_levels(known)
 
 
 def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
-    """Return the start and end, s, of the longest period over which each frozen channel holds one value.
+    """Return the longest period, by start and end in s, over which each frozen channel holds one value.
 
     A channel is frozen under two conditions. It holds one value more than :data:`LONG_HOLD` times as long as
     it usually does. In addition it jumps to or from that value, or stops suddenly while it moves. A robot
@@ -599,7 +611,11 @@ def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[
 
 
 def _step_sizes(place: Array) -> Array:
-    """Return the size of each step: largest over the channels, relative to their 95th percentile."""
+    """Return the size of each step between samples, relative to the usual changes of the channels.
+
+    A change is divided by the 95th percentile of the changes of its channel. The size is the largest
+    quotient.
+    """
     steps = np.abs(np.diff(place, axis=0))
     missing = np.isnan(place)
     steps[missing[1:] & missing[:-1]] = 0.0
@@ -613,7 +629,7 @@ def _step_sizes(place: Array) -> Array:
 
 
 def _turns(place: Array) -> Flags:
-    """Return the steps at which all channels have a turning point. Samples on both sides are no repeats."""
+    """Return flags of the steps at a turning point of all channels, which do not show repeated samples."""
     steps = np.diff(place, axis=0)
     before, after = steps[:-2], steps[2:]
     back = np.abs(before + after) <= TURN * (np.abs(before) + np.abs(after))
@@ -631,9 +647,10 @@ def rounding_ratio(values: Array) -> float:
 
 
 def _small(sizes: Array, ratio: float) -> Flags:
-    """Return the steps below ``ratio`` times the next step, and all other steps of similar size.
+    """Return flags of the steps smaller than ``ratio`` times the next step, and of steps of similar size.
 
-    The threshold is the geometric mean of the small steps and the large steps next to them.
+    A step is of similar size if it is below the geometric mean of the small steps and the large steps next to
+    them.
     """
     if ratio == 0.0:
         return sizes == 0.0
@@ -645,7 +662,10 @@ def _small(sizes: Array, ratio: float) -> Flags:
 
 
 def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
-    """Return the small steps except those at rest, after which the signal continues from the same value."""
+    """Return the flags of small steps, with those at rest removed.
+
+    After a rest the signal continues from the same value.
+    """
     fresh = np.concatenate(([True], ~small))
     if fresh.sum() < 3 or not small.any():
         return np.zeros_like(small)
@@ -660,33 +680,34 @@ def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
 
 
 def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
-    """Return the repeated samples together with the measurement time of each sample."""
+    """Return repeated samples, with an estimate of the time at which each sample was measured."""
     fresh = rows[~repeated[rows]]
     stamps, step = time_s[fresh], usual_step(time_s)
     gaps = np.diff(stamps)
     period = float(np.mean(gaps[gaps <= LONG_HOLD * np.median(gaps)]))
-    # the log may begin while a value is repeated: the first stamp can be late by more than one step
+    # The log may begin while a value is repeated. Then the first stamp is late by more than one step.
     line = late_grid(stamps[1:], period, step)
-    # each unevenly spaced stamp agrees with an evenly sampling sensor by chance with probability step /
-    # period
+    # Each unevenly spaced stamp agrees with an evenly sampling sensor by chance with probability step /
+    # period.
     if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
     period, measured, slack = line
     measured = np.append(measured[0] - period, measured)
-    # a repeated sample holds the measurement of the last new sample before it
+    # A repeated sample holds the measurement of the last new sample before it.
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
-    # the time of the last measurement is uniform over the slack; half of the variance belongs to each end
+    # The time of the last measurement is uniformly distributed over the slack. Half of its variance belongs
+    # to each end of the record.
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
 
 
 # ---------------------------------------------------------------- rate of change
 
-#: Minimum number of samples in the window of a cubic polynomial, which has 4 coefficients.
+#: Minimum number of samples to which a cubic polynomial with its 4 coefficients is fitted.
 SLOPE_SAMPLES = 6
 
 
 def slope(time_s: Array, values: Array, half_width_s: float) -> Array:
-    """Return the derivative of a channel, by a cubic polynomial fitted to the samples around each instant.
+    """Return the time derivative of a channel from cubic polynomials fitted around each sample.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Tracks: repeated samples, jumps and gaps (which are never filled), mean speed, and the result of a log."""
+"""Tracks: repeated samples, jumps, gaps, mean speed, and the result class of commands that write a log.
+
+Gaps of a track are never filled.
+"""
 
 from __future__ import annotations
 
@@ -25,24 +28,24 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Number of steps in the running median for the expected velocity, and in the running median for the local
-#: deviation from it.
+#: Number of steps in the running median that gives the expected velocity, and in the running median that
+#: gives the usual deviation from it.
 WINDOW, WIDE = 11, 41
-#: Minimum deviation of an outlying step from the expected step, in median deviations. For Gaussian noise in a
-#: plane, six median deviations are seven standard deviations.
+#: Minimum deviation of a step that counts as outlying from the expected step, in median deviations. For
+#: Gaussian noise in a plane, six median deviations are seven standard deviations.
 OUTLYING = 6.0
-#: Minimum speed of an outlying step, divided by the speed of the fastest part of the track, and number of
-#: steps in the running median for that speed. A robot can be fast for several steps, but a jump and return
-#: has only two fast steps.
+#: Minimum speed of an outlying step, divided by the speed of the fastest part of the track; and number of
+#: steps in the running median that gives this speed. A robot can be fast for several steps, but a jump and
+#: return has only two fast steps.
 FASTER, ALIKE = 2.0, 5
-#: Minimum number of samples, and minimum fraction of all samples, in a part of the track that continues at
-#: another place. A part with fewer samples is taken for a jump with return.
+#: Minimum number of samples, and minimum fraction of all samples, in a segment of the track at another place.
+#: A segment with fewer samples is taken for a jump with return.
 FEW, FEW_SHARE = 12, 0.05
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """Repeated samples, jumps and gaps of a track.
+    """Repeated samples, jumps and gaps that were found in a track.
 
     Attributes
     ----------
@@ -73,7 +76,7 @@ class Cleaning:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of repeated samples, number of jumps, and number of samples flagged as jumped."""
+        """Number of repeated samples, number of jumps, and number of samples in jumps."""
         repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
         return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
 
@@ -128,7 +131,7 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
 
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
-    """Return which samples belong to the track, and the samples at which it continues elsewhere."""
+    """Return flags of the samples that belong to the track, and the rows at which it continues elsewhere."""
     from scipy import ndimage
 
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
@@ -164,7 +167,7 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
 
 
 def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: float) -> list[int]:
-    """Return the sequence of pieces with the most samples, minus ``cost`` per interruption."""
+    """Return the sequence of track pieces that has the most samples, minus ``cost`` for each interruption."""
     best = np.zeros(len(sizes))
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):
@@ -183,31 +186,32 @@ def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: 
 
 # ---------------------------------------------------------------- mean speed
 
-#: Minimum number of samples in a segment without a gap, for an estimate of the speed.
+#: Minimum number of samples of a gap-free segment from which the speed is estimated.
 MIN_SAMPLES = 12
-#: Maximum number of samples that are smoothed together. A longer segment is cut.
+#: Maximum number of samples to which one smoothing spline is fitted. A longer segment is cut.
 MAX_STRETCH = 1500
-#: Maximum number of samples of a track that are smoothed. A longer track is thinned.
+#: Maximum number of samples of a track that are smoothed. Samples of a longer track are left out at equal
+#: intervals.
 MAX_SAMPLES = 60_000
-#: Smoothing weights (of the squared curvature) among which cross-validation chooses. They hold for one sample
-#: per unit of time.
+#: Smoothing weights (factors of the squared curvature) among which cross-validation chooses. They are defined
+#: for one sample per unit of time.
 STRENGTHS = np.logspace(-4, 6, 11)
 #: Number of folds of the cross-validation that chooses the smoothing weight.
 FOLDS = 5
-#: Length of the two ends of a track whose fits give the displacement: number of cycles of the periodic
-#: motion, or, without a periodic motion, fraction of the duration. A track shorter than both ends together is
-#: fitted as a whole.
+#: Length of the start and of the end of a track whose fits give the displacement: number of cycles of the
+#: periodic motion, or, without a periodic motion, fraction of the duration. A track shorter than both
+#: together is fitted as a whole.
 END_CYCLES, END_SHARE = 4.0, 0.125
-#: Maximum order of the polynomial fitted to a whole track, and order of the polynomial fitted to the ends of
-#: a track.
+#: Maximum order of the polynomial that is fitted to a whole track, and order of the polynomials that are
+#: fitted to its start and its end.
 MAX_ORDER, END_ORDER = 3, 2
-#: Number of blocks whose means give the uncertainty of the mean speed.
+#: Number of blocks of a track whose mean speeds give the uncertainty of the mean speed.
 BLOCKS = 12
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate with its 95 % interval, in one unit. The limits are NaN if the uncertainty is unknown."""
+    """Estimate of a quantity with its 95 % interval. The limits are NaN if the uncertainty is unknown."""
 
     value: float
     low: float
@@ -216,7 +220,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class TrackSpeed:
-    """Speed of a track, in units of its coordinates per second.
+    """Mean speed of a track, in units of its coordinates per second.
 
     Attributes
     ----------
@@ -237,13 +241,15 @@ class TrackSpeed:
 
 
 def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
-    """Return a weighted mean with Student's interval over the means of :data:`BLOCKS` blocks of equal weight.
+    """Return a weighted mean with its 95 % interval from the means of :data:`BLOCKS` blocks.
+
+    The blocks have equal weight. The interval is that of Student's t.
 
     Parameters
     ----------
     values, weights : ndarray, shape (n,)
-        Values in the order of time, and weight of each value: the duration that it represents. At least one
-        weight must not be 0.
+        Values in the order of time, and the weight of each value, which is the duration that it represents.
+        At least one weight must not be 0.
     shift : float
         Correction that is added to the mean. Its standard uncertainty is taken to be as large as the
         correction.
@@ -257,7 +263,7 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
     half = 0.0
     if len(means) > 1:
-        # widen the interval for the correlation of neighbouring blocks
+        # Widen the interval for the correlation of neighbouring blocks.
         off = means - means.mean()
         together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
         widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
@@ -269,7 +275,9 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
 def net_speed(
     time_s: Array, place: Array, frequency_hz: float | None = None, stamp_sd_s: float = 0.0
 ) -> Estimate | None:
-    """Return the displacement of an averaged path divided by its duration, in units of ``place`` per s.
+    """Return the net speed of a track: the displacement of its averaged path divided by its duration.
+
+    The unit is that of ``place`` per s.
 
     Parameters
     ----------
@@ -346,7 +354,7 @@ def _fit_path(
     frequency_hz: float | None,
     changes: bool = False,
 ) -> tuple[float, Array, Array, int]:
-    """Fit a polynomial and a periodic motion to positions.
+    """Fit a polynomial and a periodic motion to the positions of a track.
 
     The result holds the Bayesian information criterion, the polynomial at the times ``at``, shape (m, d), the
     covariance of these values for each coordinate, shape (m, m, d), and the degrees of freedom.
@@ -374,7 +382,7 @@ def _fit_path(
 def speed(
     time_s: Array, positions: list[Array], cleaning: Cleaning, frequency_hz: float | None = None
 ) -> TrackSpeed | None:
-    """Return the mean speed of a cleaned track; None if no segment is long enough.
+    """Return the mean speed of a track after cleaning; None if no segment is long enough.
 
     Parameters
     ----------
@@ -417,7 +425,7 @@ def speed(
         smooth, slope = _smoothed(t, x, strength)
         left = x - smooth
         again = _smoothed(t, smooth + rng.choice(left, len(left)), strength)[1]
-        part = np.convolve(np.diff(t), [0.5, 0.5])  # duration that each sample represents
+        part = np.convolve(np.diff(t), [0.5, 0.5])  # each sample represents this duration
         weights[rows] = part
         velocity[rows] = slope
         excess += float(part @ (np.linalg.norm(again, axis=1) - np.linalg.norm(slope, axis=1)))
@@ -436,7 +444,10 @@ def speed(
 
 
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
-    """Return the rows of each segment without a gap or jump that is long enough; long segments are cut."""
+    """Return the rows of each segment without a gap or jump, if it is long enough for smoothing.
+
+    Long segments are cut.
+    """
     rows = np.flatnonzero(cleaning.good)
     rows = rows[:: max(len(rows) // MAX_SAMPLES, 1)]
     if len(rows) < MIN_SAMPLES:
@@ -453,7 +464,7 @@ def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
 
 
 def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
-    """Return the smoothed coordinates and their time derivatives, each shape (n, d)."""
+    """Return the coordinates of a track after smoothing, and their time derivatives, each shape (n, d)."""
     from scipy.interpolate import make_smoothing_spline
 
     step = float(np.mean(np.diff(t)))
@@ -468,7 +479,7 @@ def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
 
 
 def _strength(t: Array, x: Array) -> Array:
-    """Return the smoothing weight with the smallest held-out squared error per coordinate, shape (d,)."""
+    """Return the smoothing weight of each coordinate with the smallest held-out squared error, shape (d,)."""
     from scipy.interpolate import make_smoothing_spline
 
     unit = (t - t[0]) / float(np.mean(np.diff(t)))
@@ -514,7 +525,7 @@ class Logged(Result):
 
     @property
     def log(self) -> Log:
-        """The log, which any function that reads logs accepts."""
+        """Log of the result, which any function that reads logs accepts."""
         assert isinstance(self.document, Log)
         return self.document
 
@@ -554,7 +565,7 @@ class Logged(Result):
         return [Table(id="channels", title="Channels", columns=columns, rows=rows, folded=folded)]
 
     def bare(self) -> Evidence:
-        """Return evidence for a log whose evidence file is missing."""
+        """Return evidence without checks, for a log whose evidence file is missing."""
         from swimid.logs import plot
 
         verdict = Verdict(level="caution", text="A log without evidence of how it was made.")

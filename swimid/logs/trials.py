@@ -23,7 +23,7 @@ FORMAT = "swimid-trials/1"
 
 
 class Drive(yamlio.Document):
-    """Commanded tail beat in a free-swimming trial."""
+    """Drive of a free-swimming trial: the commanded tail beat."""
 
     waveform: Literal["sine", "hopf", "a-cpg"] = "sine"
     frequency_hz: PositiveFloat
@@ -31,7 +31,7 @@ class Drive(yamlio.Document):
     bias_deg: float = 0.0
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     ramp_s: Annotated[float, Field(ge=0)] = 1.0
-    #: Phase of the beat at time zero, degrees.
+    #: Phase of the tail beat at time zero, degrees.
     phase_deg: float = 0.0
 
     @model_validator(mode="after")
@@ -42,15 +42,15 @@ class Drive(yamlio.Document):
 
 
 class StrokeDrive(yamlio.Document):
-    """Drive by a stroke of the robot file, which moves several joints at once."""
+    """Drive of a trial by a stroke of the robot file. Such a stroke moves several joints at once."""
 
     stroke: str
-    #: Frequency, Hz; by default the frequency that the stroke states.
+    #: Frequency of the stroke, Hz; by default the one in the robot file.
     frequency_hz: PositiveFloat | None = None
     #: Factor by which the joint angles of the stroke are multiplied.
     scale: Annotated[float, Field(ge=0)] = 1.0
     ramp_s: Annotated[float, Field(ge=0)] = 0.0
-    #: Number of cycles after which the joints rest; by default the stroke does not end.
+    #: Number of stroke cycles after which the joints rest; by default the stroke does not end.
     cycles: PositiveFloat | None = None
     phase_deg: float = 0.0
 
@@ -61,15 +61,15 @@ def _kind_of_drive(value: Any) -> str:
 
 
 class Trial(yamlio.Document):
-    """Keys of a trial in any experiment."""
+    """Keys that a trial of any experiment has in a trials file."""
 
-    #: Log in memory. In this case ``log`` is the name of the log.
+    #: Log of the trial if it is in memory. In this case ``log`` is the name of the log.
     _held: Log | None = PrivateAttr(default=None)
 
     id: str = ""
     log: str
     role: Literal["fit", "validate"] = "fit"
-    #: Start and end of the part of the log that is used, s.
+    #: Start and end of the period of the log that is used, s.
     start_s: float | None = None
     end_s: float | None = None
 
@@ -81,7 +81,7 @@ class Trial(yamlio.Document):
 
 
 class RigTrial(Trial):
-    """Keys of a trial on a single-degree-of-freedom rig. They replace the values of the robot file."""
+    """Keys of a trial on a single-degree-of-freedom rig. Their values replace those of the robot file."""
 
     inertial_mass_kg: Annotated[float, Field(ge=0)] | None = None
     frontal_area_m2: PositiveFloat | None = None
@@ -89,7 +89,7 @@ class RigTrial(Trial):
 
 
 class FallingWeightTrial(RigTrial):
-    """Trial of a body that is pulled by a falling weight over a pulley, or driven by a known force."""
+    """Keys of a trial of a body that a falling weight pulls over a pulley, or that a known force drives."""
 
     pulling_mass_kg: PositiveFloat | None = None
     driving_force_N: float | None = None
@@ -102,7 +102,7 @@ class FallingWeightTrial(RigTrial):
 
 
 class FreeSwimTrial(Trial):
-    """Free-swimming trial. Without ``drive``, the joint columns of the log are the input."""
+    """Keys of a free-swimming trial. Without ``drive``, the joint columns of the log are the input."""
 
     drive: (
         Annotated[
@@ -111,14 +111,16 @@ class FreeSwimTrial(Trial):
         ]
         | None
     ) = None
-    #: Coefficients that have another value in this trial, for instance the stiffness of a spring.
+    #: Coefficients of the model that have another value in this trial, for instance the stiffness of a
+    #: spring.
     coefficients: dict[str, float] = {}
-    #: State at the first sample: at rest, estimated, or steady swimming under the drive.
+    #: Initial state of the trial, at the first sample: at rest, estimated, or steady swimming under the
+    #: drive.
     start_state: Literal["auto", "rest", "estimate", "steady"] = "auto"
 
 
 class Trials(yamlio.Document):
-    """Keys of the trials file of any experiment."""
+    """Keys that the trials file of any experiment has."""
 
     _in_memory: bool = PrivateAttr(default=False)
 
@@ -148,9 +150,9 @@ class FreeDecay(Trials):
 
 
 class Cruise(Trials):
-    """Trials file with a table of cruising speeds."""
+    """Trials file of a cruise: a table of cruising speeds."""
 
-    #: Table in memory. In this case ``table`` is the name of the table.
+    #: Table of cruising speeds if it is in memory. In this case ``table`` is its name.
     _held: Any = PrivateAttr(default=None)
 
     experiment: Literal["cruise"]
@@ -186,13 +188,13 @@ EXPERIMENTS: dict[str, type[Trials]] = {
     for kind in (FallingWeight, Towed, FreeDecay, Cruise, FreeSwim, Multibody, Arma)
 }
 T = TypeVar("T", bound=Trials)
-#: Type of a trials file of any experiment, for the JSON Schema.
+#: Type of the trials file of any experiment, from which the JSON Schema is made.
 AnyTrials = Annotated[
     FallingWeight | Towed | FreeDecay | Cruise | FreeSwim | Multibody | Arma,
     Field(discriminator="experiment"),
 ]
 
-#: Paths of the keys that every reader of trials uses.
+#: Paths of the keys of a trials file that every function with trials uses.
 EVERYWHERE = frozenset(
     {"format", "experiment", "robot", "trials"}
     | {f"trials.{key}" for key in ("id", "log", "role", "start_s", "end_s")}
@@ -236,7 +238,7 @@ class TrialSet:
 
     @property
     def ids(self) -> list[str]:
-        """Identifiers of the trials; empty for a cruise, which is one table."""
+        """Identifiers of the trials. The list is empty for a cruise, which is one table."""
         return [trial.id for trial in getattr(self.entries, "trials", [])]
 
     @classmethod
@@ -312,7 +314,10 @@ class TrialSet:
 
 
 def place(source: str | Path | TrialSet) -> Path:
-    """Return the path of trials. Messages name this path, and the paths of logs are relative to it."""
+    """Return the path of trials: that of the file, or a name for trials in memory.
+
+    Messages name this path, and the paths of logs are relative to it.
+    """
     return source.path if isinstance(source, TrialSet) else Path(source)
 
 
@@ -321,7 +326,7 @@ def read(
     *experiments: type[T],
     uses: Mapping[str, Collection[str]] | None = None,
 ) -> T:
-    """Return the trials of a file or in memory, if their experiment is one of the given ones.
+    """Return trials in a file or in memory; raise an error if their experiment is not one of those given.
 
     Parameters
     ----------
@@ -381,7 +386,7 @@ def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the path and the value of each key that a document sets to another value than the default."""
+    """Yield the path and the value of each key of a document that differs from its default."""
     for name in type(document).model_fields:
         value = getattr(document, name)
         if name not in document.model_fields_set or value == type(document).model_fields[name].default:
@@ -411,7 +416,7 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
 
 
 def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:
-    """Raise an error if rows of one log are both fitted and held out; warn if rows are fitted twice.
+    """Raise an error if one trial fits rows of a log that the other holds out; warn if both fit them.
 
     Two adjacent trials may have one row in common.
 
@@ -440,5 +445,5 @@ def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -
 
 
 def robot_of(trials: Trials, path: Path) -> robot_format.Robot:
-    """Return the robot of a trials file, by built-in name or by a path relative to the trials file."""
+    """Return the robot that a trials file names, by built-in name or by a path relative to the file."""
     return robot_format.read(trials.robot, path.parent)

@@ -1,4 +1,4 @@
-"""From a film to a log of poses: tracking of coloured markers, with the uncertainty of the poses.
+"""Tracking of coloured markers in a film, which gives a log of poses with their uncertainty.
 
 ``frames`` yields frames with their time stamps, and measures one marker by its colour in a small window.
 ``tracker`` follows all markers through the film, and ``silhouette`` follows a whole body. ``pose`` converts

@@ -1,9 +1,9 @@
-"""Frames of a film, markers in one frame, and positions of all markers in all frames.
+"""Frames of a film, markers in one frame, and detections of all markers in all frames.
 
-:class:`Video` yields the frames of a film, or of a series of pictures, with their time stamps.
-:class:`ColourModel` is a range of colours that follows slow changes of light. :func:`measure` returns a
-marker in a window as a :class:`Blob`. :class:`RawTrack` contains all markers in all frames.
-:func:`scene_shifts` measures the motion of the camera.
+A :class:`Video` yields the frames of a film, or of a series of pictures, with their time stamps. A
+:class:`ColourModel` is the range of colours of a marker, which follows slow changes of light. :func:`measure`
+returns a marker in a window of the picture as a :class:`Blob`. A :class:`RawTrack` contains the detections of
+all markers in all frames. :func:`scene_shifts` measures the motion of the camera.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# FFmpeg would print remarks on damaged frames between the messages of swimid.
+# Without this setting FFmpeg prints remarks on damaged frames between the messages of swimid.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
 
@@ -35,32 +35,32 @@ from swimid.tracking.setup import HsvRange
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]
 
-#: File name extensions of pictures.
+#: File name extensions of pictures that can be read.
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
-#: Colour of measured points in a drawing, BGR (Okabe and Ito).
+#: Colour in which measured points are drawn, BGR (Okabe and Ito).
 MEASURED = (0, 159, 230)
-#: Minimum number of detections for statistics of a marker.
+#: Minimum number of detections of a marker for statistics of its area and motion.
 MIN_DETECTIONS = 10
-#: Minimum range of motion of a marker, in radii. A motionless object that is seen through ripples, or is
-#: covered at times, has a smaller range.
+#: Minimum range of motion of a marker, in radii of the marker. A motionless object that is seen through
+#: ripples, or is covered at times, has a smaller range.
 MIN_RADII = 1.0
-#: Maximum standard deviation of the distance between two markers on a rigid part, relative to the distance.
-#: Above the first value a check does not pass, and above the second it fails.
+#: Limits of the standard deviation of the distance between two markers on a rigid body, relative to the
+#: distance. Above the first limit a check does not pass, and above the second it fails.
 MAX_DISTANCE_SD = (0.02, 0.06)
-#: Minimum fraction of frames in which a marker is found.
+#: Minimum fraction of the frames in which a marker must be found.
 MIN_SHARE = 0.05
-#: Width to which frames are reduced before they are compared, px.
+#: Width to which frames are reduced before the motion of the camera is measured, px.
 SCENE_WIDTH = 480
-#: Maximum shift of the scene for a camera at rest, px of the reduced picture.
+#: Maximum shift of the scene between frames for a camera that counts as at rest, px of the reduced picture.
 MAX_SHIFT_PX = 2.0
-#: Placeholder for a whole number in a format of the C function printf.
+#: Pattern of the placeholder for a whole number in a file name, as in the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
-#: A frame: position in the film, time stamp (s; NaN for pictures), and picture.
+#: Type of a frame that was read: position in the film, time stamp (s; NaN for pictures), and picture.
 _Read = tuple[int, float, Frame]
 
 
 def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
-    """Yield pictures in the order of the numbers in their names.
+    """Yield the pictures of a series in the order of the numbers in their names.
 
     A missing picture leaves a gap in time.
     """
@@ -83,25 +83,25 @@ def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
 
 
 def _opened(path: Path) -> cv2.VideoCapture:
-    """Open a film for decoding."""
+    """Return the decoder of a film."""
     if not path.is_file():
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
     if path.stat().st_size == 0:
         raise InputError("is empty", file=path)
-    # with one thread more than cores the decoder continues while a frame is evaluated
+    # With one thread more than cores the decoder continues while a frame is evaluated.
     threads = min(os.cpu_count() or 1, 16) + 1
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not capture.isOpened():
         text = "is not a video that can be decoded, or its index is missing (a recording cut short)"
         hint = "check that a player plays it; 'ffmpeg -i in.mp4 -c copy out.mkv' may repair a cut recording"
         raise InputError(text, file=path, hint=hint)
-    # the default of this setting depends on the version of OpenCV
+    # Set the orientation explicitly, because its default depends on the version of OpenCV.
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1.0)
     return capture
 
 
 def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
-    """Yield the frames of a film. Each frame overwrites the previous one in memory."""
+    """Yield the frames that a decoder returns. Each frame overwrites the previous one in memory."""
     picture: Frame | None = None
     for position in itertools.count():
         ok, frame = capture.read(picture)
@@ -113,7 +113,7 @@ def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
 
 
 class Video:
-    """Film that is read once, from its first frame to its last.
+    """Film or series of pictures that is read once, from its first frame to its last.
 
     Parameters
     ----------
@@ -142,10 +142,10 @@ class Video:
 
     def __init__(self, path: str | Path, *, frame_rate_hz: float | None = None) -> None:
         self.path = Path(path)
-        # decoding uses all cores, and threads for small pictures only cost time
+        # Decoding uses all cores. Threads for small pictures only cost time.
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
-        # the path names pictures if it is a folder, or a pattern such as %04d and no file
+        # The path names pictures if it is a folder, or if it is a pattern such as %04d and not a file.
         if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
             self.files = _listed(self.path)
             self.claimed = len(self.files)
@@ -166,16 +166,16 @@ class Video:
         self.height, self.width = first[2].shape[:2]
 
     def frames(self) -> Iterator[tuple[float, Frame]]:
-        """Yield the time in s and the BGR picture of every frame. The next picture overwrites the array.
+        """Yield the time in s and the BGR picture of every frame of the film.
 
-        Pictures without a frame rate have the time NaN.
+        The next picture overwrites the array. Pictures without a frame rate have the time NaN.
         """
         for position, stamp, frame in itertools.chain([self._first], self._read):
             if self._rate:
                 yield (position - self._first[0]) / self._rate, frame
             else:
                 yield stamp - self.first_stamp_s, frame
-        # some containers state one or two frames more than they contain
+        # Some containers state one or two frames more than they contain.
         count = position + 1
         if len(self.files) == 1 and count < self.claimed - max(2, 0.01 * self.claimed):
             text = f"{count} of {self.claimed} frames could be decoded"
@@ -183,7 +183,7 @@ class Video:
 
 
 def reduced(frame: Frame, width: int) -> Frame:
-    """Return a copy of a picture that is at most ``width`` px wide."""
+    """Return a copy of a picture, reduced to a width of at most ``width`` px."""
     factor = max(frame.shape[1] / width, 1.0)
     if factor == 1:
         return frame.copy()
@@ -192,21 +192,22 @@ def reduced(frame: Frame, width: int) -> Frame:
 
 
 def largest_channel(picture: Frame) -> Frame:
-    """Return the largest of the three channels of every pixel, shape (rows, columns)."""
+    """Return the largest of the three colour channels for every pixel, shape (rows, columns)."""
     blue, green, red = cv2.split(picture)
     return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
 def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
-    """Write text with an outline into a picture, in place."""
+    """Write outlined text into a picture, in place."""
     for shade, width in (((0, 0, 0), 3 * line), ((255, 255, 255), line)):
         cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
 
 
 class FrameKeeper:
-    """Store of up to ``most`` frames, spread evenly over a film of unknown length, at most ``width`` px wide.
+    """Store of up to ``most`` frames, spread evenly over a film of unknown length, and reduced in size.
 
-    At first every ``every``-th frame is stored. If there are more than ``most``, every second one is removed.
+    At first every ``every``-th frame is stored. If there are more than ``most`` frames, every second one is
+    removed, and the interval is doubled. Wider frames are reduced to ``width``.
     """
 
     def __init__(self, most: int, every: int = 1, width: int | None = None) -> None:
@@ -214,7 +215,7 @@ class FrameKeeper:
         self._most, self._every, self._width = most, every, width
 
     def take(self, index: int, frame: Frame) -> None:
-        """Store a copy of the next frame if its index is a multiple of the current interval."""
+        """Store a copy of a frame if its index is a multiple of the current interval."""
         if index % self._every:
             return
         self.kept[index] = reduced(frame, self._width or frame.shape[1])
@@ -224,7 +225,7 @@ class FrameKeeper:
 
 
 def _listed(path: Path) -> list[Path]:
-    """Return the files of the pictures in the order of the numbers in their names."""
+    """Return the files of a series of pictures in the order of the numbers in their names."""
     folder, name, text = path, r"[^.].*", "is a folder without pictures"
     if not path.is_dir():
         folder, text = path.parent, "no picture has a name like this"
@@ -247,7 +248,7 @@ def _numbers(name: str) -> list[int]:
 
 
 def _positions(path: Path, files: list[Path]) -> list[int]:
-    """Return the position of each picture in an even series, from the number in its name.
+    """Return the position of each picture in a series without gaps, from the number in its name.
 
     If the names contain several numbers, the only one that changes is used.
     """
@@ -273,20 +274,23 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
 
 # ---------------------------------------------------------------- colours
 
-#: Fraction of a colour difference by which a confident detection moves the colour model.
+#: Fraction of the difference between the mean colour of a confident detection and the colour model by which
+#: the model moves.
 ADAPTATION = 0.12
-#: Maximum drift of the colour model from the setup: hue (OpenCV steps of 2 deg), saturation, value (of 255).
+#: Maximum drift of a marker's colour model from the colours of the setup: hue (OpenCV steps of 2 deg),
+#: saturation and value (both of 255).
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
-#: Extension of the range of saturation and value (of 255). Pixels in the extended range belong to the marker
-#: if they touch pixels in the original range.
+#: Extension of the range of saturation and value in a colour model (of 255). Pixels in the extended range
+#: belong to the marker if they touch pixels in the original range.
 SLACK = 20.0
-#: Minimum saturation (of 255) in the extended range. Less saturated pixels have no reliable hue.
+#: Minimum saturation (of 255) in the extended range of a colour model. Less saturated pixels have no reliable
+#: hue.
 MIN_SATURATION = 30.0
 #: Half and whole period of the hue on the 8-bit scale of OpenCV.
 _HALF, _TURN = 90.0, 180.0
 #: Minimum chroma of a coloured pixel, in grey levels. Chroma is the largest minus the smallest channel.
 MIN_CHROMA = 24
-#: Names of hues, and upper limits of these hues in degrees.
+#: Common names of hues, and upper limits of these hues in degrees.
 _NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
 _LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
@@ -295,7 +299,7 @@ _Bounds = list[tuple[Frame, Frame]]
 
 
 class ColourModel:
-    """Range of hue, saturation and value that follows exposure and white balance.
+    """Colour range of a marker in hue, saturation and value, which follows exposure and white balance.
 
     Hue is stored as centre and half-width, because the range of red lies at both ends of the scale.
 
@@ -320,45 +324,45 @@ class ColourModel:
         self.restart()
 
     def mask(self, hsv: Frame) -> Frame:
-        """Return 255 for pixels of an OpenCV HSV picture that belong to the marker, shape (rows, columns).
+        """Return a mask with 255 for the pixels of an HSV picture that belong to the marker, (rows, columns).
 
-        Pixels slightly outside the range belong to the marker if they touch pixels inside the range (within
-        ``_TOUCH``). Therefore a range that is slightly too narrow does not split the marker, and a background
-        of a similar colour adds only a narrow rim.
+        The picture is on OpenCV's scale. Pixels slightly outside the colour range belong to the marker if
+        they touch pixels inside the range (within ``_TOUCH``). Therefore a range that is slightly too narrow
+        does not split the marker, and a background of a similar colour adds only a narrow rim.
         """
         strong = _within(hsv, self._strong)
         near = cv2.dilate(strong, _TOUCH)
         return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
 
     def holds(self, hsv: Array) -> NDArray[np.bool_]:
-        """Return flags of the colours, shape (n, 3) on OpenCV's scale, that are in the extended range."""
+        """Return flags of the colours, shape (n, 3), that are in the extended colour range."""
         pixels = np.clip(np.round(hsv), 0, 255).astype(np.uint8).reshape(1, -1, 3)
         return np.asarray(_within(pixels, self._weak)[0] > 0)
 
     def distance(self, hsv: Array) -> float:
-        """Return the distance of a mean colour from the middle of the range, divided by the half-width."""
+        """Return the distance of a colour from the middle of the range, divided by the half-width."""
         centre = self._centre + self.drift
         hue = abs(hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
         half = np.maximum((self._upper - self._lower) / 2, 1.0)
         return float(np.max([hue, *(np.abs(hsv[1:] - centre[1:]) / half)]))
 
     def adapt(self, hsv: Array) -> None:
-        """Move the model by ``ADAPTATION`` towards the mean colour of a detection."""
+        """Move the colour model towards the mean colour of a detection, by the fraction ``ADAPTATION``."""
         if self._first is None:
             self._first = hsv.copy()
         offset = colour_difference(hsv, self._first)
-        # a channel without bounds needs no adaptation, and the hue of grey is noise
+        # A channel without bounds needs no adaptation, and the hue of grey is noise.
         offset[self._any] = 0.0
         moved = self.drift + ADAPTATION * (offset - self.drift)
         self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
 
     def forget(self) -> None:
-        """Move the model back towards the colours of the setup while the marker is lost."""
+        """Move the colour model back towards the colours of the setup, while the marker is lost."""
         if self.drift.any():
             self._move(self.drift * (1 - 0.2 * ADAPTATION))
 
     def restart(self) -> None:
-        """Reset the model to the colours of the setup, after another object was taken for the marker."""
+        """Reset the model to the colours of the setup, if another object was taken for the marker."""
         self._first = None
         self._move(np.zeros(3))
 
@@ -368,9 +372,9 @@ class ColourModel:
         self._weak = self._arcs(0.25 * self._half_width + 3.0, SLACK)
 
     def _arcs(self, hue_slack: float, slack: float) -> _Bounds:
-        """Return bounds for ``cv2.inRange``: one colour range, or two ranges if the hues include 0."""
+        """Return bounds of the colour range for ``cv2.inRange``: one pair, or two if hue 0 is inside."""
         shift = np.round(self.drift)
-        # a bound at the end of the scale is no limit and is not moved
+        # A bound at the end of the scale is no limit and is not moved.
         low = np.clip(np.where(self._lower <= 0, 0, self._lower + shift[1:] - slack), 0, 255)
         high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
         low[0] = max(low[0], min(self._lower[0], MIN_SATURATION))
@@ -393,12 +397,12 @@ def _within(hsv: Frame, bounds: _Bounds) -> Frame:
 
 
 def hue_difference(a: Any, b: Any) -> Any:
-    """Return a - b for hues, modulo the period of 180 steps, in [-90, 90)."""
+    """Return the difference a - b of two hues, modulo the period of 180 steps, in [-90, 90)."""
     return (a - b + _HALF) % _TURN - _HALF
 
 
 def colour_difference(a: Array, b: Array) -> Array:
-    """Return a - b for two HSV colours, with the difference in hue modulo its period."""
+    """Return the difference a - b of two HSV colours, with the difference in hue modulo its period."""
     out = a - b
     out[0] = hue_difference(a[0], b[0])
     return out
@@ -419,24 +423,24 @@ def has_colour(hsv: Any, usual: Any, hue: float, saturation: float) -> Any:
 
 
 def mean_hsv(bgr: Array) -> Array:
-    """Return the HSV of one BGR colour (0 .. 255), on the 8-bit scale of OpenCV but not rounded."""
+    """Return one BGR colour (0 .. 255) as HSV, on the 8-bit scale of OpenCV but not rounded."""
     hue, saturation, value = colorsys.rgb_to_hsv(*(float(c) for c in bgr[::-1]))
     return np.array([_TURN * hue, 255 * saturation, value])
 
 
 def chroma(frame: Frame) -> Frame:
-    """Return the largest minus the smallest channel of the smoothed picture, shape (rows, columns)."""
+    """Return the chroma of each pixel after smoothing: the largest minus the smallest colour channel."""
     blue, green, red = cv2.split(cv2.blur(frame, (3, 3)))
     return cv2.subtract(cv2.max(cv2.max(blue, green), red), cv2.min(cv2.min(blue, green), red))
 
 
 def hue_name(hue_deg: float) -> str:
-    """Return the common name of a hue."""
+    """Return the common name of a hue, such as "orange"."""
     return next(name for name, limit in zip(_NAMES, _LIMITS, strict=True) if hue_deg % 360 < limit)
 
 
 def describe_colours(frames: list[Frame]) -> str:
-    """Return a sentence on the colours in some frames, for error messages."""
+    """Return a sentence on the colours that some frames contain, for error messages."""
     shares: Counter[str] = Counter()
     for frame in frames:
         small = np.ascontiguousarray(frame[::2, ::2])
@@ -451,16 +455,16 @@ def describe_colours(frames: list[Frame]) -> str:
     return f"Colours in the picture: {listed}"
 
 
-#: Values of the status column, by code: not found, found in a window, in a larger window, in the whole
-#: picture.
+#: Values of the status of a detection, by code: not found, found in a window, found in a larger window, found
+#: in the whole picture.
 STATUS = ("lost", "window", "grown", "full")
 LOST, WINDOW, GROWN, FULL = range(4)
-#: Status of a pose if the edge of the picture cuts one of its markers.
+#: Status of a pose for which the edge of the picture cuts a marker.
 CUT = "cut"
-#: Width of the surroundings of a blob, px, in which its rim and its background are measured.
+#: Width of the surroundings of a blob that are measured, px. They contain its rim and its background.
 MARGIN = 8
 #: Minimum contrast of a blob: in grey levels, and as a multiple of the standard deviation of its background.
-#: At most MAX_SCATTER grey levels of the standard deviation are counted.
+#: If this standard deviation exceeds MAX_SCATTER grey levels, MAX_SCATTER is used.
 MIN_CONTRAST, MIN_CONTRAST_RATIO, MAX_SCATTER = 12.0, 1.2, 15.0
 _KERNEL3 = np.ones((3, 3), np.uint8)
 _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -468,63 +472,69 @@ _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 @dataclass(eq=False, slots=True)
 class Blob:
-    """Measured patch of pixels with the colour of a marker. Lengths are in px of the picture."""
+    """Patch of pixels with the colour of a marker, after it is measured. Lengths are in px of the picture."""
 
-    #: Coordinates of the centre, with sub-pixel resolution.
+    #: Coordinates of the centre of the patch, with sub-pixel resolution.
     x: float
     y: float
-    #: Number of pixels of the picture.
+    #: Area of the patch in pixels of the picture.
     area: float
-    #: Left, top, right and bottom side of the bounding box. Right and bottom are exclusive.
+    #: Left, top, right and bottom side of the patch's bounding box, px. Right and bottom are exclusive.
     box: tuple[int, int, int, int]
     #: Difference between the mean colours of the patch and of its background, grey levels.
     contrast: float
     #: Confidence of the detection, from 0 to 1.
     confidence: float
-    #: Mean colour as HSV on the scale of OpenCV, shape (3,).
+    #: Mean colour of the patch as HSV on the scale of OpenCV, shape (3,).
     hsv: Array
-    #: Whether the blob touches the edge of the picture. The centre is then biased inwards.
+    #: Whether the patch touches the edge of the picture. The centre is then biased inwards.
     at_edge: bool
-    #: Index into :data:`STATUS`.
+    #: Status of the detection, as an index into :data:`STATUS`.
     status: int = FULL
 
     def away(self, x: float, y: float) -> float:
-        """Return the distance of the centre from a point, px."""
+        """Return the distance of the centre of the patch from a point, px."""
         return math.hypot(self.x - x, self.y - y)
 
     @property
     def radius(self) -> float:
-        """Half of the longer side of the bounding box, px."""
+        """Radius of the patch: half of the longer side of its bounding box, px."""
         return 0.5 * max(self.box[2] - self.box[0], self.box[3] - self.box[1])
 
 
 @dataclass(eq=False, slots=True)
 class Patch:
-    """Connected patch of a colour mask, before it is measured."""
+    """Connected patch of pixels in a colour mask, before it is measured."""
 
-    #: Outline in pixels of the mask, shape (n, 1, 2).
+    #: Outline of the patch in pixels of the mask, shape (n, 1, 2).
     contour: NDArray[np.int32]
-    #: Area in pixels of the picture.
+    #: Area of the patch in pixels of the picture.
     area: float
-    #: Left, top, right and bottom side of the bounding box in pixels of the mask. Right and bottom are
-    #: exclusive.
+    #: Left, top, right and bottom side of the patch's bounding box in pixels of the mask. Right and bottom
+    #: are exclusive.
     sides: tuple[int, int, int, int]
-    #: Whether the border of the window cuts the patch.
+    #: Whether the border of the search window cuts the patch.
     clipped: bool
 
     def box(self, origin: tuple[int, int], step: int) -> tuple[int, int, int, int]:
-        """Return the box in px of the picture, for the ``origin`` and the pixel size ``step`` of the mask."""
+        """Return the bounding box of the patch in px of the picture.
+
+        The mask begins at ``origin`` in the picture, and its pixels are ``step`` px wide.
+        """
         left, top, right, bottom = (step * side for side in self.sides)
         return origin[0] + left, origin[1] + top, origin[0] + right, origin[1] + bottom
 
 
 def marker_mask(window: Frame, model: ColourModel) -> Frame:
-    """Return 255 for the pixels of a marker in a window, which is smoothed first against chroma noise."""
+    """Return a mask with 255 for the pixels of a marker in a window of the picture.
+
+    The window is first smoothed against chroma noise.
+    """
     return model.mask(cv2.cvtColor(cv2.blur(window, (3, 3)), cv2.COLOR_BGR2HSV))
 
 
 def thinned(window: Frame, step: int) -> Frame:
-    """Return a reduced window with the middle pixel of every complete ``step`` x ``step`` block."""
+    """Return a window reduced to the middle pixel of every complete block of ``step`` x ``step`` pixels."""
     if step == 1:
         return window
     half = step // 2
@@ -540,7 +550,7 @@ def find_patches(
     step: int = 1,
     inside: tuple[bool, bool, bool, bool] = (False, False, False, False),
 ) -> list[Patch]:
-    """Return the connected patches of a mask whose area is in range, and those that the window cuts.
+    """Return the connected patches of a mask whose area is in range, or that the window cuts.
 
     Parameters
     ----------
@@ -557,7 +567,7 @@ def find_patches(
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     found = []
     for contour in contours:
-        # Pick's theorem gives the pixels inside and on the outline, including holes
+        # Compute the number of pixels inside and on the outline, including holes, by Pick's theorem.
         outline = len(contour)
         area = step**2 * (cv2.contourArea(contour) + 0.5 * min(outline, 2) + 0.5 * outline)
         if area < 0.5 * area_px[0]:
@@ -574,7 +584,7 @@ def find_patches(
 def measure(
     window: Frame, patch: Patch, step: int, origin: tuple[int, int], picture: tuple[int, int]
 ) -> Blob | None:
-    """Return a patch of a window as a :class:`Blob`, or None if its contrast to the background is too low.
+    """Return a patch as a :class:`Blob`; None if its contrast to the background is too low.
 
     Parameters
     ----------
@@ -597,7 +607,7 @@ def measure(
     y1 = min(bottom + margin, (rows - step // 2) // step)
     hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
-    # the core of the convex hull has weight 1, so that reflections leave no hole
+    # The core of the convex hull has weight 1, so that reflections leave no hole.
     kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
     core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     if not core.any():
@@ -612,18 +622,19 @@ def measure(
     colour = np.array(cv2.mean(part, core)[:3])
     axis = colour - back
     contrast = math.sqrt(axis @ axis)
-    # standard deviation of the background along the axis, if channels are independent
+    # Compute the standard deviation of the background along the axis, for independent channels.
     scatter = math.sqrt((deviation * axis) @ (deviation * axis)) / max(contrast, 1e-12)
     if contrast < max(MIN_CONTRAST, MIN_CONTRAST_RATIO * min(scatter, MAX_SCATTER)) or far.all():
         return None
-    # weight by the position of a pixel's colour on the line from the mean background (0) to the mean core (1)
+    # Weight each pixel by the position of its colour on the line from the mean background (0) to the mean
+    # core (1).
     scale = 2 * axis / contrast**2
     weight = cv2.transform(part.astype(np.float32), np.array([[*scale, -(scale @ back) - 0.5]]))
     weight = np.where(core > 0, 1.0, np.clip(weight, 0, 1) * (near > 0))
     m = cv2.moments(weight)
     column, row = m["m10"] / m["m00"], m["m01"] / m["m00"]
     left, top, right, bottom = box = patch.box(origin, step)
-    # incomplete blocks at the right and lower side of the picture are not in the mask
+    # Incomplete blocks at the right and lower side of the picture are not in the mask.
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     if at_edge:
@@ -640,13 +651,13 @@ def measure(
     )
 
 
-#: One detection: x, y, area, confidence, status, whether the edge of the picture cuts the marker, and mean
-#: hue, saturation and value.
+#: Type of the values of one detection: x, y, area, confidence, status, whether the edge of the picture cuts
+#: the marker, and mean hue, saturation and value.
 Row = tuple[float, ...]
 NOT_SEEN: Row = (math.nan, math.nan, math.nan, 0.0, LOST, False, math.nan, math.nan, math.nan)
 
 
-#: Attributes of a track with a row for each marker.
+#: Names of the attributes of a track that have a row for each marker.
 TRACKED = ("x", "y", "area", "confidence", "status", "at_edge")
 
 
@@ -661,10 +672,10 @@ class RawTrack:
     names : list of str
         Names of the m markers.
     x, y, area, confidence : ndarray, shape (m, n)
-        NaN (confidence 0) in frames without a detection. The y axis points down. If the edge of the picture
-        cuts the marker, the centre is that of the visible part.
+        Centre, area and confidence of each detection; NaN (confidence 0) in frames without a detection. The y
+        axis points down. If the edge of the picture cuts the marker, the centre is that of the visible part.
     status : ndarray of int, shape (m, n)
-        Index into :data:`STATUS`.
+        Status of the detection, as an index into :data:`STATUS`.
     at_edge : ndarray of bool, shape (m, n)
         Whether the edge of the picture cuts the marker.
     rivals : dict of str to int
@@ -686,13 +697,16 @@ class RawTrack:
 
     @classmethod
     def of_table(cls, times: Any, names: list[str], table: Array, *more: Any) -> RawTrack:
-        """Return a track from the rows of all markers, shape (m, n, 9); ``more`` are further attributes."""
+        """Return a track from the detections of all markers, shape (m, n, 9).
+
+        ``more`` are further attributes.
+        """
         x, y, area, confidence, status, at_edge = table[..., :6].transpose(2, 0, 1)
         found = (status.astype(int), at_edge.astype(bool))
         return cls(np.array(times), names, x, y, area, confidence, *found, *more)
 
     def select(self, names: list[str]) -> RawTrack:
-        """Return the track of some markers, in the order of ``names``."""
+        """Return a copy of the track with some of the markers, in the order of ``names``."""
         rows = [self.row(name) for name in names]
         arrays = {key: getattr(self, key)[rows] for key in TRACKED}
         return replace(self, names=names, **arrays)
@@ -708,20 +722,23 @@ class RawTrack:
         return self.seen & ~self.at_edge
 
     def row(self, name: str) -> int:
-        """Return the row of a marker in the arrays."""
+        """Return the row number of a marker in the arrays of the track."""
         return self.names.index(name)
 
     def centre(self, marker: int) -> tuple[Array, Array]:
-        """Return x and y of a marker, each of shape (n,), in px; NaN if it was not seen whole."""
+        """Return the centre coordinates x and y of a marker, each of shape (n,), in px.
+
+        They are NaN if the marker was not seen whole.
+        """
         cut = self.at_edge[marker]
         return np.where(cut, np.nan, self.x[marker]), np.where(cut, np.nan, self.y[marker])
 
     def measure_range(self, name: str, scene: Array | None = None) -> tuple[float, float]:
         """Return the range of motion of a marker, in px and in radii of the marker.
 
-        Both are 0 if the marker is found in less than :data:`MIN_SHARE` of the frames. The range is the 95th
-        percentile of the distance from the median position, over detections of the whole marker. ``scene``,
-        shape (2, n), is the shift of the whole scene in each frame, px.
+        The two values are 0 if the marker is found in less than :data:`MIN_SHARE` of the frames. The range is
+        the 95th percentile of the distance from the median position, over detections of the whole marker.
+        ``scene``, shape (2, n), is the shift of the whole scene in each frame, px.
         """
         i = self.row(name)
         seen = self.found[i]
@@ -729,7 +746,7 @@ class RawTrack:
             return 0.0, 0.0
         area = self.area[i]
         usual = float(np.median(area[seen]))
-        # Detections with another area show only a part of the marker. The centre of this part moves if the
+        # Detections with an unusual area show only a part of the marker. The centre of this part moves if the
         # covered part changes. With this limit of the area, the centre of a bar 20 times as long as wide
         # moves by 0.6 radii if objects pass in front of it.
         whole = seen & (np.abs(area - usual) <= 0.15 * usual)
@@ -742,18 +759,18 @@ class RawTrack:
         return reach, reach / max(math.sqrt(usual / math.pi), 1.0)
 
     def head_first(self, head: str, tail: str) -> float | None:
-        """Return the fraction of steps in which two markers move towards the head.
+        """Return the fraction of time steps in which two markers move in the direction of the head marker.
 
-        The result is None for fewer than 4 steps.
+        The result is None for fewer than 4 time steps.
         """
         i, j = self.row(head), self.row(tail)
-        # the film is divided into about 100 steps
+        # Divide the film into about 100 time steps.
         every = slice(None, None, max(len(self.times) // 100, 1))
         front, rear = (np.stack(self.centre(row))[:, every] for row in (i, j))
         line = front - rear
         length = np.hypot(*line)
-        # If a distance is far from its median, one of the detections is false. An inclined camera changes the
-        # distance by less.
+        # If the distance between two markers is far from its median, one of the detections is false. An
+        # inclined camera changes the distance by less.
         sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
         ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
         return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
@@ -763,7 +780,7 @@ class RawTrack:
 
 
 def scene_shifts(frames: Sequence[Frame]) -> Array:
-    """Return the shift of the scene in each frame from the first frame.
+    """Return the shift of the scene in each frame relative to the first frame.
 
     Parameters
     ----------
@@ -786,7 +803,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         return out
     factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
     small = [reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), SCENE_WIDTH) for frame in frames]
-    # up to 300 corners are used, and at least 12 are needed
+    # Up to 300 corners of the scene are used, and at least 12 are needed.
     corners = cv2.goodFeaturesToTrack(small[0], 300, 0.02, 7)
     if corners is None or len(corners) < 12:
         return out
@@ -794,16 +811,16 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
         back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
         sound = (found[:, 0] > 0) & (again[:, 0] > 0)
-        # the corner that is followed backwards must end within half a pixel of its start
+        # A corner that is followed forwards and backwards must end within half a pixel of its start.
         sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < 0.5
         if not sound.any():
             continue
         flow = (there - corners)[sound, 0]
         middle = np.median(flow, axis=0)
-        # corners belong to the scene if their shift is within one pixel of the median
+        # Corners belong to the scene if their shift is within one pixel of the median shift.
         alike = np.linalg.norm(flow - middle, axis=1) < 1.0
-        # These corners must be half of all corners, and must be in 8 of 4 x 4 cells of the picture: a robot
-        # near the camera may contain most of the corners.
+        # The corners of the scene must be half of all corners, and must be in 8 of 4 x 4 cells of the
+        # picture. Otherwise a robot near the camera may contain most of the corners.
         cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
         if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
             out[k] = factor * middle
@@ -811,7 +828,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
 
 
 def check_camera(shift: Array, width: int, consequence: str) -> tuple[float, float]:
-    """Return the maximum shift of the scene and its limit for a ``width`` in px; warn if it is exceeded."""
+    """Return the maximum shift of the scene and its limit, px; warn if the limit is exceeded."""
     largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
     limit = MAX_SHIFT_PX * max(width / SCENE_WIDTH, 1.0)
     if largest > limit:

@@ -70,7 +70,10 @@ class TrackVideoOptions(
 
 @dataclass(frozen=True)
 class Pick:
-    """Name and one pixel of a marker. Picks of one name are equal markers."""
+    """Marker that the user picks: its name, and one pixel of it.
+
+    Picks of the same name are equal markers.
+    """
 
     name: str
     x: float
@@ -78,12 +81,12 @@ class Pick:
 
     @classmethod
     def of_text(cls, text: str, flag: str) -> Self:
-        """Return the pick that a text such as ``red@320,240`` describes.
+        """Return the picked marker that a text such as ``red@320,240`` describes.
 
         Raises
         ------
         UsageError
-            The text has another form.
+            The text does not have the form NAME@X,Y.
         """
         name, _, place = text.partition("@")
         try:

@@ -1,8 +1,8 @@
 """Pose, speeds and their standard deviations from the positions of markers in the picture.
 
-:class:`Plane` (lens, scale or homography, heights) maps pixels to metres, and :func:`build` returns the pose.
-Coordinates are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother with uneven steps, gaps and
-estimated noise (:func:`smooth`). The state of one coordinate is position and velocity (driven by white
+A :class:`Plane` (lens, scale or homography, heights) maps pixels to metres, and :func:`build` returns the
+pose. Coordinates are smoothed by a Kalman filter and a Rauch-Tung-Striebel smoother with uneven steps, gaps
+and estimated noise (:func:`smooth`). The state of one coordinate is position and velocity (driven by white
 acceleration), or position, velocity and acceleration (driven by white jerk). The powers of the driving noise
 and of the measurement noise maximise the likelihood of the innovations. The model with the larger likelihood
 is used.
@@ -35,38 +35,39 @@ from swimid.notices import warn
 from swimid.tracking.frames import CUT, LOST, STATUS, Array, RawTrack
 from swimid.tracking.setup import Camera, Setup
 
-#: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes. The ratios
-#: differ because sizes are rounded to even pixels.
+#: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes, for
+#: pictures of the same proportions. The ratios differ because sizes are rounded to even pixels.
 MAX_SCALE_DIFFERENCE = 0.02
-#: Minimum number of measurements in a segment.
+#: Minimum number of measurements in a segment of a track that is used.
 MIN_SEGMENT = 5
-#: Minimum standard deviation of the noise of a centroid, px.
+#: Minimum standard deviation of the noise in the centre of a marker, px.
 MIN_NOISE_PX = 0.01
-#: Systematic error of a centroid, px, measured on rendered H.264 films. It results from the phase of the
-#: pixels, the codec and uneven light. It does not average out, and is added to the standard deviations of the
-#: smoother.
+#: Systematic error in the centre of a marker, px, measured on rendered H.264 films. It results from the phase
+#: of the pixels, the codec and uneven light. It does not average out, and is added to the standard deviations
+#: of the smoother.
 SYSTEMATIC_PX = 0.05
-#: Lags over which the errors of centroids are correlated, in frames, and minimum number of pairs with such
-#: lags.
+#: Lags at which the correlation of the errors of marker centres is computed, frames; and minimum number of
+#: pairs of frames with such lags.
 LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
-#: Shift of the centroids per frame, px, before repeats are searched for. It makes a repeat that the codec
-#: copied exactly equal to the other repeats, which differ by noise.
+#: Shift of the marker centres per frame that is added before repeated pictures are searched for, px. With it
+#: a repeat that the codec copied exactly looks like other repeats, which differ by noise.
 RAMP_PX = 1e-6
 #: Probability of a false report of a partly hidden marker in a whole film, if areas were normally distributed
-#: and independent, and factor on the limit for single frames, because areas are neither.
+#: and independent; and factor on the limit for single frames, because areas are neither.
 FALSE_ALARM, SINGLE_FRAME = 1e-3, 2.0
-#: Half-width of a 95 % interval, in standard deviations. For a hidden marker the half-width is its maximum
-#: error.
+#: Half-width of a 95 % interval, in standard deviations. For a partly hidden marker the maximum error is
+#: taken for this half-width.
 TWO_SIDED = 1.96
 
-#: Number of hidden segments that calibrate the standard deviation in a gap, and known samples on each side.
+#: Number of segments of measurements that are left out to calibrate the standard deviation in gaps, and
+#: number of known samples on each side of such a segment.
 N_STRETCHES, MARGIN = 40, 20
-#: Minimum number of samples in a segment from which the noise is estimated.
+#: Minimum number of samples in a segment from which the noise of a track is estimated.
 MIN_SAMPLES = 6
-#: Powers of ten that are compared for the ratio between driving noise and measurement noise in one step.
+#: Decimal logarithms of the ratio between driving noise and measurement noise that are compared.
 RATIOS = np.arange(-9.0, 4.5)
-#: Variance of the unknown initial position, relative to the measurement variance. For velocity and
-#: acceleration it is divided by the second and fourth power of the time step.
+#: Variance of the unknown initial position in the Kalman filter, relative to the measurement variance. For
+#: velocity and acceleration it is divided by the second and fourth power of the time step.
 START_VARIANCE = 1e7
 
 
@@ -109,11 +110,11 @@ class Plane:
         return _map_known(lambda points: _mapped(_undistorted(points, self.lens), self.matrix), x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
-        """Project points from world coordinates to the picture, shape (2, n); NaN stays NaN."""
+        """Return the picture coordinates, shape (2, n), of points of the world; NaN stays NaN."""
         return _map_known(self._backward, x, y)
 
     def variations(self, world: Array) -> Array:
-        """Return the shifts of world points, shape (2, n), caused by the k ``variants``, shape (k, 2, n)."""
+        """Return the shifts of world points, shape (2, n), by each of the k ``variants``, shape (k, 2, n)."""
         x, y = self.to_image(*world)
         moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
         return np.array(moved).reshape(-1, 2, world.shape[1])
@@ -126,29 +127,35 @@ class Plane:
         return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
     def turned(self) -> Plane:
-        """Return the plane with its x axis in the opposite direction."""
+        """Return a copy of the plane with its x axis in the opposite direction."""
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
         variants = tuple(turn @ matrix for matrix in self.variants)
         return replace(self, matrix=turn @ self.matrix, variants=variants)
 
     @property
     def faces(self) -> str:
-        """Direction of the x axis in the picture: "left" or "right"."""
+        """Direction of the world's x axis in the picture: "left" or "right"."""
         return ("right", "left")[int(self._jacobian(*self.middle[:, None])[0, 0, 0] < 0)]
 
     def _jacobian(self, x: Array, y: Array) -> Array:
-        """Return the derivatives of the two coordinates by column and row of the picture, shape (2, 2, n)."""
+        """Return the derivatives of world coordinates by column and row of the picture, shape (2, 2, n)."""
         here = self.to_world(x, y)
         return np.stack([self.to_world(x + 1, y) - here, self.to_world(x, y + 1) - here], axis=1)
 
     def size_of_pixel(self, x: Any, y: Any) -> Any:
-        """Return the length of a pixel at points of the picture (geometric mean of the two directions)."""
+        """Return the length of a pixel in world units, at points of the picture.
+
+        It is the geometric mean of the lengths in the two directions.
+        """
         (xx, xy), (yx, yy) = self._jacobian(*np.atleast_1d(x, y))
         return np.sqrt(np.abs(xx * yy - yx * xy)).reshape(np.shape(x))
 
 
 def _map_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
-    """Apply a map of points, shape (n, 2), to points without NaN; return all points, shape (2, n)."""
+    """Apply a map of points, shape (n, 2), to the points without NaN.
+
+    Return all points, shape (2, n).
+    """
     known = np.isfinite(x) & np.isfinite(y)
     out = np.full((2, len(x)), np.nan)
     if known.any():
@@ -167,7 +174,9 @@ def _mapped(points: Array, matrix: NDArray[Any]) -> Array:
 
 
 def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) -> Plane:
-    """Return the plane of a setup for a picture size. ``file`` names the setup in messages.
+    """Return the map from pixels to the world for a setup and a picture size.
+
+    ``file`` names the setup in messages.
 
     Raises
     ------
@@ -194,7 +203,8 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
             factor = scale.metres_per_pixel
         if scale.heights is not None:
             shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
-    # y of the picture points down: the picture is flipped, so that yaw is counter-clockwise
+    # The y axis of the picture points down. Therefore the picture is flipped, so that yaw is
+    # counter-clockwise.
     matrix = np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
     far_x = factor * (width - 1)
     if scale is not None and scale.points_m is not None:
@@ -208,7 +218,7 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
                 "the calibration points map the picture to a world seen from its back: x, y as given, and "
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
-    # markers above the plane appear farther from the point of the world below the camera
+    # Seen by the camera, markers above the plane appear too far from the point below the camera.
     foot = _mapped(camera_centre[None], matrix)[0]
     nearer = np.array([[shrink, 0, (1 - shrink) * foot[0]], [0, shrink, (1 - shrink) * foot[1]], [0, 0, 1.0]])
     moved = tuple(nearer @ variant for variant in variants)
@@ -224,12 +234,12 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
 
 
 def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> Array:
-    """Return the camera matrix for pictures of this size.
+    """Return the camera matrix for pictures of the given width and height, px.
 
     Raises
     ------
     InputError
-        The matrix is for pictures of other proportions.
+        The matrix in the setup is for pictures of other proportions.
     """
     across, down = width / camera.size_px[0], height / camera.size_px[1]
     if abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
@@ -237,14 +247,15 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
         text = f"the matrix is for pictures of {size} pixels; the film has {width} x {height}, no scaled copy"
         hint = "calibrate the camera in the mode in which it films"
         raise InputError(text, file=file, column="camera.size_px", hint=hint)
-    # coordinates scale about the corner of the picture, half a pixel before the middle of the first pixel
+    # Coordinates scale about the corner of the picture, which is half a pixel before the middle of the first
+    # pixel.
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     scale = np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half
     return np.asarray(scale @ np.array(camera.matrix))
 
 
 def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tuple[float, float]]:
-    """Return the map of calibration points, and its root-mean-square errors in picture and world."""
+    """Return the homography of calibration points, and its root-mean-square errors in picture and world."""
     for name, points in (("points_px", image), ("points_m", world)):
         if _is_on_line(points):
             text = "the points lie on a line; four corners of an area are needed"
@@ -263,10 +274,11 @@ def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tu
 
 
 def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ...]:
-    """Return copies of the map for which one coordinate of one point is moved by its standard deviation.
+    """Return copies of a homography, for each of which one calibration coordinate is moved by its error.
 
-    The residual has ``2 n - 8`` degrees of freedom. The standard deviation is enlarged so that the 95 %
-    interval is that of Student's distribution with these degrees of freedom.
+    The error is one standard deviation, which follows from the residual. The residual has ``2 n - 8`` degrees
+    of freedom. The standard deviation is enlarged so that the 95 % interval is that of Student's distribution
+    with these degrees of freedom.
     """
     freedom = 2 * len(image) - 8
     if freedom < 1:
@@ -277,7 +289,7 @@ def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ..
 
 
 def _is_on_line(points: Array) -> bool:
-    """Return whether all points lie on a line, or all but one in the case of four points."""
+    """Return whether all calibration points lie on a line; of four points, three on a line suffice."""
     rests = [points]
     if len(points) <= 4:
         rests = [np.delete(points, k, axis=0) for k in range(len(points))]
@@ -289,7 +301,7 @@ def _is_on_line(points: Array) -> bool:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Coordinates that were smoothed together.
+    """Coordinates of a path that were smoothed together, with common noise.
 
     Attributes
     ----------
@@ -300,7 +312,7 @@ class Smoothed:
     process_noise : float
         Power of the driving white noise: unit^2/s^3 for order 2, unit^2/s^5 for order 3.
     order : int
-        2 for white acceleration, 3 for white jerk.
+        Order of the model: 2 for white acceleration, 3 for white jerk.
     innovation : ndarray, shape (d, n)
         Normalised innovation of each measurement, NaN without a measurement.
     """
@@ -315,13 +327,13 @@ class Smoothed:
     innovation: Array
 
 
-# The matrices have two or three rows. Array expressions take ten times as long to compile as these loops, and
-# run more slowly.
+# The following functions use loops because their matrices have only two or three rows. Array expressions take
+# ten times as long to compile as these loops, and run more slowly.
 
 
 @njit(cache=True)
 def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Return the transition matrix and the noise covariance of each step of a chain of integrators.
+    """Return transition matrix and noise covariance of a chain of integrators for each time step.
 
     Noise of power q drives the highest derivative. Entry (i, j) of the transition is dt^(j - i) / (j - i)!.
     """
@@ -340,7 +352,7 @@ def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 @njit(cache=True)
 def _add_sandwich(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Add a b a' to ``result``."""
+    """Add the matrix product a b a' to ``result``."""
     n = len(a)
     for i in range(n):
         for j in range(n):
@@ -351,7 +363,7 @@ def _add_sandwich(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no c
 
 @njit(cache=True)
 def _forward(values, variances, transitions, noises, means, covariances, innovations):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Fill the filtered states from the first state on, and the innovations with their variances."""
+    """Run the Kalman filter: fill means, covariances and innovations with their variances, in place."""
     for k in range(len(values)):
         mean, covariance = means[k], covariances[k]
         if k > 0:
@@ -372,7 +384,7 @@ def _forward(values, variances, transitions, noises, means, covariances, innovat
 
 @njit(cache=True)
 def _backward(gains, means, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Add the smoothed state after each step to the state before it, from the last step on."""
+    """Run the smoother: add to each state the correction from the state after it, from the last step on."""
     for k in range(len(gains) - 1, -1, -1):
         for i in range(means.shape[1]):
             for j in range(means.shape[1]):
@@ -383,7 +395,7 @@ def _backward(gains, means, covariances):  # type: ignore[no-untyped-def]  # pra
 def kalman(
     times: Array, values: Array, variances: Array, q: float, order: int, start: Array
 ) -> tuple[Array, Array, Array]:
-    """Apply the Kalman filter to one coordinate.
+    """Apply the Kalman filter to the measurements of one coordinate.
 
     Parameters
     ----------
@@ -412,32 +424,32 @@ def kalman(
 
 
 def rts(times: Array, means: Array, covariances: Array, q: float, order: int) -> tuple[Array, Array]:
-    """Smooth the output of :func:`kalman` by the method of Rauch, Tung and Striebel."""
+    """Return smoothed means and covariances from the output of :func:`kalman` (Rauch, Tung and Striebel)."""
     transitions, noises = _steps(times, q, order)
     moved = transitions @ covariances[:-1]
     gains = np.linalg.solve(moved @ transitions.mT + noises, moved).mT
     keep = np.eye(order) - gains @ transitions
     smooth, spread = means.copy(), covariances.copy()
     smooth[:-1] = np.einsum("kij,kj->ki", keep, means[:-1])
-    # a sum of covariances is accurate for a diffuse start, and a difference is not
+    # A sum of covariances is accurate for a diffuse start. A difference is not.
     spread[:-1] = keep @ covariances[:-1] @ keep.mT + gains @ noises @ gains.mT
     _backward(gains, smooth, spread)
     return smooth, spread
 
 
 def _start(order: int, variance: float, step: float) -> Array:
-    """Return the covariance of the unknown initial state, shape (order, order)."""
+    """Return the covariance of the unknown initial state in the Kalman filter, shape (order, order)."""
     return np.diag([START_VARIANCE * variance / step ** (2 * i) for i in range(order)])
 
 
 def _likelihood(
     pieces: list[tuple[Array, Array, Array]], ratio: float, order: int, step: float
 ) -> tuple[float, float]:
-    """Return the concentrated log-likelihood, and the measurement variance that maximises it.
+    """Return the log-likelihood at the most likely measurement variance, and this variance.
 
-    For a given ratio of driving noise to measurement variance, all innovation variances are proportional to
-    the measurement variance. Its most likely value is the mean of the squared normalised innovations. The
-    first ``order`` innovations of each segment determine the unknown initial state and are not used.
+    For a given ratio of driving noise to measurement noise, all innovation variances are proportional to the
+    measurement variance. Its most likely value is the mean of the squared normalised innovations. The first
+    ``order`` innovations of each segment determine the unknown initial state and are not used.
     """
     squares, logs, count = 0.0, 0.0, 0
     q, start = ratio / step ** (2 * order - 1), _start(order, 1.0, step)
@@ -454,7 +466,10 @@ def _likelihood(
 def _estimate_noise(
     pieces: list[tuple[Array, Array, Array]], order: int, step: float
 ) -> tuple[float, float, float]:
-    """Return maximum log-likelihood, ratio of driving to measurement noise, and measurement variance."""
+    """Return the maximum log-likelihood of a track, with the noise ratio and variance at the maximum.
+
+    The ratio is that of driving to measurement noise. The variance is that of a measurement.
+    """
 
     def cost(exponent: float) -> float:
         return -_likelihood(pieces, 10.0**exponent, order, step)[0]
@@ -469,7 +484,7 @@ def _estimate_noise(
 def _smooth_piece(
     times: Array, values: Array, weights: Array, noise: tuple[float, float, int], step: float
 ) -> tuple[Array, Array, Array]:
-    """Return means, covariances and normalised innovations of one coordinate of a segment."""
+    """Return smoothed means, covariances and normalised innovations of one coordinate in a segment."""
     variance, power, order = noise
     start = _start(order, variance, step)
     means, covariances, (off, expected) = kalman(times, values, variance * weights, power, order, start)
@@ -482,10 +497,10 @@ def _smooth_piece(
 def _gap_factor(
     times: Array, row: Array, weights: Array, path: Array, length: int, noise: tuple[float, float, int]
 ) -> float:
-    """Return the ratio, at least 1, of the errors in a gap of ``length`` samples to their standard deviation.
+    """Return the factor by which errors in a gap of ``length`` samples exceed their standard deviation.
 
-    Measured segments of that length, with ``MARGIN`` known samples on each side, are hidden, interpolated and
-    compared with the path.
+    The factor is at least 1. Measured segments of that length, with ``MARGIN`` known samples on each side,
+    are left out, interpolated and compared with the path.
     """
     whole = length + 2 * MARGIN
     known = runs(~np.isnan(row))
@@ -514,7 +529,7 @@ def smooth(
     min_sd: float = 0.0,
     trusted: NDArray[np.bool_] | None = None,
 ) -> Smoothed:
-    """Smooth coordinates that share their noise, segment by segment.
+    """Smooth the coordinates of a path, which share their noise, segment by segment.
 
     Parameters
     ----------
@@ -581,7 +596,7 @@ def smooth(
 
 
 def warm_up() -> None:
-    """Compile the functions of this module."""
+    """Compile the functions of this module before they are needed."""
     times, ones = np.arange(3.0), np.ones(3)
     _smooth_piece(times, ones, ones, (1.0, 1.0, 2), 1.0)
 
@@ -591,7 +606,7 @@ def warm_up() -> None:
 
 @dataclass(frozen=True)
 class Pose:
-    """Path of the reference point, and heading if there are two markers.
+    """Pose of the robot in each frame: path of the reference point, and heading if there are two markers.
 
     Attributes
     ----------
@@ -618,7 +633,7 @@ class Pose:
     held : Held
         Frames that repeat the previous picture, and the times at which the pictures were taken.
     hidden : ndarray, shape (m, n)
-        Maximum error of each centre because part of the marker is hidden, px; 0 if none is.
+        Maximum error of the centre of each marker that results from hidden parts, px; 0 if no part is hidden.
     plane : Plane
     rows : list of int
         Rows of the markers that the pose needs: head, and tail.
@@ -640,7 +655,10 @@ class Pose:
 
     @property
     def body_velocity(self) -> Array | None:
-        """Velocity ahead and to port (up in the vertical plane), shape (2, n); None without a heading."""
+        """Velocity of the body ahead and to port (up in the vertical plane), shape (2, n).
+
+        None without a heading.
+        """
         if self.angle is None:
             return None
         (vx, vy), angle = self.path.velocity, self.angle.position[0]
@@ -648,7 +666,7 @@ class Pose:
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """Times of the last measurement before each gap and of the first measurement after it, s."""
+        """Gaps of the track: times of the last measurement before and of the first after each gap, s."""
         fresh = ~self.held.repeated
         seen = self.times[self.measured]
         missing = np.flatnonzero(np.diff(np.flatnonzero(self.measured[fresh])) > 1)
@@ -656,12 +674,12 @@ class Pose:
 
     @property
     def interpolated(self) -> NDArray[np.bool_]:
-        """Whether the pose is within a segment, but interpolated instead of measured, shape (n,)."""
+        """Flags of frames within a segment in which the pose is interpolated, not measured, shape (n,)."""
         return (self.segment > 0) & ~self.measured
 
 
 def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
-    """Return the plane whose x axis points ahead of the robot, for a camera at the side.
+    """Return the map to world coordinates whose x axis points ahead of the robot, for a side camera.
 
     With ``facing: auto`` the direction ahead is the mean direction from tail to head marker, or from the rear
     to the front marker if their positions on the robot are known. A single marker does not change the plane.
@@ -679,12 +697,12 @@ def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
 
 
 def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
-    """Return the pose from the positions of the markers in the picture.
+    """Return the pose of the robot from the positions of the markers in the picture.
 
     If the positions of head and tail marker on the robot are known (``at_m``), the pose is that of a rigid
-    body through both markers: its heading differs from the line of the markers by their angle on the robot,
-    and the mid-points of the markers coincide. Otherwise the position is that of the head marker, and the
-    heading is the direction of the line of the markers.
+    body through the two markers. Its heading differs from the line of the markers by their angle on the
+    robot, and the mid-points of the markers coincide. Otherwise the position is that of the head marker, and
+    the heading is the direction of the line of the markers.
 
     Raises
     ------
@@ -695,7 +713,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     everyone = range(len(track.names))
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
     hidden = np.array([hidden_px(track, i, plane) for i in everyone])
-    # a picture is a repeat if all markers stay where they were, between steps
+    # A frame repeats the previous picture if all markers stay where they were, between steps.
     ramp = RAMP_PX * np.arange(len(times))
     held = find_held(times, [values + ramp for row in rows for values in track.centre(row)])
     clock, clock_sd = _picture_times(times, held)
@@ -724,7 +742,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         white, lasting = max(white, centroid[0]), float(np.hypot(centroid[1], lasting))
         both = np.maximum(weights, _weights(track, tail, hidden[tail]))
         if setup.places is not None:
-            # the mid-point needs both markers: with a single marker, errors of the scale would enter
+            # The mid-point needs both markers. With a single marker, errors of the scale would enter.
             raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
             places = np.array(setup.places)
             lever, weights = -places.mean(axis=0), both
@@ -736,19 +754,19 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         raw_angle[~measured] = np.nan
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
-        # both ends of a silhouette follow from one outline: its length does not show all errors of its
-        # direction
+        # Both points on a silhouette follow from one outline. Therefore the distance between them does not
+        # show all errors of the heading.
         along = lasting if setup.markers[0].method == "background" else centroid[1]
-        # the errors of partly hidden markers last as long as the markers are hidden
+        # The errors of partly hidden markers last as long as the markers are hidden.
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
         angle = _widened(angle, turn * along, off)
-        # the smoothed heading is used, because the raw heading would add its noise to the path
+        # Use the smoothed heading, because the raw heading would add its noise to the path.
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(clock, raw, weights, segments, min_sd=white, trusted=trusted)
     used = [head] if setup.places is None else rows
     path = _widened(path, lasting, hidden[used].max(axis=0) * pixel / TWO_SIDED)
     if angle is not None:
-        # an error of the heading moves the reference point across the lever
+        # An error of the heading moves the reference point at right angles to the lever.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
         path = replace(
             _widened(path, across * angle.position_sd),
@@ -764,17 +782,20 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
 
 
 def _widened(values: Smoothed, *sds: Array | float) -> Smoothed:
-    """Return smoothed coordinates with independent errors of the standard deviations ``sds`` added."""
+    """Return a copy of smoothed coordinates whose standard deviations include further independent errors.
+
+    ``sds`` are the standard deviations of these errors.
+    """
     variance = values.position_sd**2 + sum(np.square(sd) for sd in sds)
     return replace(values, position_sd=np.sqrt(variance))
 
 
 def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
-    """Return the times at which the pictures were taken, and the maximum error of their common offset, s.
+    """Return the times at which the pictures were taken, and the maximum error of their clock offset, s.
 
-    The stamp of a picture is up to ``lateness_s`` later than the picture. For a camera with even time steps,
-    the delays of the stamps limit the common offset to an interval, of which the middle is used. The times of
-    frames that repeat a picture are interpolated.
+    The time stamp of a picture is up to ``lateness_s`` later than the picture. For a camera with even time
+    steps, the delays of the stamps limit the offset common to all pictures to an interval, of which the
+    middle is used. The times of frames that repeat a picture are interpolated.
     """
     fresh = np.flatnonzero(~held.repeated)
     taken = held.measured_s[fresh]
@@ -789,9 +810,10 @@ def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
 def _at_stamps(
     values: Smoothed, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
 ) -> Smoothed:
-    """Return coordinates at the stamps of the frames, from values smoothed at the times of the pictures.
+    """Return smoothed coordinates at the time stamps of the frames, from those at the times of the pictures.
 
-    ``clock_sd`` is half of the interval of the common offset, so that the 95 % band contains every offset.
+    ``clock_sd`` is half of the interval of the offset common to all pictures, so that the 95 % band contains
+    every offset.
     """
     position, velocity = values.position.copy(), values.velocity.copy()
     for a, b in segments:
@@ -803,24 +825,25 @@ def _at_stamps(
 def _with_plane_error(
     path: Smoothed, angle: Smoothed | None, plane: Plane, separation: Array | None
 ) -> tuple[Smoothed, Smoothed | None]:
-    """Return path and heading with the error of the calibration points in their standard deviations."""
+    """Return path and heading with standard deviations that include the error of the calibration points."""
     moved = plane.variations(path.position)
     path = _widened(path, *moved)
     if angle is None or separation is None:
         return path, angle
     line = float(np.nanmedian(separation)) * np.stack([np.cos(angle.position[0]), np.sin(angle.position[0])])
-    # the heading changes as one end of the line moves across it relative to the other end
+    # If one end of the line between the markers moves across the line, relative to the other end, the heading
+    # changes.
     apart = (moved - plane.variations(path.position - line)) / np.nansum(line**2, axis=0)
     return path, _widened(angle, *(apart[:, 1] * line[0] - apart[:, 0] * line[1]))
 
 
 def _centroid_errors(separation: Array) -> tuple[float, float]:
-    """Return the standard deviations of the white and of the correlated error of a centroid.
+    """Return the standard deviations of the white and of the correlated error in the centre of a marker.
 
-    The distance between two markers on a rigid part is constant. Half of its variance is the variance of one
-    centroid along the line. The covariance at :data:`LAGS` frames is that of correlated errors. The remaining
-    variance is that of white noise, which averages out. Outliers are clipped to four robust standard
-    deviations.
+    They follow from the distance between two markers on a rigid body, which is constant. Half of the variance
+    of this distance is the variance of one centre along the line. The covariance at :data:`LAGS` frames is
+    that of correlated errors. The remaining variance is that of white noise, which averages out. Outliers are
+    clipped to four robust standard deviations.
     """
     off = separation - np.nanmedian(separation)
     off = np.clip(off, *(np.array([-4.0, 4.0]) * 1.4826 * np.nanmedian(np.abs(off))))
@@ -833,30 +856,33 @@ def _centroid_errors(separation: Array) -> tuple[float, float]:
 
 
 def _turned(vector: Array, angle: Array) -> Array:
-    """Return a vector along body axes in world axes, for each heading, shape (2, n)."""
+    """Return a vector given along body axes as a vector along world axes, for each heading, shape (2, n)."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos])
 
 
 def _segments(times: Array, measured: NDArray[np.bool_], max_gap_s: float) -> list[tuple[int, int]]:
-    """Return start and end (exclusive) of each segment."""
+    """Return start and end (exclusive) of each segment of a track.
+
+    Gaps of more than ``max_gap_s`` separate the segments.
+    """
     seen, step = np.flatnonzero(measured), float(np.median(np.diff(times)))
-    # the gap between neighbours that are one step apart is zero
+    # The gap between two frames that are one step apart is zero.
     split = np.flatnonzero(np.diff(times[seen]) - step > max_gap_s + 1e-9)
     parts = [part for part in np.split(seen, split + 1) if len(part) >= MIN_SEGMENT]
     return [(int(part[0]), int(part[-1]) + 1) for part in parts]
 
 
 def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
-    """Return the maximum error of the centre of a partly hidden marker, shape (n,), px; 0 if it is whole.
+    """Return the maximum error in the centre of a partly hidden marker, px, shape (n,); 0 if whole.
 
     The centre of the whole marker is the mean of the centres of the visible and of the hidden part, weighted
     by their areas. The centre of the hidden part is within the radius R. Therefore, with a hidden fraction e
     of the area, the error is at most R e / (1 - e), and less than R. The whole area is the median area on the
-    plane, with an uncertainty given by its standard deviation. A run of smaller areas counts as hidden in two
-    cases: two successive areas are smaller than chance explains with probability :data:`FALSE_ALARM` in a
-    film, or one area is :data:`SINGLE_FRAME` times further away. The stricter limit is needed because the
-    codec and the phase of the pixels reduce the areas of single frames.
+    plane, with an uncertainty given by its standard deviation. A sequence of smaller areas counts as hidden
+    in two cases. Either two successive areas are smaller than chance explains with probability
+    :data:`FALSE_ALARM` in a film, or one area is :data:`SINGLE_FRAME` times further away. The stricter limit
+    is needed because the codec and the phase of the pixels reduce the areas of single frames.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.found[marker])
@@ -866,14 +892,14 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     share = area * plane.size_of_pixel(track.x[marker, seen], track.y[marker, seen]) ** 2
     share /= float(np.median(share))
     whole = area / share
-    # minimum standard deviation: each pixel of the outline belongs to the marker by chance
+    # Compute the minimum standard deviation: each pixel of the outline belongs to the marker by chance.
     least = np.sqrt(2 * np.sqrt(np.pi * whole) / 12) / whole
     short = -np.log(share)
     scatter = np.maximum(_scatter(short), least)
     chance = FALSE_ALARM / len(seen)
     twice, once = -float(special.ndtri(np.sqrt(chance))), -SINGLE_FRAME * float(special.ndtri(chance))
     far = short / scatter
-    ratio = np.exp(short + scatter) - 1  # e / (1 - e)
+    ratio = np.exp(short + scatter) - 1  # e / (1 - e), where e is the hidden fraction
     bound = np.sqrt(whole / np.pi) * np.minimum(ratio, 1.0)
     for start, end in runs(short > 0):
         pairs = np.minimum(far[start : end - 1], far[start + 1 : end])
@@ -883,21 +909,21 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
 
 
 def _scatter(short: Array) -> float:
-    """Return the standard deviation of the logarithms of areas about their median.
+    """Return the standard deviation of the logarithm of a marker's area about its median.
 
-    It is the larger of two estimates: from the middle half of the areas, and from the areas above the median.
-    The latter show how heavy the tails are, because markers with large areas are not hidden.
+    The result is the larger of two estimates: from the middle half of the areas, and from the areas above the
+    median. The latter show how heavy the tails are, because markers with large areas are not hidden.
     """
     middle = 1.4826 * float(np.median(np.abs(short)))
     large = -short[short < 0]
     if not len(large):
         return middle
-    # a normal variable is within two standard deviations with probability 0.9545
+    # A normal variable is within two standard deviations with probability 0.9545.
     return max(middle, 0.5 * float(np.quantile(large, 0.9545)))
 
 
 def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
-    """Return the variance of each centroid relative to that of a typical one, shape (n,)."""
+    """Return the variance of each marker centre relative to that of a typical one, shape (n,)."""
     seen = track.found[marker]
     weights = np.ones(len(track.times))
     if seen.any():
@@ -908,7 +934,7 @@ def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
 
 
 def noise_px(track: RawTrack, marker: int) -> float:
-    """Return the standard deviation of the white noise of a centroid, from second differences, px."""
+    """Return the standard deviation of the white noise in a marker's centre, from second differences, px."""
     second = np.diff(np.stack(track.centre(marker)), n=2, axis=1)
     known = second[np.isfinite(second)]
     if not len(known):
@@ -917,7 +943,7 @@ def noise_px(track: RawTrack, marker: int) -> float:
 
 
 def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
-    """Return the columns of the log, in order."""
+    """Return the columns of the log of a track, in their order."""
     unit = pose.plane.unit
     up, angle_name, side = setup.axes
     vx, vy = pose.path.velocity
@@ -933,7 +959,7 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
     if pose.angle is not None:
         turn_sd = pose.angle.position_sd[0]
         out[f"{angle_name}_sd_rad"] = turn_sd
-        # an error of the heading mixes surge and sway
+        # An error of the heading mixes surge and sway.
         out[f"u_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"{side}_{unit}_s"])
         out[f"{side}_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"u_{unit}_s"])
         out[f"{angle_name}_rate_sd_rad_s"] = pose.angle.velocity_sd[0]

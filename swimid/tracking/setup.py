@@ -1,7 +1,7 @@
-"""The setup file, ``swimid-setup/1``: markers, camera and scale.
+"""Setup file of a film, ``swimid-setup/1``: markers, camera and scale.
 
-One file serves all films that are taken with the same camera and lights. ``swimid track setup`` drafts the
-file from a film, and ``docs/tracking.md`` explains each key with an example.
+One setup file serves all films that are taken with the same camera and lights. ``swimid track setup`` drafts
+the file from a film, and ``docs/tracking.md`` explains each key with an example.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _Positive = Annotated[float, Field(gt=0)]
 _Point = tuple[float, float]
 _Points = tuple[_Point, ...]
 _Row = tuple[float, float, float]
-#: Left, top, right and bottom side of a box, px.
+#: Type of a box: its left, top, right and bottom side, px.
 Box = tuple[float, float, float, float]
 
 
@@ -39,7 +39,7 @@ _Hue = Annotated[float, Field(ge=0, le=360)]
 
 
 class HsvRange(Document):
-    """Range of colours. Hue is an angle: ``[345, 15]`` contains red at 0."""
+    """Range of colours in hue, saturation and value. Hue is an angle: ``[345, 15]`` contains red at 0."""
 
     hue_deg: tuple[_Hue, _Hue] = (0.0, 360.0)
     saturation: _Span = (0.0, 1.0)
@@ -47,19 +47,20 @@ class HsvRange(Document):
 
 
 class Marker(Document):
-    """One kind of marker: colour, number and size in the picture."""
+    """One kind of marker: its colour, number and size in the picture."""
 
     name: Annotated[str, Field(max_length=40, pattern="^[A-Za-z][A-Za-z0-9_-]*$")]
-    #: ``background`` means the whole body, found by its difference from the empty scene; it needs no colour.
+    #: Method by which the marker is found. ``background`` takes the whole body for the marker, finds it by
+    #: its difference from the empty scene, and needs no colour.
     method: Literal["colour", "background"] = "colour"
     hsv: HsvRange | None = None
     number: Annotated[int, Field(ge=1, le=20)] = 1
     area_px: _Area | None = None
-    #: Position of each marker in the first frame (px of the picture), which defines the names of equal
-    #: markers.
+    #: Position of each marker of this kind in the first frame (px of the picture). It determines which of
+    #: several equal markers has which name.
     start_px: _Points | None = None
-    #: Position on the robot relative to its reference point: forward, and to port (up in the vertical plane),
-    #: m.
+    #: Position of the marker on the robot, relative to the reference point: forward, and to port (up in the
+    #: vertical plane), m.
     at_m: _Point | None = None
 
     @model_validator(mode="after")
@@ -75,14 +76,14 @@ class Marker(Document):
 
     @property
     def names(self) -> list[str]:
-        """Names of the single markers: the name, or name1, name2, ... if there are several."""
+        """Names of the markers of this kind: its own name, or name1, name2, ... if there are several."""
         if self.method == "background":
             return [self.name, f"{self.name}_rear"]
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
 
 
 class Heights(Document):
-    """Height of the camera and of the markers above the plane in which the scale was measured."""
+    """Heights of the camera and of the markers above the plane in which the scale was measured."""
 
     camera_m: _Positive
     marker_m: float
@@ -95,7 +96,7 @@ class Heights(Document):
 
 
 class Scale(Document):
-    """Scale from pixels to metres: a factor, two points and their distance, or four or more points."""
+    """Scale from pixels to metres: a factor, two points and their distance, or at least four points."""
 
     metres_per_pixel: _Positive | None = None
     points_px: _Points | None = None
@@ -127,7 +128,8 @@ class Camera(Document):
     """Calibration of the camera and its lens, with the conventions of OpenCV."""
 
     matrix: tuple[_Row, _Row, _Row]
-    #: Width and height of the calibration pictures. The matrix is scaled to the pictures of the film.
+    #: Width and height of the calibration pictures, px. The camera matrix is scaled to the pictures of the
+    #: film.
     size_px: tuple[_Positive, _Positive]
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
@@ -141,29 +143,30 @@ class Camera(Document):
 
 
 class Setup(Document):
-    """Setup of the films of one camera."""
+    """Content of a setup file, which describes the films of one camera."""
 
     format: Literal["swimid-setup/1"]
     markers: Annotated[list[Marker], Field(min_length=1, max_length=20)]
-    #: Head marker, whose path is that of the log (the nose), and tail marker behind it. With a single kind of
-    #: marker, the first marker is the default head and a tail is not needed.
+    #: Name of the head marker, whose path is that of the log (the nose), and name of the tail marker behind
+    #: it. With a single kind of marker, the first marker is the default head and a tail is not needed.
     head: str | None = None
     tail: str | None = None
     plane: Literal["horizontal", "vertical"] = "horizontal"
-    #: Direction in which the robot faces in a film from the side. In the log x increases this way.
+    #: Direction in the picture in which the robot faces, in a film from the side. In the log x increases this
+    #: way.
     facing: Literal["auto", "right", "left"] = "auto"
-    #: Direction of motion. A track in the other direction for most of the path fails a check.
+    #: Direction in which the robot swims. A track in the other direction for most of the path fails a check.
     swims: Literal["head-first", "tail-first"] = "head-first"
-    #: Robot that supplies the position of each marker without ``at_m``. The robot file must have a marker of
-    #: the same name.
+    #: Robot file that states the position of each marker without ``at_m``. The robot file must have a marker
+    #: of the same name.
     robot: str | None = None
     scale: Scale | None = None
     camera: Camera | None = None
-    #: Frame rate that replaces the stamps of the container, Hz.
+    #: Frame rate of the film, Hz. It replaces the time stamps in the container.
     frame_rate_hz: _Positive | None = None
-    #: Maximum length of a gap that is interpolated, s.
+    #: Maximum duration of a gap in the track that is interpolated, s.
     max_gap_s: Annotated[float, Field(ge=0)] = 1.0
-    #: Boxes in which no markers are searched for, each [left, top, right, bottom] in px.
+    #: Boxes of the picture in which no markers are searched for, each [left, top, right, bottom] in px.
     ignore_px: list[Box] = []
 
     @model_validator(mode="after")
@@ -205,17 +208,17 @@ class Setup(Document):
 
     @property
     def name(self) -> str:
-        """Name of a setup without a file, in the provenance of a result."""
+        """Name of a setup that is not from a file, in the provenance of a result."""
         return "setup"
 
     @property
     def marker_names(self) -> list[str]:
-        """Names of all single markers, in the order of the file."""
+        """Names of all markers, in the order of the file."""
         return [name for marker in self.markers for name in marker.names]
 
     @property
     def head_name(self) -> str:
-        """Name of the marker that gives the position."""
+        """Name of the marker whose path is that of the log."""
         return self.head or self.marker_names[0]
 
     @property
@@ -225,11 +228,11 @@ class Setup(Document):
 
     @property
     def axes(self) -> tuple[str, str, str]:
-        """Names of the second coordinate, of the heading, and of the velocity across the heading."""
+        """Names of the second coordinate, the heading, and the velocity across the heading in the log."""
         return ("y", "yaw", "v") if self.plane == "horizontal" else ("z", "pitch", "w")
 
     def marker(self, name: str) -> Marker:
-        """Return the entry of the setup to which a single marker belongs."""
+        """Return the entry of the setup that describes a marker of the given name."""
         return next(marker for marker in self.markers if name in marker.names)
 
     @property
@@ -240,7 +243,7 @@ class Setup(Document):
 
 
 def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
-    """Return a setup from a file, an object, or a dictionary with the keys of the file.
+    """Return the setup for an argument: a file, a setup, or a dictionary with the keys of the file.
 
     Raises
     ------
@@ -280,7 +283,7 @@ def _complete(data: Mapping[str, Any], path: Path) -> Setup:
 
 
 def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
-    """Return the positions of the markers of a robot; raise if head or tail is not among them."""
+    """Return the positions of the markers on a robot; raise an error if head or tail is not among them."""
     from swimid.robots import file as robot_format
 
     def refuse(text: str, hint: str | None = None) -> InputError:

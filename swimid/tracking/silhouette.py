@@ -1,4 +1,7 @@
-"""Tracking of a body without markers: centre and main axis of its silhouette in front of the empty scene."""
+"""Tracking of a body without markers, by its silhouette in front of the empty scene.
+
+The centre and the main axis of the silhouette are tracked.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +24,18 @@ from swimid.tracking.frames import (
 )
 from swimid.tracking.setup import Setup
 
-#: Number of frames whose median is the empty scene, and width to which all frames are reduced, px.
+#: Number of frames whose median is taken for the empty scene, and width to which all frames are reduced, px.
 SCENE_FRAMES, WIDTH = 41, 960
-#: Minimum difference of the body from the empty scene: in grey levels, and relative to the median difference
-#: in the frame.
+#: Minimum difference between a pixel of the body and the empty scene: in grey levels, and relative to the
+#: median difference in the frame.
 MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16.0, 4.0
-#: Default minimum and maximum area of the body, as fractions of the picture.
+#: Default limits of the area of the body, minimum and maximum, as fractions of the picture.
 AREA_SHARES = (5e-4, 0.5)
 _KERNEL = np.ones((5, 5), np.uint8)
 
 
 def empty_scene(path: Path) -> Frame:
-    """Return the median of frames spread over a film, in which moving objects are absent."""
+    """Return the empty scene of a film: the median of some frames, in which moving objects are absent."""
     video = Video(path)
     keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
@@ -42,7 +45,7 @@ def empty_scene(path: Path) -> Frame:
 
 
 class Silhouette:
-    """Follow the largest object that differs from the empty scene, frame by frame.
+    """Tracker of the largest object that differs from the empty scene, frame by frame.
 
     Two points represent the object: the centre of the silhouette, and a rear point on the main axis. The
     distance of the rear point is the half-axis of the ellipse with the same second moments.
@@ -72,12 +75,12 @@ class Silhouette:
             self._allowed[top:bottom, left:right] = 0
 
     def step(self, time: float, frame: Frame) -> None:
-        """Find the body in the next frame."""
+        """Find the body in the next frame of the film, and store the detection."""
         self._times.append(time)
         self._rows.append(self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))))
 
     def _measure(self, small: Frame) -> tuple[Row, Row]:
-        """Return the detections of the centre and of the rear point in a reduced frame."""
+        """Return the centre and the rear point of the body in a reduced frame, each as a detection."""
         difference = largest_channel(cv2.absdiff(small, self._scene))
         noise = float(np.median(difference))
         limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
@@ -96,8 +99,8 @@ class Silhouette:
         body = np.where(labels[y0 : bottom + 3, x0 : right + 3] == label, 255, 0).astype(np.uint8)
         core = cv2.erode(body, _KERNEL)
         contrast = float(np.median(difference[(core if core.any() else body) > 0]))
-        # Pixels of the rim are weighted by their difference from the scene. The inside has weight 1, also in
-        # the holes that reflections leave.
+        # Weight the pixels of the rim of the body by their difference from the scene. Pixels inside have
+        # weight 1, also in the holes that reflections leave.
         weight = np.clip(difference / (contrast / 2) - 0.5, 0, 1) * (cv2.dilate(body, _KERNEL) > 0)
         outlines, _ = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         m = cv2.moments(cv2.drawContours(weight, outlines, -1, 1.0, cv2.FILLED))
@@ -112,7 +115,7 @@ class Silhouette:
         return (*centre, *rest), (*rear, *rest)
 
     def track(self) -> RawTrack:
-        """Return the track so far.
+        """Return the track of the frames that were processed so far.
 
         The direction of the main axis is chosen so that most steps agree with ``swims`` in the setup.
         """

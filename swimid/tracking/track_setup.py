@@ -1,4 +1,4 @@
-"""The command ``track setup``: draft a setup file from a film.
+"""Command ``track setup``, which drafts a setup file from a film.
 
 :func:`find_candidates` searches for colours whose patches are compact and move. :func:`pick_markers` finds
 the patch about a pixel, and the range of colours that separates the patch from its surroundings.
@@ -29,39 +29,39 @@ from swimid.tracking.options import TrackSetupOptions
 from swimid.tracking.setup import FORMAT, HsvRange, Marker, Setup
 from swimid.tracking.tracker import Run, follow
 
-#: Maximum number of candidates that are followed through the film.
+#: Maximum number of candidate colours that are followed through the film.
 MAX_TRIALS = 4
-#: Number of pictures on the contact sheet, and their width, px.
+#: Number of frames on the contact sheet, and their width, px.
 N_TILES, TILE_WIDTH = 4, 640
-#: Number of frames that are evaluated, and width to which they are reduced, px.
+#: Number of frames of a film that are searched for colours, and width to which they are reduced, px.
 N_SAMPLES, SAMPLE_WIDTH = 48, 960
-#: Minimum difference of a moving pixel from the background: in grey levels, and relative to the median
+#: Minimum difference between a moving pixel and the background: in grey levels, and relative to the median
 #: difference in the frame.
 MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
-#: Minimum fraction of the pixels of a moving patch that differ from the empty scene. The empty scene must
-#: also have another colour in at least this fraction of the pixels.
+#: Minimum fraction of the pixels of a patch that differ from the empty scene, for a patch that counts as
+#: moving. The empty scene must also have another colour in at least this fraction of the pixels.
 MOVING = 0.3
-#: Minimum score of a proposed marker, and maximum number of hues that are examined.
+#: Minimum score of a colour that is proposed as a marker, and maximum number of hues that are examined.
 MIN_SCORE, MAX_HUES = 0.02, 8
-#: Minimum score of a second marker relative to the first.
+#: Minimum score of a second proposed marker, relative to the score of the first.
 SECOND_SHARE = 0.25
-#: Maximum differences from the colour of a pixel that are tried for its patch, grey levels. The difference at
-#: which the patch grows least is used. Matas, J. et al. (2002), Robust wide baseline stereo from maximally
-#: stable extremal regions, BMVC. doi:10.5244/C.16.36
+#: Maximum differences between the colour of a picked pixel and the colours of its patch that are tried, grey
+#: levels. The difference at which the patch grows least is used. Matas, J. et al. (2002), Robust wide
+#: baseline stereo from maximally stable extremal regions, BMVC. doi:10.5244/C.16.36
 TOLERANCES = (8, 12, 18, 27, 40)
-#: Minimum area of a patch, px; maximum area without a warning, and maximum area of a marker, both as
-#: fractions of the picture.
+#: Minimum area of a patch, px; area of a patch above which a warning is given, and maximum area of a marker,
+#: both as fractions of the picture.
 MIN_PATCH_PX, LARGE, LARGEST = 5, 0.05, 0.5
-#: Maximum fraction of the surroundings of a marker that may have colours in its range.
+#: Maximum fraction of the surroundings of a marker that may have colours in the marker's range.
 MAX_SHARE_AROUND = 0.1
-#: Maximum difference of the pixels of one marker from its hue, on the scale of OpenCV.
+#: Maximum difference between the hue of a marker and the hue of one of its pixels, on the scale of OpenCV.
 NEAR_HUE = 12
 BACKGROUND = "put the whole marker on a background of another colour or brightness"
-#: Compare with the start pixel, and write 255 into the mask.
+#: Flags of OpenCV's flood fill: compare each pixel with the start pixel, and write 255 into the mask.
 FILL = 8 | cv2.FLOODFILL_FIXED_RANGE | cv2.FLOODFILL_MASK_ONLY | 255 << 8
 _SQUARE = np.ones((3, 3), np.uint8)
 _HEAD = "# Drafted by swimid track setup from {}; correct it if needed. All keys: docs/tracking.md\n"
-#: Comment with the keys that a draft does not have.
+#: Comment at the end of a drafted setup, on the keys that the draft does not have.
 _MORE = """\
 # Without scale positions are in pixels. One of:
 # scale: {metres_per_pixel: 0.0015}
@@ -77,7 +77,7 @@ _MORE = """\
 
 @dataclass(frozen=True, eq=False)
 class SetupDraft(Result):
-    """Draft of a setup, as ``track_setup`` returns it; ``document`` is its commented YAML.
+    """Draft of a setup, which ``track_setup`` returns. Its ``document`` is YAML text with comments.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class SetupDraft(Result):
 
     @property
     def setup(self) -> Setup:
-        """Setup that can be passed to ``track_video``."""
+        """Setup of the draft, which can be passed to ``track_video``."""
         return setup_format.of(yamlio.parse_scalar(self.document))
 
     def _write(self, path: Path) -> list[Path]:
@@ -205,16 +205,18 @@ def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
 
 
 def _try(video: Path, setup: Setup, progress: Progress) -> Run:
-    """Follow the markers of a setup through the film."""
+    """Return the result of following the markers of a setup through the film."""
     with progress(f"trying {', '.join(marker.name for marker in setup.markers)}") as step:
         return follow(video, setup, step=step)
 
 
 def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
-    """Return the best candidate of a trial, with a second marker if possible, and the other colours.
+    """Return the track of the most likely marker in a film, with a second marker if possible.
 
-    All candidates are followed at once. The second marker is the best one at a constant distance from the
-    first.
+    The second value holds the rejected colours.
+
+    All candidate colours are followed at once. The second marker is the best one at a constant distance from
+    the first.
     """
     with progress(f"looking at {video.name}") as step:
         samples = sample(video, step=step)
@@ -265,7 +267,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
 def _from_picks(
     video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress
 ) -> tuple[Run, list[Candidate]]:
-    """Return a trial of the picked markers, and no rejected colours."""
+    """Return the track of the markers that the user picked, and no rejected colours."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for pick in options.picks:
         kinds.setdefault(pick.name, []).append((pick.x, pick.y))
@@ -275,7 +277,8 @@ def _from_picks(
     markers = pick_markers(frame, kinds, path=video, index=options.frame)
     run = _try(video, _setup(markers, common), progress)
     if markers[0].number > 1:
-        # equal markers may be on several bodies, and only a rigid pair gives a heading
+        # Equal markers may belong to several bodies. The second marker gives a heading only if the pair is
+        # rigid.
         separation = distance_change(run.track, *run.setup.roles)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
@@ -283,12 +286,12 @@ def _from_picks(
 
 
 def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
-    """Return a trial of the body that differs from the empty scene, and no rejected colours.
+    """Return the track of the body that differs from the empty scene, and no rejected colours.
 
     Raises
     ------
     NoTrustworthyResult
-        A body is found in less than :data:`swimid.tracking.frames.MIN_SHARE` of the frames.
+        The body is found in less than :data:`swimid.tracking.frames.MIN_SHARE` of the frames.
     """
     run = _try(video, _setup([Marker(name="body", method="background")], common), progress)
     if run.track.found[0].mean() < frames.MIN_SHARE:
@@ -301,7 +304,7 @@ def _from_background(video: Path, common: dict[str, Any], progress: Progress) ->
 
 
 def _sheet(run: Run) -> NDArray[np.uint8]:
-    """Return a contact sheet of frames with circled and named markers."""
+    """Return a contact sheet: some frames of the film with circled and named markers."""
     tiles, track = [], run.track
     ranked = sorted(run.kept, key=lambda k: (not track.found[:, k].all(), k))
     for index in sorted(ranked[:N_TILES]):
@@ -323,34 +326,34 @@ def _sheet(run: Run) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class Samples:
-    """Frames spread evenly over a film, reduced in size."""
+    """Some frames of a film, spread evenly over it and reduced in size."""
 
     video: Video
     indices: NDArray[np.int64]
     frames: list[Frame]
     #: Width of a pixel of a reduced frame in pixels of the picture.
     factor: float
-    #: Median of the frames, in which moving objects are absent.
+    #: Background: median of the frames, in which moving objects are absent.
     background: Frame
-    #: Masks of the frames, 255 for pixels that differ from the background.
+    #: Masks of the frames, with 255 for pixels that differ from the background.
     moving: list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Colour that may be the colour of a marker. Lengths are in px of the picture."""
+    """Colour that is examined as the colour of a marker. Lengths are in px of the picture."""
 
-    #: Common name of the hue, and middle of the hue range.
+    #: Common name of the hue, hue in the middle of the colour range (degrees), and colour range.
     name: str
     hue_deg: float
     colours: HsvRange
-    #: Score as a marker, from 0 to 1.
+    #: Score of the colour as that of a marker, from 0 to 1.
     score: float = 0.0
-    #: Fraction of the evaluated frames in which the candidate is seen.
+    #: Fraction of the evaluated frames in which a patch of the colour is seen.
     presence: float = 0.0
-    #: Minimum and maximum area of the patch, px.
+    #: Minimum and maximum area of the patch of this colour, px.
     area_px: tuple[float, float] = (0.0, 0.0)
-    #: Reason why the candidate is not a marker; empty if it may be a marker.
+    #: Reason why the colour is not that of a marker; empty if it may be.
     reason: str = ""
 
     def __str__(self) -> str:
@@ -379,7 +382,7 @@ def sample(path: Path, *, step: Step) -> Samples:
 
 
 def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
-    """Return the colours that may be those of markers, best first, and the rejected colours.
+    """Return the colours in a film that may be those of markers, best first, and the rejected colours.
 
     Raises
     ------
@@ -412,12 +415,12 @@ def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]
 
 
 def listed(passed: list[Candidate]) -> str:
-    """Return a sentence on the rejected colours and the reasons; an empty text without any."""
+    """Return a sentence on the rejected colours and the reasons; empty if no colour was rejected."""
     return f"Passed over: {'; '.join(map(str, passed))}. " if passed else ""
 
 
 def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
-    """Return the hues (0 .. 179) of maxima in the histogram of moving coloured pixels, largest first."""
+    """Return the hues (0 .. 179) that are most frequent among moving coloured pixels, largest first."""
     histogram = np.bincount(hsv[:, 0], minlength=180)[:180].astype(float)
     kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
     smooth = np.convolve(np.pad(histogram, 9, mode="wrap"), kernel / kernel.sum(), "valid")
@@ -426,11 +429,11 @@ def _peaks(hsv: NDArray[np.uint8], frames: int) -> list[int]:
 
 
 def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange:
-    """Return the range about a hue with nearly all pixels of similar hue, widened for changing light."""
+    """Return the colour range of a marker, from the pixels of a film and the hue of the marker."""
     offset = frames.hue_difference(hsv[:, 0].astype(float), peak)
     near = np.abs(offset) <= NEAR_HUE
     cluster = hsv[near].astype(float)
-    # the pixels of pure colour are the marker, and the other pixels are its blurred rim
+    # The pixels of pure colour are the marker. The other pixels are its blurred rim.
     purity = cluster[:, 1] * cluster[:, 2]
     core = purity >= np.percentile(purity, 35)
     low, high = np.percentile(offset[near][core], [3, 97])
@@ -448,12 +451,12 @@ def _degrees(hue: float) -> float:
 
 
 def two_digits(value: float) -> float:
-    """Return a fraction rounded to two digits, as in a setup file."""
+    """Return a fraction rounded to two digits, as it is written in a setup file."""
     return float(round(value, 2))
 
 
 def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
-    """Score the patches of one colour in all frames as a marker."""
+    """Return one colour as a candidate with its score, from its patches in all frames."""
     colours, hue, count = colour_range(hsv, peak), _degrees(peak), len(samples.frames)
     name, model = frames.hue_name(hue), ColourModel(colours)
     least = max(5.0, 2e-5 * samples.background[..., 0].size)
@@ -493,10 +496,11 @@ def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
 def _patches(
     mask: NDArray[np.uint8], moving: NDArray[np.uint8], scenery: NDArray[np.uint8], least: float
 ) -> list[tuple[float, float, float, float]]:
-    """Return the moving patches inside the picture as (area, x, y, fraction of a disc), largest first.
+    """Return the moving patches of a mask as (area, x, y, fraction of a disc), largest first.
 
-    A patch does not move if the empty scene (``scenery``) has the colour at the same position, too. In this
-    case the light has changed, or an object passes over the patch.
+    Patches at the edge of the picture are left out. A patch does not move if the empty scene (``scenery``)
+    has its colour at the same position, too. In this case the light has changed, or an object passes over the
+    patch.
     """
     count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
@@ -517,7 +521,7 @@ def _patches(
 def pick_markers(
     frame: Frame, kinds: dict[str, list[tuple[float, float]]], *, path: Path, index: int
 ) -> list[Marker]:
-    """Return markers from one pixel of each.
+    """Return markers of which the user picked one pixel each.
 
     Parameters
     ----------
@@ -561,7 +565,7 @@ def pick_markers(
 
 
 def _patch(frame: Frame, hsv: Frame, option: str, pixel: tuple[float, float], place: dict[str, Any]) -> Frame:
-    """Return the mask of the patch about a pixel: 255 inside, shape (rows, columns)."""
+    """Return the mask of the patch about a picked pixel: 255 inside, shape (rows, columns)."""
     rows, columns = hsv.shape[:2]
     x, y = pixel
     if not (0 <= x < columns and 0 <= y < rows):
@@ -590,7 +594,7 @@ def _patch(frame: Frame, hsv: Frame, option: str, pixel: tuple[float, float], pl
 
 
 def _marker(hsv: Frame, name: str, masks: list[Frame], place: dict[str, Any]) -> Marker:
-    """Return one kind of marker from the masks of its patches."""
+    """Return the setup entry of one kind of marker from the masks of its patches."""
     colours = _range_of(hsv, np.bitwise_or.reduce(masks))
     if colours is None:
         text = f"marker '{name}' has the colour of its surroundings"
@@ -608,9 +612,9 @@ def _marker(hsv: Frame, name: str, masks: list[Frame], place: dict[str, Any]) ->
 
 
 def _range_of(hsv: Frame, patch: Frame) -> HsvRange | None:
-    """Return the colours that separate a patch from its surroundings; None if there are none."""
+    """Return the colour range that separates a patch from its surroundings; None if there is none."""
     core = cv2.erode(patch, _SQUARE)
-    # the surroundings are a ring of 10 px outside the blurred rim of 3 px
+    # The surroundings are a ring of 10 px outside the blurred rim of 3 px.
     near = cv2.dilate(patch, _SQUARE, iterations=3)
     ring = cv2.subtract(cv2.dilate(near, _SQUARE, iterations=10), near)
     inside, around = hsv[(core if core.any() else patch) > 0], hsv[ring > 0]
@@ -618,7 +622,10 @@ def _range_of(hsv: Frame, patch: Frame) -> HsvRange | None:
 
 
 def _colours(inside: Frame) -> HsvRange:
-    """Return the colours of a patch, widened for changing light; for a grey patch they include all hues."""
+    """Return the colour range of a patch, widened for changing light.
+
+    For a grey patch the range includes all hues.
+    """
     saturation, value = inside[:, 1].astype(float), inside[:, 2].astype(float)
     chroma = float(np.median(saturation * value)) / 255
     if chroma >= frames.MIN_CHROMA:
@@ -635,10 +642,11 @@ def _colours(inside: Frame) -> HsvRange:
 
 
 def _separated(colours: HsvRange, inside: Array, around: Array) -> HsvRange | None:
-    """Return the range of colours, narrowed to exclude the surroundings; None if that is impossible.
+    """Return the colour range of a patch, narrowed to exclude the surroundings; None if impossible.
 
-    A bound is moved where patch and surroundings differ most in saturation or value. The new bound is in the
-    middle between them, or at the distance ``SLACK`` from the surroundings if that is further away.
+    A bound of the range is moved where patch and surroundings differ most in saturation or value. The new
+    bound is in the middle between them, or at the distance ``SLACK`` from the surroundings if that is further
+    away.
     """
     for _ in range(3):
         held = ColourModel(colours).holds(around)
@@ -669,7 +677,8 @@ def marker_fault(
 ) -> tuple[str, str]:
     """Return the code and the text of a warning if a marker is hardly found or does not move.
 
-    Code and text are empty otherwise. ``scene`` is that of :func:`measure_range`.
+    Code and text are empty if the marker is often found and moves. ``scene`` is that of
+    :func:`measure_range`.
     """
     share, (_, radii) = float(track.found[track.row(name)].mean()), track.measure_range(name, scene)
     if share < min_share:
@@ -682,19 +691,19 @@ def marker_fault(
 def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     """Return the relative change of the distance between two markers, without the effect of perspective.
 
-    The change is the larger of two values: the robust standard deviation of the distance after rectification,
+    The result is the larger of two values: the robust standard deviation of the distance after rectification,
     and the change due to the rectification that the areas of the markers do not confirm. It is None if the
     markers are hardly ever found together.
 
     Notes
     -----
-    An inclined camera shows a length smaller where it is further away, and shorter along the view than across
-    it. Therefore the picture is first rectified by the homography ``M p / (1 + l p)``, with M symmetric of
-    trace 2, for which the distance varies least. Equal lengths determine the homography up to a similarity
-    (Liebowitz and Zisserman 1998, Metric rectification for perspective images of planes, CVPR,
-    doi:10.1109/CVPR.1998.698649). M is the identity if the heading changes by no more than the body may bend.
-    The same homography changes the areas of the markers. A change of the distance without the corresponding
-    change of the areas is not due to perspective.
+    A camera inclined to the plane of motion shows a length smaller where it is further away, and shorter
+    along the view than across it. Therefore the picture is first rectified by the homography ``M p / (1 + l
+    p)``, with M symmetric of trace 2, for which the distance varies least. Equal lengths determine the
+    homography up to a similarity (Liebowitz and Zisserman 1998, Metric rectification for perspective images
+    of planes, CVPR, doi:10.1109/CVPR.1998.698649). M is the identity if the heading changes by no more than
+    the body may bend. The same homography changes the areas of the markers. A change of the distance without
+    the corresponding change of the areas is not due to perspective.
     """
     i, j = track.row(one), track.row(other)
     both = track.found[i] & track.found[j]
@@ -704,7 +713,7 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
-    # if the heading changes by less, a bend of the body may change the distance
+    # If the heading changes by less, a bend of the body may change the distance.
     turns = float(np.ptp(heading)) > math.radians(60.0)
 
     def scatter_of(view: Array) -> Array:
@@ -719,23 +728,26 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     size = 0.5 * np.log(track.area[[i, j]][:, both].sum(axis=0))
     design = np.column_stack([np.ones(both.sum()), *place])
     smooth, unshared = (design @ np.linalg.lstsq(design, v, rcond=None)[0] for v in (size, size + shrunk))
-    # the outline of a patch is known to one pixel, so that the areas of small markers are uncertain
+    # The outline of a patch is known to one pixel. Therefore the areas of small markers are uncertain.
     blurred = float(np.ptp(math.sqrt(2 * math.pi) / np.exp(smooth)))
     drift = min(float(np.ptp(shrunk)), max(float(np.ptp(unshared)) - blurred, 0.0))
     return max(1.4826 * float(np.median(np.abs(left))), drift)
 
 
 def _rectified(points: Array, view: Array) -> Array:
-    """Return image points, shape (2, m, n), rectified; ``view`` contains l and the two parameters of M."""
+    """Return image points, shape (2, m, n), after rectification by a homography.
+
+    ``view`` contains l and the two parameters of M (see :func:`distance_change`).
+    """
     a, b = (*view[2:], 0.0, 0.0)[:2]
     x, y = points
     return np.stack([(1 + a) * x + b * y, b * x + (1 - a) * y]) / (1 + view[0] * x + view[1] * y)
 
 
 def interpolate_shifts(shift: Array, indices: NDArray[np.int64], count: int) -> Array | None:
-    """Return the shift in all ``count`` frames, interpolated from some frames, shape (2, count).
+    """Return the shift of the scene in all ``count`` frames, interpolated from that in some frames.
 
-    The result is None if the shift is known in fewer than two frames.
+    The result has the shape (2, count). It is None if the shift is known in fewer than two frames.
     """
     known = np.isfinite(shift[:, 0])
     if known.sum() < 2:

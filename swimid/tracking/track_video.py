@@ -1,4 +1,4 @@
-"""The command ``track video``: from a film and a setup to a log, its evidence and a film of the track."""
+"""Command ``track video``, which computes a log with evidence from a film and a setup."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose, Smoothed
 from swimid.tracking.setup import Setup
 from swimid.tracking.tracker import Run, follow
 
-#: Key, name, value and unit of a quantity.
+#: Type of a row in the table of results: key, name, value and unit of a quantity.
 Row = tuple[str, str, Estimate | None, str]
 
-#: Columns whose values show a wrong scale.
+#: Columns of the log whose values are checked for a wrong scale.
 SCALED = ("t_s", "x_m", "y_m", "z_m", "u_m_s", "v_m_s", "w_m_s")
-#: Maximum number of points and of shaded gaps in a figure.
+#: Maximum number of points of a curve in a figure, and maximum number of shaded gaps.
 MAX_POINTS, MAX_GAPS = 1500, 60
-#: Width of the frames in the report, px, and duration of the path that is drawn into a frame, s.
+#: Width of the film frames in the report, px, and duration of the path that is drawn into a frame, s.
 IMAGE_WIDTH, TRAIL_S = 640, 2.0
 #: Colours of interpolated points and of the drawn path, BGR (Okabe and Ito, for colour-blind readers).
 INTERPOLATED, TRAIL = (167, 121, 204), (233, 180, 86)
-#: Maximum relative deviations, each as a pair: above the first value a check does not pass, and above the
-#: second it fails. They apply to the fraction of frames without a marker, and to errors of lengths.
+#: Limits of the fraction of frames without a marker, and of the relative errors of lengths. Each is a pair:
+#: above the first value a check does not pass, and above the second it fails.
 MAX_UNSEEN, MAX_LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
-#: Maximum deviation of a regular time step from the median step, relative to the median step.
+#: Maximum deviation of a time step that counts as regular from the median step, relative to the median step.
 JITTER = 0.25
-#: Minimum normalised innovation of a measurement that counts as a jump.
+#: Minimum normalised innovation of a measured position that counts as a jump.
 JUMP_SIGMA = 6.0
 #: Maximum fraction of frames in which a marker is partly hidden, or is cut by the edge of the picture.
 MAX_HIDDEN_SHARE = 0.01
@@ -65,14 +65,14 @@ REFERENCES = [
 
 @dataclass(frozen=True, eq=False)
 class Track(Logged):
-    """Track of a film, as ``track_video`` returns it.
+    """Log with the track of a film, which ``track_video`` returns.
 
     Attributes
     ----------
     pose : Pose
         Path and heading with their standard deviations; None if the log was read from a file.
     setup : Setup
-        Setup, with the boxes of motionless objects that were left out.
+        Setup of the film, to which boxes around motionless objects were added. They are not searched.
     """
 
     pose: Pose | None = None
@@ -172,7 +172,7 @@ def _evaluate(
     metadata: dict[str, Any],
     notices: list[Notice],
 ) -> tuple[Track, Painter]:
-    """Return the result of a film, and the painter of its track."""
+    """Return the track of a film with its evidence, and the painter of the track."""
     track, video, rules = run.track, run.video, run.setup
     plane = pose.plane_of(rules, video.width, video.height, file=str(provenance.path_of(source)))
     _demand_markers(run)
@@ -218,7 +218,7 @@ def _evaluate(
 
 
 def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
-    """Return the comment lines of the log: the film, and the reference point of the pose."""
+    """Return the metadata of the log: those of the film, and the reference point of the pose."""
     rules, video = run.setup, run.video
     head: dict[str, Any] = {
         "source": video.path.name,
@@ -237,7 +237,7 @@ def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
 
 
 def _demand_markers(run: Run) -> None:
-    """Raise unless every marker that the pose needs is found often enough."""
+    """Raise an error if a marker that the pose needs is found too rarely."""
     track, total = run.track, len(run.track.times)
     if total < 2:
         hint = "is it a picture? Name its folder, or a pattern as %05d.png"
@@ -264,7 +264,7 @@ def _demand_markers(run: Run) -> None:
 
 
 def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimming:
-    """Return speeds, accelerations and stroke over a window (s), or over the steady part.
+    """Return speeds, accelerations and stroke over a window (s), by default over the steady part.
 
     Raises
     ------
@@ -301,7 +301,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
-    """Return key, name, value and unit of each speed, acceleration and amplitude."""
+    """Return a row for each speed, acceleration and amplitude of a track."""
     up, turn, _ = setup.axes
     sway = {"horizontal": "sway", "vertical": "heave"}[setup.plane]
     advance, steady = "advance speed, not steady", None
@@ -328,7 +328,7 @@ def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
 
 
 def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
-    """Return the values of a track for ``--json``; None for a value that the window does not determine."""
+    """Return the results of a track for ``--json``; None for a value that the window does not determine."""
     count, total, unit = int(pose.measured.sum()), len(pose.times), pose.plane.unit
     noise = {unit: pose.path.measurement_sd}
     if pose.angle is not None:
@@ -361,7 +361,10 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
 def _judged(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> ev.Check:
-    """Return a check that warns or fails. Record a warning if the check does not pass and has a code."""
+    """Return a check that passes, warns or fails.
+
+    A warning is recorded if the check does not pass and has a code.
+    """
     if code and not passed:
         warn(code, reason)
     return ev.check(name, value, passed, limit, otherwise="fail" if fails else "warn", reason=reason)
@@ -370,14 +373,14 @@ def _judged(
 def _graded(
     code: str, name: str, value: str, limit: str, size: float, limits: tuple[float, float], reason: str
 ) -> ev.Check:
-    """Return a check of a size that passes up to the first limit, and fails beyond the second limit."""
+    """Return a check of a value that passes up to the first limit, and fails beyond the second limit."""
     return _judged(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
 
 
 def checks_of(
     track: RawTrack, pose: Pose, setup: Setup, kept: dict[int, Frame] | None = None
 ) -> list[ev.Check]:
-    """Return all checks of a track in order of importance; ``kept`` are some of its frames."""
+    """Return all checks of a track in order of importance. ``kept`` are some frames of the film."""
     return [
         *_presence(track, pose, setup),
         _motion(track, setup),
@@ -395,12 +398,12 @@ def checks_of(
 def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     fresh, t, head = ~pose.held.repeated, pose.times, pose.rows[0]
     first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
-    # if the edge of the picture cuts a marker just before the first detection, or just after the last, the
-    # body is not lost but outside the picture
+    # If the edge of the picture cuts a marker just before the first detection, or just after the last, the
+    # body is not lost but outside the picture.
     cut = np.any(track.at_edge[pose.rows], axis=0)
     enters, leaves = bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any())
     count, total = int(pose.measured.sum()), int(fresh.sum())
-    # frames before the robot enters and after it leaves are not losses, but do not count as found either
+    # Frames before the robot enters and after it leaves are not losses, but do not count as found either.
     inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
     lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
     bridged, empty = int((pose.interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
@@ -431,10 +434,11 @@ def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
 
 
 def _motion(track: RawTrack, setup: Setup) -> ev.Check:
-    """Check that the marker with the largest range moves. A motionless object passes all other checks."""
+    """Check that at least one marker moves, because a motionless object passes all other checks."""
     reaches = {name: track.measure_range(name) for name in setup.roles}
     name, (away, radii) = max(reaches.items(), key=lambda item: item[1][1])
-    # distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh distribution)
+    # Compute the distance that the noise of a motionless point exceeds in 0.3 % of the frames (Rayleigh
+    # distribution).
     noise = math.sqrt(-2 * math.log(0.003)) * math.hypot(pose.noise_px(track, track.row(name)), SYSTEMATIC_PX)
     still = away <= noise
     extent = f"{away:.2g} px of one place, {radii:.2g} of its radius"
@@ -474,7 +478,7 @@ def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
 
 
 def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
-    """Check that the distance between two markers is constant and equal to that on the robot.
+    """Check that the distance between head and tail marker is constant and equal to that on the robot.
 
     The distance must be constant over time and position.
     """
@@ -509,7 +513,7 @@ def _separation(pose: Pose, setup: Setup) -> Iterator[ev.Check]:
 def _direction(pose: Pose, setup: Setup, track: RawTrack) -> Iterator[ev.Check]:
     """Check that the robot swims in the direction that head and tail define.
 
-    The check compares the distances travelled in the other and in the stated direction. It fails if their
+    The check compares the distances travelled in the opposite and in the stated direction. It fails if their
     difference exceeds the distance between the markers. It also fails if the difference exceeds both the
     radius of a marker and the longest continuous path in the stated direction. Smaller differences are
     allowed, because a robot that stays in place moves back and forth.
@@ -551,7 +555,7 @@ def _timing(pose: Pose) -> Iterator[ev.Check]:
 
 
 def _sight(track: RawTrack, pose: Pose) -> Iterator[ev.Check]:
-    """Check whether the edge of the picture cuts markers, and whether markers are partly hidden or jump."""
+    """Check whether markers are cut by the edge of the picture, are partly hidden, or jump."""
     count, seen = int(np.any(track.at_edge[pose.rows], axis=0).sum()), track.seen[pose.rows].any(axis=0)
     share = count / max(int(seen.sum()), 1)
     reason = f"in {count} frames the edge of the picture cuts a marker; these frames count as not found"
@@ -586,7 +590,7 @@ def _calibration(pose: Pose) -> Iterator[ev.Check]:
 
 
 def _looks(track: RawTrack) -> Iterator[ev.Check]:
-    """Check whether another object was taken for a marker first."""
+    """Check whether another object was taken for a marker at first."""
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
         value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
@@ -598,7 +602,7 @@ def _looks(track: RawTrack) -> Iterator[ev.Check]:
 
 
 def _answer(pose: Pose, found: Swimming) -> str:
-    """Return the sentence of the verdict: fraction of frames with markers, speed and stroke frequency."""
+    """Return the verdict on a track as a sentence: fraction of frames with markers, speed, and frequency."""
     text = f"Markers found in {100 * pose.measured.mean():.1f} % of the frames"
     kind, speed = "path", found.path_speed
     if found.steady:
@@ -611,7 +615,7 @@ def _answer(pose: Pose, found: Swimming) -> str:
 
 
 def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
-    """Return the main properties of a track as short texts, by name."""
+    """Return the main properties of a track as short texts, each with its name."""
     unit, count = pose.plane.unit, int(pose.measured.sum())
     noise = f"{pose.path.measurement_sd:.2g} {unit}"
     if pose.angle is not None:
@@ -631,7 +635,7 @@ def _facts(pose: Pose, setup: Setup, found: Swimming) -> dict[str, str]:
 
 
 def _table(rows: list[Row], steady: bool) -> ev.Table:
-    """Return the table of speeds, accelerations and amplitudes with their intervals; angles in degrees."""
+    """Return the table of speeds, accelerations and amplitudes with intervals. Angles are in degrees."""
     shown: list[dict[str, ev.Cell]] = []
     for key, name, value, kind in rows:
         if value is not None and not (key == "advance_speed" and steady):
@@ -650,7 +654,7 @@ def _table(rows: list[Row], steady: bool) -> ev.Table:
 
 
 def _methods(setup: Setup, pose: Pose) -> list[str]:
-    """Return sentences for the methods section of a paper."""
+    """Return sentences on the tracking methods, for the methods section of a paper."""
     kinds = {2: "constant velocity with white acceleration", 3: "constant acceleration with white jerk"}
     markers = {1: "a marker", 2: "two markers"}[len(setup.roles)]
     rate, clock = "", ", and frames were timed by their own stamps"
@@ -670,7 +674,7 @@ def _methods(setup: Setup, pose: Pose) -> list[str]:
 
 
 def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
-    """Return figures of the path, of the coordinates with their bands, and of the speeds with the window."""
+    """Return the figures of a track: path, coordinates with their bands, and speeds with the window."""
     unit, t = pose.plane.unit, pose.times
     up, turn, side = setup.axes
     spans = [ev.Span(start=start, end=end, label="gap") for start, end in pose.gaps][:MAX_GAPS]
@@ -741,7 +745,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
 
 
 class Painter:
-    """Draw a finished track into the frames of its film."""
+    """Painter of a finished track into the frames of its film."""
 
     def __init__(self, run: Run, pose: Pose) -> None:
         self.run, self.track, self.pose = run, run.track, pose
@@ -753,7 +757,7 @@ class Painter:
             self._tip = pose.plane.to_image(*ahead)
 
     def draw(self, i: int, frame: Frame) -> Frame:
-        """Draw path, markers, heading and a line of text into frame ``i``, in place, and return the frame."""
+        """Draw path, markers, heading and a line of text into frame ``i``, in place; return the frame."""
         size = max(frame.shape[1] / 960, 0.5)
         line = max(round(1.5 * size), 1)
         times = self.track.times
@@ -780,7 +784,7 @@ class Painter:
         return frame
 
     def images(self) -> list[ev.Image]:
-        """Return the frames for the report, with the track drawn in."""
+        """Return some frames for the report, with the track drawn into them."""
         images = []
         for i, frame in self.run.kept.items():
             drawn = frames.reduced(self.draw(i, frame.copy()), IMAGE_WIDTH)
@@ -791,10 +795,11 @@ class Painter:
         return images
 
     def write(self, path: Path, progress: Progress) -> str:
-        """Read the film again and write a copy with the track drawn in; return a remark, or an empty text.
+        """Write a copy of the film with the track drawn into it; return a remark, or an empty text.
 
-        The track is known only after the film was read once, and the frames of a film do not fit into memory.
-        The second decoding takes an eighth of the time of tracking with an overlay.
+        The film is decoded again, because the track is known only after the film was read once, and its
+        frames do not fit into memory. The second decoding takes an eighth of the time of tracking with an
+        overlay.
         """
         from swimid.files.video import REMARK, Mpeg4, open_writer
 
@@ -814,5 +819,5 @@ class Painter:
 
 
 def _fixed_point(x: float, y: float) -> tuple[int, int]:
-    """Return a position in eighths of a pixel, the unit in which OpenCV draws with ``shift=3``."""
+    """Return a picture position in eighths of a pixel, the unit in which OpenCV draws with ``shift=3``."""
     return round(8 * float(np.clip(x, -1e5, 1e5))), round(8 * float(np.clip(y, -1e5, 1e5)))

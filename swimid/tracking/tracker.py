@@ -1,7 +1,7 @@
 """Tracking of all markers from the first frame of a film to the last.
 
 A marker that was just seen is searched for in a window about its predicted position, and a lost marker in the
-whole picture. :class:`Target` is the state of one marker, and :class:`Follower` finds patches of a colour and
+whole picture. A :class:`Target` is the state of one marker. A :class:`Follower` finds patches of a colour and
 assigns them to targets. :func:`follow` reads a film. It reads the film again if a motionless object was taken
 for a marker.
 """
@@ -25,34 +25,34 @@ from swimid.tracking import frames, pose
 from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Box, HsvRange, Marker, Setup
 
-#: Number of frames stored for the report.
+#: Number of frames of the film that are stored for the report.
 REPORT_FRAMES = 6
-#: Minimum length of an isolated run of detections, frames. Shorter runs are removed.
+#: Minimum length of an isolated sequence of detections, frames. Shorter sequences are removed as false.
 MIN_RUN = 3
-#: Maximum difference of a returning marker from its usual colour: hue (steps of 2 deg), and relative
-#: saturation.
+#: Maximum difference between the colour of a patch and the usual colour of a lost marker that it may be: hue
+#: (steps of 2 deg), and relative saturation.
 RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
-#: Maximum length of a run of detections that is tested for another colour or size, as a fraction of all
-#: detections.
+#: Maximum length of a sequence of detections that may be false, as a fraction of all detections of the
+#: marker. Longer sequences are not tested for another colour or size.
 FALSE_SHARE = 0.2
-#: Maximum spacing of the pixels in a coarse colour mask, px.
+#: Maximum spacing of the pixels of the picture in a coarse colour mask, px.
 MAX_STEP = 4
-#: Minimum area of a patch on a coarse mask, as a fraction of the minimum area of the marker.
+#: Minimum area of a patch in a coarse colour mask, as a fraction of the minimum area of the marker.
 COARSE_AREA_SHARE = 0.4
-#: Maximum number of patches of one picture that are measured. It limits the time for a frame full of the
-#: colour.
+#: Maximum number of patches of one picture that are measured. It limits the computing time for a frame that
+#: is full of the marker's colour.
 MAX_PATCHES = 24
-#: Criteria for a rigid partner of a marker: minimum number of frames that show both, and maximum standard
-#: deviation of their distance. MAX_RIGID_DEVIATION is the maximum deviation of the distance in one frame. The
-#: deviations are relative to the mean distance.
+#: Criteria for two markers on one rigid body: minimum number of frames that show both, maximum standard
+#: deviation of their distance, and maximum deviation of the distance in one frame. The deviations are
+#: relative to the mean distance.
 MIN_RIGID_FRAMES, MAX_RIGID_SD, MAX_RIGID_DEVIATION = 20, 0.06, 0.3
-#: Cost of an impossible assignment.
+#: Cost that stands for an impossible assignment of a patch to a marker.
 IMPOSSIBLE = 1e6
 
 
 @dataclass(eq=False)
 class Target:
-    """State of one marker. Lengths are in px, times in s."""
+    """State of one marker during the tracking. Lengths are in px, times in s."""
 
     name: str
     x: float = math.nan
@@ -60,31 +60,31 @@ class Target:
     vx: float = 0.0
     vy: float = 0.0
     time: float = -math.inf
-    #: Number of detections, and number of detections of the whole marker. Only whole markers define the
+    #: Number of all detections, and number of detections of the whole marker. Only the latter define the
     #: appearance, because a marker cut by the edge of the picture may have any size.
     sights: int = 0
     whole: int = 0
-    #: Number of frames since the last detection.
+    #: Number of frames since the last detection of the marker.
     missed: int = 0
-    #: Moving averages of the prediction error, radius, area and contrast.
+    #: Moving averages of prediction error, radius, area and contrast of the marker.
     innovation_px: float = 0.0
     radius: float = 0.0
     area: float = 0.0
     contrast: float = 0.0
-    #: Slow moving averages of speed, area and colour.
+    #: Moving averages over a longer time of speed, area and colour of the marker.
     pace: float = 0.0
     usual_area: float = 0.0
     colour: NDArray[np.float64] | None = None
-    #: Detections by frame.
+    #: Detections of the marker, by frame number.
     rows: dict[int, Row] = field(default_factory=dict)
     #: Whether the marker has left the position of its first detection by more than its own size.
     moved: bool = False
-    #: Object that does not look like this target while the target is missed. It is followed because the
-    #: detections of the target may be false.
+    #: Other object that may be the marker, which is followed while the target is missed. The detections of
+    #: the target itself may be false.
     challenger: Target | None = None
 
     def predict(self, time: float) -> tuple[float, float]:
-        """Return the predicted position at a time, for constant velocity."""
+        """Return the position of the marker at a time, predicted with constant velocity."""
         dt = time - self.time
         return self.x + self.vx * dt, self.y + self.vy * dt
 
@@ -96,9 +96,10 @@ class Target:
         return start + moved + self.missed * 0.5 * self.radius
 
     def see(self, blob: Blob, time: float, frame: int) -> None:
-        """Move the target to a detection in a frame.
+        """Update the target with a detection in a frame.
 
-        If the detection shows the whole marker, it also updates the appearance of the target.
+        If the detection shows the whole marker, it also updates the appearance (size, colour and contrast) of
+        the target.
         """
         self.rows[frame] = self._row(blob)
         if self.sights and time > self.time:
@@ -114,18 +115,18 @@ class Target:
         self.moved = self.moved or blob.away(*start[:2]) > 2 * self.radius
 
     def _row(self, blob: Blob) -> Row:
-        """Return a detection as a row of values. An unusual area reduces the confidence."""
+        """Return a detection as a row of values for the track. An unusual area reduces the confidence."""
         confidence = blob.confidence
         if self.whole and not blob.at_edge:
             confidence *= min(blob.area / self.usual_area, self.usual_area / blob.area) ** 0.5
         return (blob.x, blob.y, blob.area, confidence, blob.status, blob.at_edge, *blob.hsv)
 
     def prevails(self, target: Target) -> bool:
-        """Return whether this challenger of a target is the marker, and the target is not.
+        """Return whether this object is the marker, and the target that it challenges is not.
 
-        The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of both. A
-        challenger that does not move replaces only a target that was never seen whole. Example: a ladder put
-        into the pool is not the swimmer that has just left it.
+        The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of the two.
+        A challenger that does not move replaces only a target that was never seen whole. Example: a ladder
+        put into the pool is not the swimmer that has just left it.
         """
         if not target.whole:
             return self.whole >= MIN_RUN
@@ -135,10 +136,10 @@ class Target:
         x, y = self.predict(time)
         error = math.hypot(blob.x - x, blob.y - y)
         if self.sights > 1 and error > 8 * self.radius + 40:
-            self.vx = self.vy = 0.0  # found again elsewhere: the velocity is unknown
+            self.vx = self.vy = 0.0  # if the marker is found again elsewhere, its velocity is unknown
         else:
-            # the second detection gives the velocity; each later detection corrects the velocity by half of
-            # the difference
+            # The second detection gives the velocity of the marker. Each later detection corrects it by half
+            # of the difference.
             gain, dt = max(0.5, 1.0 / self.sights), time - self.time
             self.vx += gain * (blob.x - x) / dt
             self.vy += gain * (blob.y - y) / dt
@@ -160,36 +161,37 @@ class Target:
 
 @dataclass
 class Group:
-    """Markers of one colour."""
+    """Targets for all markers of one colour, with the objects of this colour that are not markers."""
 
     marker: Marker
     model: ColourModel
-    #: Minimum and maximum area of a marker, px.
+    #: Limits of the area of a marker, minimum and maximum, px.
     area_px: tuple[float, float]
     targets: list[Target]
     #: Objects of the same colour that are known not to be markers.
     scenery: list[Blob] = field(default_factory=list)
-    #: Other objects of the colour in the last search of the whole picture, and positions of the markers at
-    #: that time.
+    #: Objects of the colour other than the markers in the last search of the whole picture, and positions of
+    #: the markers at that time.
     rivals: list[Blob] = field(default_factory=list)
     seen_from: list[tuple[float, float]] = field(default_factory=list)
     most_rivals: int = 0
-    #: Frame of the next search of the whole picture, and number of frames until the search after that.
+    #: Number of the frame in which the whole picture is searched next, and number of frames until the search
+    #: after that.
     next_look: int = 0
     pause: int = 12
 
     def is_alike(self, target: Target, blob: Blob, gone_s: float = 0.0) -> bool:
-        """Return whether size and contrast of a blob allow it to be the target.
+        """Return whether a blob may be the target according to its size and contrast.
 
         If the target was lost for ``gone_s`` seconds, its usual size and colour are compared.
         """
         if not target.whole:
-            # markers of one colour have one size
+            # Markers of one colour have the same size.
             like = [other.usual_area for other in self.targets if other.whole]
             return not like or blob.at_edge or 0.5 < blob.area / max(like) < 2.0
         alone = len(self.targets) == 1
-        # Several equal markers: two that touch look like a single one of twice the size, and one that is half
-        # hidden has a wrong centre. Therefore the limits are narrower than for a single marker.
+        # Two equal markers that touch look like a single one of twice the size, and one that is half hidden
+        # has a wrong centre. Therefore the limits are narrower than for a single marker.
         low, high, area = 0.7, 1.4, target.usual_area
         if alone:
             low, high = 0.3, 3.0
@@ -204,16 +206,16 @@ class Group:
         return bool(frames.has_colour(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
 
     def merit(self, blob: Blob) -> float:
-        """Return a score of a blob as a marker of which only the colour is known."""
+        """Return the score of a blob as a marker of which only the colour is known."""
         fit = 1.5 - min(self.model.distance(blob.hsv), 1.0)
         if blob.at_edge:
             fit *= 0.3
         return math.sqrt(blob.contrast * blob.area) * fit
 
     def choose_first(self, new: list[Target], blobs: list[Blob]) -> list[tuple[Target, Blob]]:
-        """Return blobs for targets that were never seen, if there are enough blobs for all of these targets.
+        """Return a blob for each target that was never seen, if there are enough blobs for all of them.
 
-        Without ``start_px`` in the setup, names are given to the best blobs from left to right.
+        Without ``start_px`` in the setup, the targets are assigned to the best blobs from left to right.
         """
         if not new or (len(blobs) < len(new) and len(new) > 1):
             return []
@@ -225,7 +227,7 @@ class Group:
         return list(zip(new, sorted(best, key=lambda blob: blob.x), strict=False))
 
     def note_rivals(self, rivals: list[Blob], frame: int) -> None:
-        """Remember other objects of the colour, so that they are not taken for a lost marker.
+        """Store objects of the colour that are no markers, so that none is taken for a lost marker.
 
         Objects that stay in place while a marker moves become scenery.
         """
@@ -245,23 +247,23 @@ class Group:
 
 
 def mask_step(length: float) -> int:
-    """Return the distance between the pixels of a mask that resolves a length, px."""
+    """Return the spacing of the pixels of a mask that is fine enough for a given length, px."""
     return max(min(int(length), MAX_STEP), 1)
 
 
 def is_among(blob: Blob, others: Sequence[Blob]) -> bool:
-    """Return whether a blob is one of the motionless objects seen at another time."""
+    """Return whether a blob is one of some motionless objects that were seen at another time."""
     near = [other for other in others if blob.away(other.x, other.y) < 0.25 * other.radius + 1.5]
     return any(0.4 < blob.area / other.area < 2.5 for other in near)
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
-    """Return whether a blob differs from the blobs that were found in the same frame."""
+    """Return whether a blob is another object than the blobs found before in the same frame."""
     return all(blob.away(other.x, other.y) > 2 for other in others)
 
 
 class Follower:
-    """Follow all markers of a setup, frame by frame.
+    """Tracker of all markers of a setup, frame by frame.
 
     Parameters
     ----------
@@ -273,7 +275,7 @@ class Follower:
     def __init__(self, setup: Setup, width: int, height: int) -> None:
         self.setup = setup
         self._size = (width, height)
-        # the default area is from 12 px to 5 % of the picture
+        # The default area of a marker is from 12 px to 5 % of the picture.
         self.groups = [
             Group(
                 marker=marker,
@@ -283,14 +285,14 @@ class Follower:
             )
             for marker in setup.markers
         ]
-        #: Distances between markers of different colours, if several markers have the same colour.
-        #: The value is the number of distances, their sum, and the sum of their squares.
+        #: Statistics of the distances between markers of different colours, if several markers have the same
+        #: colour: number of distances, their sum, and the sum of their squares.
         self._pairs: dict[tuple[str, str], NDArray[np.float64]] = {}
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
                 self._pairs |= {pair: np.zeros(3) for pair in product(one.names, other.names)}
-        #: Number of detections that were removed because they showed another object, and area of that object,
-        #: px.
+        #: Number of detections that were removed because they showed another object than the marker, and area
+        #: of that object, px.
         self._mistaken: dict[str, tuple[int, float]] = {}
         self._times: list[float] = []
         self._frame = 0
@@ -300,7 +302,7 @@ class Follower:
         return {target.name: target for group in self.groups for target in group.targets}
 
     def step(self, time: float, frame: Frame) -> None:
-        """Find every marker in the next frame."""
+        """Find every marker in the next frame of the film, and store the detections."""
         for group in self.groups:
             sights = self._follow(group, time, frame)
             for target in group.targets:
@@ -322,7 +324,7 @@ class Follower:
         self._frame += 1
 
     def track(self) -> RawTrack:
-        """Return the track so far."""
+        """Return the track of the frames that were processed so far."""
         table = np.tile(NOT_SEEN, (len(self._targets), len(self._times), 1))
         for rows, target in zip(table, self._targets.values(), strict=True):
             for frame, row in target.rows.items():
@@ -355,7 +357,8 @@ class Follower:
         seen = [blob for blob in measured if blob is not None and not self._is_ignored(blob.x, blob.y)]
         blobs = [blob for blob in seen if not is_among(blob, group.scenery)]
         if step > 1 and any(blob.at_edge for blob in blobs):
-            # on a coarse mask a marker that ends just before the edge looks cut
+            # On a coarse mask, a marker that ends just before the edge of the window looks cut. Search again
+            # on all pixels.
             return self._search_window(group, frame, cx, cy, half)
         cut = max((patch for patch in found if patch.clipped), key=lambda patch: patch.area, default=None)
         return blobs, None if cut is None else cut.box((x0, y0), step)
@@ -363,7 +366,7 @@ class Follower:
     def _search_picture(self, group: Group, frame: Frame, area: float) -> list[Blob]:
         """Return the blobs of the whole picture, found on a coarse mask and measured on all pixels.
 
-        ``area`` is the expected area in px, 0 if unknown.
+        ``area`` is the expected area of a blob in px, or 0 if unknown.
         """
         step = mask_step(min(math.sqrt(area or 4 * group.area_px[0]) / 3.5, min(self._size) / 2))
         blobs = self._search_coarse(group, frame, area, step)
@@ -386,13 +389,13 @@ class Follower:
         return blobs
 
     def _is_ignored(self, x: float, y: float) -> bool:
-        """Return whether a point is in an ignored box."""
+        """Return whether a point of the picture is in a box that the setup ignores."""
         return any(b[0] <= x <= b[2] and b[1] <= y <= b[3] for b in self.setup.ignore_px)
 
     # ------------------------------------------------------------ one colour in one frame
 
     def _follow(self, group: Group, time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blobs of the targets of one colour, by the names of the targets."""
+        """Return the blob of each target of one colour in a frame, by name of the target."""
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
         lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
@@ -414,12 +417,15 @@ class Follower:
     def _others(
         self, group: Group, frame: Frame, targets: list[Target], sights: dict[str, Blob]
     ) -> list[Blob]:
-        """Return the unassigned blobs of the whole picture; the search expects the size of ``targets``."""
+        """Return the blobs of the whole picture that are not assigned to a target.
+
+        The search expects the size of ``targets``.
+        """
         area, taken = max((target.area for target in targets), default=0.0), list(sights.values())
         return [blob for blob in self._search_picture(group, frame, area) if is_new(blob, taken)]
 
     def _in_windows(self, group: Group, known: list[Target], time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blobs assigned to known targets, by name, from windows about predicted positions."""
+        """Return the blob of each known target, by name, from windows about predicted positions."""
         candidates: list[Blob] = []
         for target in known:
             if not target.missed or time - target.time <= self.setup.max_gap_s:
@@ -429,7 +435,7 @@ class Follower:
             return {}
         cost = [[self._cost(group, target, blob, time) for blob in candidates] for target in known]
         sights = {known[i].name: candidates[j] for i, j in assign(cost)}
-        # if equal markers meet and there are fewer blobs than markers, it is unknown which marker is seen
+        # If equal markers meet and there are fewer blobs than markers, it is unknown which marker is seen.
         for first, second in combinations(known, 2):
             if (first.name in sights) != (second.name in sights) and _meet(first, second, sights, time):
                 sights.pop(first.name, None)
@@ -437,7 +443,7 @@ class Follower:
         return sights
 
     def _in_window(self, group: Group, target: Target, time: float, frame: Frame) -> list[Blob]:
-        """Return the blobs in the window of a target, which grows until one blob is like the target."""
+        """Return the blobs in a window about a target, which grows until one blob is like the target."""
         cx, cy = target.predict(time)
         half = 1.3 * target.radius + target.search_range(time - target.time) + 4
         for status in (frames.WINDOW, frames.GROWN, frames.GROWN):
@@ -463,7 +469,7 @@ class Follower:
         return min(cost + self._misfit(target, blob, time), IMPOSSIBLE)
 
     def _misfit(self, target: Target, blob: Blob, time: float) -> float:
-        """Return the cost of the distances between a blob and the rigid partners of the target."""
+        """Return the cost of assigning a blob to a target, from its distances to rigid partners."""
         worst, targets = 0.0, self._targets
         for pair, (count, total, squares) in self._pairs.items():
             partner = next(targets[name] for name in pair if name != target.name)
@@ -479,9 +485,9 @@ class Follower:
         return worst
 
     def _hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
-        """Return whether the target touches another missing marker of the same colour.
+        """Return whether a target touches another missing marker of the same colour.
 
-        A search for the target is then useless.
+        Then a search for the target is useless.
         """
         if not target.sights or time - target.time > self.setup.max_gap_s:
             return False
@@ -491,7 +497,7 @@ class Follower:
     def _find_lost(
         self, group: Group, lost: list[Target], blobs: list[Blob], time: float
     ) -> list[tuple[Target, Blob]]:
-        """Return the lost targets that are found among the blobs of the whole picture."""
+        """Return the lost targets that are found again, each with its blob in the whole picture."""
         pairs = group.choose_first([target for target in lost if not target.sights], blobs)
         blobs = [blob for blob in blobs if all(blob is not chosen for _, chosen in pairs)]
         if pairs and len(pairs) == len(group.targets):
@@ -523,10 +529,11 @@ class Follower:
         return 1e3 + away / (1e-3 + blob.confidence)
 
     def _contest(self, group: Group, target: Target, blobs: list[Blob], time: float) -> Blob | None:
-        """Follow an object that may be the marker while the target is missed, or was never seen whole.
+        """Follow another object that may be the marker, if the target is missed or was never seen whole.
 
-        The appearance of the target may be that of a reflection, or of a half hidden marker. Another object
-        that is in the picture for longer is then the marker. Its detections replace those of the target.
+        The known appearance of the target may be that of a reflection, or of a half hidden marker. Another
+        object that is in the picture for longer is then the marker. Its detections replace those of the
+        target.
 
         Returns
         -------
@@ -566,29 +573,32 @@ class Follower:
 
 
 def assign(cost: list[list[float]]) -> list[tuple[int, int]]:
-    """Return the possible pairs (row, column) with the minimum total cost."""
+    """Return the pairs (row, column) of a cost matrix with the minimum total cost.
+
+    Pairs with the cost of an impossible assignment are left out.
+    """
     rows, columns = linear_sum_assignment(np.array(cost))
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i][j] < IMPOSSIBLE]
 
 
 def _meet(first: Target, second: Target, sights: dict[str, Blob], time: float) -> bool:
-    """Return whether two equal markers touch, at their detected or else predicted positions."""
+    """Return whether two equal markers touch, at their detected positions or else at predicted ones."""
     predictions = {target.name: target.predict(time) for target in (first, second)}
     seen = {name: (blob.x, blob.y) for name, blob in sights.items() if name in predictions}
     return math.dist(*(predictions | seen).values()) < first.radius + second.radius + 4
 
 
 def drop_false_detections(rows: NDArray[np.float64]) -> None:
-    """Remove false detections of a marker from the rows of a finished track, shape (n, 9), in place.
+    """Remove false detections from the track of one marker, shape (n, 9), in place.
 
-    A run of detections is removed if it is shorter than ``MIN_RUN`` and there are few other detections
+    A sequence of detections is removed if it is shorter than ``MIN_RUN`` and there are few other detections
     nearby. It is also removed if it has less than ``FALSE_SHARE`` of all detections and differs from the
     usual colour, size or confidence of the marker.
     """
     seen, hsv = rows[:, 4] > LOST, rows[:, 6:]
     if not seen.any():
         return
-    # at the edge of the picture, size and colour of a marker are not those of the whole marker
+    # At the edge of the picture, size and colour of a marker are not those of the whole marker.
     whole = seen & (rows[:, 5] == 0)
     if not whole.any():
         whole = seen
@@ -620,18 +630,18 @@ def drop_false_detections(rows: NDArray[np.float64]) -> None:
 
 @dataclass(frozen=True)
 class Run:
-    """Track of a film in pixels, before the track is smoothed."""
+    """Result of tracking a film: the track in pixels before smoothing, the setup, and some frames."""
 
     track: RawTrack
     video: Video
-    #: Setup with the boxes of motionless objects that were left out.
+    #: Setup of the film, to which boxes around motionless objects were added. They are not searched.
     setup: Setup
-    #: Some frames for the report, by index.
+    #: Some frames of the film for the report, by frame number.
     kept: dict[int, Frame]
 
 
 def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> Run:
-    """Follow the markers of ``setup`` through a film.
+    """Follow the markers of a setup through a film, and return the track.
 
     A motionless object of the colour of a marker is not the marker if there are other objects of the same
     colour. In this case the film is read again without the motionless object. The second track is returned if

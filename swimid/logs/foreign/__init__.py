@@ -1,4 +1,4 @@
-"""Readers of file formats: a :class:`Format` reads a file into a :class:`Table`.
+"""Readers of foreign file formats. A :class:`Format` reads a file into a :class:`Table`.
 
 All formats in the modules of this package are found automatically. To add a format, add a module.
 
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 _G = 9.80665  # standard gravity, ISO 80000-3
 _DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60
 
-#: Factor from each unit to the SI unit, by quantity. The first unit of a quantity is the SI unit.
+#: Factor from each unit to the SI unit, for each quantity. The first unit of a quantity is the SI unit.
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
     "pixels": {"px": 1},
@@ -78,9 +78,9 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1, "kHz": 1e3, "rpm": 1 / 60},
     "temperature": {"degC": 1},
 }
-#: Quantity for each ending of a column name, such as ``m_s`` for m/s.
+#: Quantity that belongs to each ending of a column name, such as ``m_s`` for m/s.
 SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
-#: Names of all units of all quantities.
+#: Names of all known units.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)
 #: Other spellings of each unit.
 _SPELLED = {
@@ -101,7 +101,7 @@ _SPELLED = {
     "px": ("pixel", "pixels"),
     "tick": ("ticks",),
 }
-#: Names of columns of the log format that have no unit.
+#: Pattern of the names of columns of the log format that state no unit.
 _NO_UNIT = re.compile(r"q[wxyz]|m[xyz]|(.+_)?(likelihood|score|confidence)|found|interpolated")
 _SPELLINGS = {spelling: unit for unit, others in _SPELLED.items() for spelling in others}
 
@@ -112,7 +112,7 @@ def canonical(unit: str) -> str:
     >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
     ('m/s2', 'deg/s', 'uT', 'm/s')
     """
-    # NFKC converts "m/s²" to "m/s2", and both characters for micro to the same one
+    # Normalise the characters: NFKC converts "m/s²" to "m/s2", and both characters for micro to the same one.
     text = unicodedata.normalize("NFKC", unit.strip()).replace("μ", "u")
     text = re.sub(r"\*\*|\^", "", text)
     text = re.sub(r"[ *]s-2|/s/s", "/s2", re.sub(r"[ *]s-1", "/s", text))
@@ -168,32 +168,32 @@ def unit_factor(unit: str, column: str) -> float:
 
 # ---------------------------------------------------------------- tables
 
-#: Maximum length of a list whose elements become columns.
+#: Maximum length of a list in a record whose elements become columns of the table.
 MAX_ELEMENTS = 100
 
 
 class Options(yamlio.Document):
-    """Layout of a file that the file itself does not state (``reader:`` of a mapping)."""
+    """Layout of a file that the file does not state itself (key ``reader:`` of a mapping)."""
 
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
-    #: Whether a header line with column names precedes the samples.
+    #: Whether a header line with column names precedes the samples in a text file.
     header: bool | None = None
-    #: Number of lines before the header, or before the samples.
+    #: Number of lines before the header, or before the samples if there is no header.
     skip_rows: Annotated[int, Field(ge=0)] | None = None
-    #: Cells that mark a missing sample, in addition to the empty cell and ``nan``.
+    #: Contents of cells that mark a missing sample, in addition to the empty cell and ``nan``.
     missing: list[float | str] = []
     #: Character or characters with which a comment line begins.
     comment: Annotated[str, Field(min_length=1, max_length=4)] = "#"
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
-    #: Unit of lengths in a file that does not state a unit.
+    #: Unit of lengths, for a file that does not state one.
     length_unit: str | None = None
 
 
 @dataclass(eq=False)
 class Table:
-    """Samples of one file, or of one topic in a file.
+    """Content of one file, or of one topic in a file: samples, units and metadata.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ class Table:
     profile: str = ""
 
     def column(self, key: str | int, path: Path) -> str:
-        """Return the name of a column that is given by its name, or by its number, counted from 1.
+        """Return the name of the column for a key: its name, or its number, counted from 1.
 
         Raises
         ------
@@ -247,13 +247,13 @@ class Table:
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
-        """Return the line of a row, or its row number from 1, as an argument of :class:`InputError`."""
+        """Return the line number of a row, or its row number, as an argument of :class:`InputError`."""
         return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)
 class Peek:
-    """Beginning of a file, from which a profile recognises the format."""
+    """Beginning of a file. A profile recognises its format from it."""
 
     path: Path
     head: bytes
@@ -272,7 +272,7 @@ class Peek:
 
     @cached_property
     def lines(self) -> list[str]:
-        """First lines of a text file; empty for any other file."""
+        """First lines of the file if it is a text file; empty otherwise."""
         try:
             text = codecs.getincrementaldecoder("utf-8-sig")().decode(self.head)
         except UnicodeDecodeError:
@@ -283,13 +283,13 @@ class Peek:
 
     @cached_property
     def header(self) -> list[str]:
-        """Cells of the first line, separated by commas, without surrounding blanks and quotation marks."""
+        """Cells of the first line, split at commas, without surrounding blanks and quotation marks."""
         return [cell.strip().strip('"') for cell in (self.lines or [""])[0].split(",")]
 
     def holds(self, *names: str) -> bool:
         """Return whether the file is HDF5 and contains data sets or groups with all these names."""
         if self.head.startswith(b"\x89HDF"):
-            # if h5py is missing, the reader of HDF5 names the extra to install
+            # If h5py is missing, let the reader of HDF5 name the extra to install.
             with contextlib.suppress(OSError, ImportError):
                 import h5py
 
@@ -300,7 +300,7 @@ class Peek:
 
 @dataclass(frozen=True)
 class Format:
-    """File format. A format with the attribute ``recognises`` is a profile.
+    """File format that can be read. A format with the attribute ``recognises`` is a profile.
 
     Attributes
     ----------
@@ -333,17 +333,18 @@ class Format:
 
 
 def is_text(values: NDArray[Any]) -> bool:
-    """Return whether a column holds text."""
+    """Return whether a column of a table holds text."""
     return values.dtype.kind in "USO"
 
 
 def flat(
     value: Any, parts: Callable[[Any], Any] = lambda value: value, brackets: str = "[]", name: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the plain values of a nested record, each with its dotted name.
+    """Yield the single values of a nested record, each with its dotted name.
 
     Elements of lists are named ``name[1]``, ``name[2]``, ... Lists longer than :data:`MAX_ELEMENTS` are left
-    out. ``parts`` converts a value with parts to a dict or a list and returns any other value unchanged.
+    out. ``parts`` converts a value that consists of several values to a dict or a list, and returns any other
+    value unchanged.
 
     >>> dict(flat({"a": {"b": [1, 2]}, "c": 3}))
     {'a.b[1]': 1, 'a.b[2]': 2, 'c': 3}
@@ -360,24 +361,27 @@ def flat(
 
 
 def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Return the columns of flat records: numbers (NaN where a record has no value), dates or text."""
+    """Return records without nesting as columns of numbers, dates or text.
+
+    A number is NaN where a record has no value.
+    """
     import pandas as pd
 
     frame = pd.DataFrame.from_records(records)
     for name, values in frame.items():
-        # a column of integers over 64 bits, or a column with values that some records do not have
+        # The column holds integers over 64 bits, or some records have no value for it.
         if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
             frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
     return log.arrays(frame, "records")
 
 
 def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> str:
-    """Return the track, topic or group that the user selects, or the only one in the file.
+    """Return the track, topic or group that the user selects; by default the only one in the file.
 
     Raises
     ------
     InputError
-        There is no item of that name, or the file has several items and the user selects none.
+        There is no item of that name, or the file has several items and the user selects none of them.
     """
     if not known:
         raise InputError(f"holds no {what} with samples", file=path)
@@ -391,7 +395,7 @@ def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> s
 
 
 def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any], Any]) -> Table:
-    """Return a table of the nested arrays of a file, or of the group that ``select`` names.
+    """Return a table of the nested arrays in a file, or in the group of the file that ``select`` names.
 
     The columns of a matrix are named ``name[1]``, ``name[2]``, ... A row vector is one column. A matrix with
     more columns than rows is transposed if its number of columns is the usual length of the arrays. Single
@@ -436,7 +440,7 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
 
 
 def safe(name: str) -> str:
-    """Return a name that consists of letters, digits and underscores, and begins with a letter.
+    """Return a name changed so that it has only letters, digits and underscores and begins with a letter.
 
     >>> safe("tail tip"), safe("/hip/value"), safe("2nd")
     ('tail_tip', 'hip_value', 'p2nd')
@@ -446,7 +450,7 @@ def safe(name: str) -> str:
 
 
 def length(unit: str | None, path: Path) -> tuple[float, str]:
-    """Return the factor of a unit of length to SI, and the resulting unit, "m" or "px".
+    """Return the factor from a unit of length to SI or pixels, and the resulting unit, "m" or "px".
 
     Raises
     ------
@@ -464,7 +468,7 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
 
 
 def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
-    """Return the names of the components of a vector in the file, each with the column name in the log.
+    """Return the name of each component of a vector in the file, with its column name in the log.
 
     >>> axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz")
     {'GyrX': 'wx_rad_s', 'GyrY': 'wy_rad_s', 'GyrZ': 'wz_rad_s'}
@@ -474,20 +478,22 @@ def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dic
 
 
 def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
-    """Return the columns of numbers with these names in the file, under their names in the log."""
+    """Return the columns of numbers that ``names`` lists, renamed from the file to the log."""
     columns = table.columns
     found = [name for name in names if name in columns and not is_text(columns[name])]
     return {names[name]: columns[name].astype(float) for name in found}
 
 
 def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
-    """Return a table with only the rows flagged in ``kept``."""
+    """Return a copy of a table with only the rows flagged in ``kept``."""
     lines = None if table.lines is None else table.lines[kept]
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
 
 
 def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
-    """Return the numbers after the first ``start`` lines, shape (n, width), and their lines; NaN if empty.
+    """Return the numbers in a text file after the first ``start`` lines, and their line numbers.
+
+    The numbers have the shape (n, width). Empty cells become NaN.
 
     Raises
     ------
@@ -509,7 +515,7 @@ def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, 
 
 @cache
 def formats() -> dict[str, Format]:
-    """Return all formats in the modules of this package, by name."""
+    """Return all file formats that the modules of this package define, by name."""
     objects: list[Any] = []
     for entry in pkgutil.iter_modules(__path__, f"{__name__}."):
         objects += vars(importlib.import_module(entry.name)).values()
@@ -517,7 +523,7 @@ def formats() -> dict[str, Format]:
 
 
 def find_format(path: Path, name: str | None) -> Format:
-    """Return the format with a given name, or the format of a file.
+    """Return the format with a given name, or without a name the format of a file.
 
     Without a name, the format is the profile that recognises the content of the file. If there is none, the
     first bytes and then the ending of the file determine the format. If the name is None, no profile is
@@ -538,7 +544,8 @@ def find_format(path: Path, name: str | None) -> Format:
         return known[name]
     begins = [one for one in known.values() if one.magic and peek.head.startswith(one.magic)]
     ends = [one for one in known.values() if path.suffix.lower() in one.endings]
-    # a log of another program may have a column with the name of the time in the log format
+    # Try the log format of swimid last, because a log of another program may have a column named like its
+    # time.
     for one in sorted(known.values(), key=lambda one: one.name == "swimid"):
         fits = one in begins or not one.magic
         if name is not None and one.recognises is not None and fits and one.recognises(peek):
@@ -553,7 +560,7 @@ def open_table(
     select: str | None = None,
     kind: str | None = None,
 ) -> Table:
-    """Return a file, or a log in memory, as a table.
+    """Read a file as a table, or convert a log in memory to a table.
 
     ``select`` is the track, topic, struct or group to read, if the file holds several. ``kind`` is the name
     of a format, as in :func:`find_format`.

@@ -1,7 +1,8 @@
-"""Logs of ArduPilot: text logs (``IMU, 1234, 0, ...`` after ``FMT`` lines), or CSV of one message type.
+"""Reader of ArduPilot logs: text logs (``FMT`` lines, then messages), or CSV of one message type.
 
-One instance of a sensor is read. Units are those of the log messages of ArduPilot. Axes forward, right, down
-are converted to forward, left, up.
+A message is a line such as ``IMU, 1234, 0, ...``. If a log has several instances of a sensor, one is read.
+Units are those of the log messages of ArduPilot. Axes forward, right, down are converted to forward, left,
+up.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from swimid.logs.foreign import Format, Options, Peek, Table, axes, choose, is_t
 from swimid.logs.kinematics import from_frd, with_angles
 from swimid.logs.log import TIME
 
-#: Column of the log for each field of a message.
+#: Column of the log for each field of a message of ArduPilot.
 FIELDS: dict[str, str] = {
     **axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz"),
     **axes("Acc{}", "a{}_m_s2", "XYZ", "xyz"),
@@ -27,7 +28,7 @@ FIELDS: dict[str, str] = {
     **axes("V{}", "v{}_m_s", "NED", "xyz"),
     **axes("Q{}", "q{}", "1234", "wxyz"),
 }
-#: Factors to SI for degrees and milligauss, by the ending of the column name.
+#: Factors from degrees to radians and from milligauss to tesla, by the ending of the column name.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
 
 
@@ -67,7 +68,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _messages(path: Path, kind: str | None) -> Table:
-    """Return the messages of one type in a text log."""
+    """Return a table of the messages of one type in a text log."""
     import pandas as pd
 
     text = path.read_text(encoding="utf-8", errors="replace")

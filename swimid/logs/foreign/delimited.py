@@ -23,28 +23,28 @@ from swimid.logs.log import TIME
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Number of bytes from which the layout of the file is determined, and number of lines from which delimiter
-#: and decimal mark are determined.
+#: Number of bytes at the beginning of a file from which its layout is determined, and number of lines from
+#: which delimiter and decimal mark are determined.
 SAMPLE, LINES = 1 << 18, 200
-#: Maximum fraction of rows with a wrong number of cells. Such rows are left out. A file with a larger
-#: fraction is refused.
+#: Maximum fraction of rows with a wrong number of cells. Up to this fraction, such rows are left out. Above
+#: it the file is refused.
 MAX_RAGGED = 0.01
-#: Weights in the choice of the delimiter. Commas and blanks have lower weights, because commas can also be
-#: decimal marks, and blanks can occur within cells.
+#: Weight of each delimiter when the delimiter of a file is chosen. Commas and blanks have lower weights,
+#: because commas can also be decimal marks, and blanks can occur within cells.
 DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
 _MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
 _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-#: Characters that are exchanged so that the decimal mark is a point, for each decimal mark of a file.
+#: Exchange of characters that makes the decimal mark a point, for each decimal mark of a file.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-#: Pattern of a cell that belongs to a sample but is no plain number: a date or a time of day.
+#: Pattern of a cell in a line of samples that is not a plain number: a date or a time of day.
 _SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of one file.
+    """Layout of a delimited text file: column names, delimiter, decimal mark and first sample.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
-    """Return the file as UTF-8 text whose lines end in a line feed, and notes for the user."""
+    """Return the content of a file as UTF-8 with line feeds, and notes for the user."""
     raw, notes = path.read_bytes(), []
     encoding = options.encoding or _ENCODINGS.get(raw[:2], "utf-8-sig")
     try:
@@ -123,7 +123,7 @@ def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
 
 
 def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str]) -> Layout:
-    """Return the layout of a file, from the options or from the first lines; append to the notes."""
+    """Return the layout of a file, from the options or from its first lines; append remarks to ``notes``."""
     numbered = list(enumerate(lines, start=1))[options.skip_rows :]
     kept = [(at, line) for at, line in numbered if line.strip()]
     if not kept:
@@ -144,10 +144,10 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     if above and _are_units(above[-1]) and (len(above) > 1 or not _differ(above[-1])):
         stated = [_unit(cell) for cell in above.pop()]
     if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
-        # each line of samples ends with a delimiter, but the line of names does not
+        # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
         above[-1] = [*above[-1], ""]
     levels: list[list[str]] = []
-    # repeated names are completed by the names in the line above
+    # If names repeat, complete them by the names in the line above.
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:
@@ -162,7 +162,8 @@ def _likely_delimiter(lines: list[str]) -> str:
     scores = {}
     for mark, weight in DELIMITERS.items():
         width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
-        # the score is dominated by the number of lines with equal width, then by the number of cells
+        # The score is dominated by the number of lines with the same number of cells, then by that number of
+        # cells.
         scores[mark] = weight * times * (1 + min(width, 50) / 1000) * (width > 1)
     return max(scores, key=lambda mark: scores[mark])
 
@@ -187,7 +188,7 @@ def _value(cell: str, decimal: str) -> float | None:
 
 
 def _first_sample(table: list[list[str]], width: int, decimal: str, options: Options) -> int | None:
-    """Return the index of the first line with samples; None if there is none."""
+    """Return the index of the first line of a file that holds samples; None if there is none."""
     if options.header is False:
         return 0
     for at, cells in enumerate(table):
@@ -214,16 +215,17 @@ def _differ(cells: list[str]) -> bool:
 def _names(levels: list[list[str]], width: int) -> list[str]:
     """Return a unique name for each column: ``x``, ``x (2)``, ``column 3``; numbers if there is no header.
 
-    A table may have one line for each level of the names: ``nose`` above ``x`` becomes ``nose_x``. The empty
-    cells to the right of a name repeat this name. A line that is equal in all columns is left out.
+    A table may have several header lines, one for each level of the names: ``nose`` above ``x`` becomes
+    ``nose_x``. Empty cells to the right of a name repeat this name. A header line that has the same cell in
+    all columns is left out.
     """
     if not levels:
         return [str(k + 1) for k in range(width)]
     telling = [row for row in map(_fill, levels[:-1]) if len(set(row[1:])) > 1]
     joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
     if len(levels) > 1:
-        # the cells of the first column name the levels; in a table of DeepLabCut this column counts the
-        # frames
+        # The header cells of the first column name the levels. In a table of DeepLabCut this column counts
+        # the frames.
         joined[0] = levels[-1][0].replace("coords", "") or "frame"
     names: list[str] = []
     for at, name in enumerate(joined, start=1):
@@ -237,7 +239,7 @@ def _names(levels: list[list[str]], width: int) -> list[str]:
 
 
 def _fill(cells: list[str]) -> list[str]:
-    """Return the cells of a line; each empty cell is replaced by the cell before it."""
+    """Return the cells of a header line, with each empty cell replaced by the cell before it."""
     filled = [""]
     for cell in cells:
         filled.append(cell or filled[-1])
@@ -245,7 +247,7 @@ def _fill(cells: list[str]) -> list[str]:
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
-    """Return the cells of the samples, as numbers or as text."""
+    """Return the cells of the samples in a text, as numbers or as text."""
     read = partial(
         parse,
         text,
@@ -257,12 +259,12 @@ def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
     try:
         return read(dict.fromkeys(found.names, str) | dict.fromkeys(found.numbers, float))
     except ValueError:
-        # some cell is not a number: the columns stay text, and a mapping reports the cell
+        # If a cell is not a number, keep the columns as text, so that a mapping can report the cell.
         return read(str)
 
 
 def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
-    """Return whether the text has one line per row, and the same number of cells in each line.
+    """Return whether the text has one line per row, with the same number of cells in each line.
 
     In a line with too few cells the last cell is missing.
     """
@@ -285,7 +287,7 @@ def _convert(cells: pd.Series, decimal: str) -> NDArray[Any]:
 
 
 def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Path) -> list[str]:
-    """Return a note on lines with a wrong number of cells; refuse a file with too many such lines."""
+    """Return a note on lines with a wrong number of cells; raise an error if there are too many of them."""
     if not broken:
         return []
     line, cells = broken[0]
@@ -306,5 +308,5 @@ def _has_time(peek: Peek) -> bool:
 
 ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log")
 DELIMITED = Format("delimited", "delimited text file", _open, endings=ENDINGS)
-#: Log format of swimid. Its columns keep their names.
+#: Format of logs of swimid. Their columns keep their names.
 SWIMID = Format("swimid", "log of swimid", _open, _has_time)

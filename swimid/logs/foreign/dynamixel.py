@@ -1,8 +1,8 @@
-"""Logs of Dynamixel servos (X series) with the column names of the control table (Present Position).
+"""Reader of logs of Dynamixel servos (X series) with the column names of the servo's control table.
 
-A rotation has 4096 ticks; 2048 is the middle position. Velocities have the unit 0.229 rev/min (ROBOTIS
-e-Manual, X series). The present position is the joint angle, and the goal position is the command. A number
-in the name of a column is the number of the servo.
+An example of a column name is Present Position. A rotation has 4096 ticks; 2048 is the middle position.
+Velocities have the unit 0.229 rev/min (ROBOTIS e-Manual, X series). The present position is the joint angle,
+and the goal position is the command. A number in the name of a column is the number of the servo.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         hint = "its columns are named as in the control table: Present Position, Goal Position"
         raise InputError("has no position of a servo", file=path, hint=hint)
     servos = {name: int([*re.findall(r"\d+", name), "1"][0]) for name in fields}
-    # joints are numbered from 1 in the order of the file; numbers of servos are arbitrary
+    # Number the joints from 1 in the order of the file, because the numbers of servos are arbitrary.
     numbers = list(dict.fromkeys(servos.values()))
     rows = len(table.columns[next(iter(fields))])
     columns = {"frame": np.arange(rows, dtype=float)}

@@ -1,4 +1,4 @@
-"""Tracked points in images: tables of DeepLabCut, and analysis files of SLEAP.
+"""Readers of tracked points in images: tables of DeepLabCut, and analysis files of SLEAP.
 
 A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. Its
 columns have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (array ``tracks`` with
@@ -23,7 +23,7 @@ _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
 
 
 def points(found: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the columns of tracked points, named as in the log: pixels with y up, and likelihoods.
+    """Return columns of tracked points with their names in the log: pixels with y up, and likelihoods.
 
     >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
     {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}
@@ -40,7 +40,7 @@ def points(found: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _levels(peek: Peek) -> list[str]:
-    """Return the levels of the column names that the first lines of the file state."""
+    """Return the names of the header levels in a table of DeepLabCut, from the first lines of the file."""
     starts = [line.split(",")[0].strip() for line in peek.lines[:4]]
     return [start for start in starts if start in _LEVELS]
 

@@ -1,4 +1,4 @@
-"""Text files of OpenSim: marker trajectories (TRC), and motions or storages (MOT, STO).
+"""Readers of text files of OpenSim: marker trajectories (TRC), and motions or storages (MOT, STO).
 
 The header states the conventions: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a motion.
 Coordinates of a motion are angles, except translations, whose names end in ``_tx``, ``_ty`` or ``_tz``.
@@ -18,9 +18,10 @@ from swimid.logs.log import TIME
 from swimid.logs.sampling import usual_step
 from swimid.notices import warn
 
-#: Units of the columns of a motion, by pattern of the column name. The first matching pattern is used.
+#: Unit of the columns of a motion whose name matches a pattern. The first matching pattern is used.
 _UNITS = {r".*(force.*_p|_t)[xyz]": "m", r".*(torque|moment).*": "Nm", r".*force.*": "N", r".*": "rad"}
-#: Pattern of a column with the value or the speed of a coordinate (``/jointset/hip/hip_flexion/value``).
+#: Pattern of the name of a column with the value or the speed of a coordinate
+#: (``/jointset/hip/hip_flexion/value``).
 _COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
 
 
@@ -65,7 +66,7 @@ def _motion(lines: list[str], path: Path) -> Table:
     if not in_degrees and "indegrees=no" not in head[:end]:
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
-    # cells of a storage file are separated by tabs, or aligned with blanks
+    # The cells of a storage file are separated by tabs, or aligned with blanks.
     delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
     values, at = numbers(path, end + 2, delimiter, len(names))
     columns, left_out = {TIME: values[:, 0]}, []

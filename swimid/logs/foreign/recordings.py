@@ -1,4 +1,4 @@
-"""MCAP recordings (with mcap) of ROS 2 or JSON messages.
+"""Reader of MCAP recordings of ROS 2 or JSON messages, by the library mcap.
 
 ROS 2 has the units and axes of REP 103: SI units, x forward, y left, z up. Quaternions of ROS 2 are x, y, z,
 w from body to world. Times of ROS 2 are those of the message header, which the driver of the sensor sets,
@@ -35,7 +35,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 def topics(path: Path) -> dict[str, str]:
-    """Return the topics of a recording, each with the type of its messages as stated in the file."""
+    """Return the topics of a recording, each with the message type that the file states."""
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
@@ -51,9 +51,10 @@ def topics(path: Path) -> dict[str, str]:
 
 
 def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
-    """Return the messages of one topic in the order of the file, with times as ``datetime64[ns]``.
+    """Return a table of the messages of one topic, with times as ``datetime64[ns]``.
 
-    The messages are not sorted by ``log_time``, because the clock of the recorder may be set back.
+    The messages stay in the order of the file. They are not sorted by ``log_time``, because the clock of the
+    recorder may be set back.
     """
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
@@ -74,7 +75,7 @@ def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _parts(value: Any) -> Any:
-    """Return the fields of a message as a dict, and a time stamp of seconds and nanoseconds as a date."""
+    """Return a message as a dict of its fields, and a time stamp of seconds and nanoseconds as a date."""
     if hasattr(value, "__slots__"):
         value = {name: getattr(value, name) for name in value.__slots__}
     if isinstance(value, dict) and {"sec", "nanosec"} <= set(value):
@@ -90,11 +91,12 @@ MCAP = Format("mcap", MCAP_TITLE, _open_mcap, endings=(".mcap",), magic=(MCAP_MA
 
 
 def _pose(at: str) -> dict[str, str]:
-    """Return the columns of a pose whose fields have names that begin with ``at``."""
+    """Return the columns of a log for the fields of a pose, whose names begin with ``at``."""
     return axes(f"{at}position.{{}}", "{}_m") | axes(f"{at}orientation.{{}}", "q{}", "wxyz")
 
 
-#: Fields of each type of message, with the columns of the log. Types of ROS 2 are written without ``/msg``.
+#: Column of the log for each field of a message, by message type. Types of ROS 2 are written without
+#: ``/msg``.
 FIELDS: dict[str, dict[str, str]] = {
     "nav_msgs/Odometry": _pose("pose.pose.")
     | axes("twist.twist.linear.{}", "{}_m_s", "xyz", "uvw")
@@ -109,7 +111,7 @@ FIELDS: dict[str, dict[str, str]] = {
 
 
 def _topics(path: Path) -> dict[str, str]:
-    """Return the topics whose message type is known, each with its type."""
+    """Return the topics of a recording whose message type is known, each with its type."""
     kinds = {topic: kind.replace("/msg/", "/") for topic, kind in topics(path).items()}
     return {topic: kind for topic, kind in kinds.items() if kind in FIELDS}
 
@@ -136,7 +138,7 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _joints(table: Table) -> dict[str, str]:
-    """Return the columns of joint states. All joints are taken for revolute joints."""
+    """Return the columns of the log for joint states. All joints are taken for revolute joints."""
     fields = {}
     for name, words in table.columns.items():
         if not name.startswith("name["):

@@ -1,4 +1,4 @@
-"""Readers of HDF5 (with h5py), MATLAB of any version (with pymatreader), and Parquet."""
+"""Readers of HDF5 (by h5py), of MATLAB files of any version (by pymatreader), and of Parquet."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
         if isinstance(item, h5py.Group):
             return dict(item.items())
         if isinstance(item, h5py.Dataset) and item.ndim > 2:
-            return {}  # the images of a film are not columns
+            return {}  # the file holds images, which are not columns
         return item
 
     with h5py.File(path, "r") as file:
         if file.userblock_size:
-            # MATLAB writes a text block before the HDF5 content
+            # MATLAB writes a block of text before the HDF5 content of its files.
             return _open_matlab(path, options, select)
         return of_tree(file, select, path, parts)
 
@@ -33,7 +33,7 @@ def _open_matlab(path: Path, options: Options, select: str | None) -> Table:
     from h5py import is_hdf5
     from pymatreader import read_mat
 
-    # pymatreader warns about MATLAB objects, which only MATLAB can read
+    # Hide warnings of pymatreader about MATLAB objects, which only MATLAB can read.
     with warnings.catch_warnings(action="ignore"):
         content = read_mat(path, ignore_fields=["#subsystem#"])
     is_unordered = is_hdf5(path)
@@ -43,7 +43,7 @@ def _open_matlab(path: Path, options: Options, select: str | None) -> Table:
             return value
         names = [name for name in value if not name.startswith("__")]
         if is_unordered:
-            # pymatreader returns the fields of a version 7.3 file in arbitrary order
+            # Sort the names, because pymatreader returns the fields of a version 7.3 file in arbitrary order.
             names.sort()
         return {name: value[name] for name in names}
 

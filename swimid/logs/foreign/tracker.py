@@ -1,7 +1,7 @@
-"""Text files of Tracker (Open Source Physics).
+"""Reader of text files of the program Tracker (Open Source Physics).
 
-Tracker exports track names, column names t, x, y, then samples. Times are in seconds. Lengths are in metres,
-unless the project sets another unit, which the column names state (``x (cm)``).
+A file holds the names of the tracks, then the column names t, x, y, then the samples. Times are in seconds.
+Lengths are in metres, unless the project sets another unit, which the column names state (``x (cm)``).
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from swimid.logs.log import TIME
 _TRACKER_NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
 )
-#: Endings of the units of positions, velocities and accelerations.
+#: Ending of the unit in a column name of a position, a velocity and an acceleration.
 _PER = {"": "", "v": "_s", "a": "_s2"}
 
 
 def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
-    """Return the number of header lines, the delimiter, and the cells of the last two header lines."""
+    """Return number of header lines, delimiter, and cells of the last two header lines; None if unknown."""
     is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
     height = 2 + is_multi
     if len(lines) <= height:
@@ -49,7 +49,7 @@ def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
         raise InputError("is no export of Tracker", file=path, hint=hint)
     height, mark, above, names = found
     values, lines = numbers(path, height, mark, len(names))
-    # the name of a track is in the cell above the first of its columns
+    # The name of a track is in the cell above the first of its columns.
     filled = pd.Series(above).reindex(range(len(names)))
     owners = filled.where(filled != "").ffill().fillna("").tolist()
     tracks = [track for track in dict.fromkeys(owners[1:]) if track]

@@ -1,6 +1,7 @@
-"""ULog recordings (with pyulog), and their topics of PX4.
+"""Reader of ULog recordings, and of their topics of PX4, by the library pyulog.
 
-The axes of PX4 are forward, right, down and north, east, down. They are converted to y left and z up.
+The axes of PX4 are forward, right, down (body) and north, east, down (world). They are converted to axes with
+y left and z up.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from swimid.logs.log import TIME
 
 MAGIC = (b"ULog\x01\x12\x35",)
 
-#: Fields of each topic of PX4, with the columns of the log.
+#: Column of the log for each field of a topic of PX4.
 FIELDS: dict[str, dict[str, str]] = {
     "vehicle_local_position": axes("{}", "{}_m") | axes("v{}", "v{}_m_s") | {"heading": "yaw_rad"},
     "vehicle_attitude": axes("q[{}]", "q{}", "1234", "wxyz"),
@@ -34,10 +35,10 @@ FIELDS: dict[str, dict[str, str]] = {
 
 
 def _load(path: Path) -> tuple[Any, dict[str, Any]]:
-    """Return the recording and its topics, by name; instances of a topic are ``name[0]``, ``name[1]``."""
+    """Return a recording and its topics by name. Instances of a topic are ``name[0]``, ``name[1]``."""
     from pyulog import ULog
 
-    # the library prints warnings about a damaged file, but stdout is reserved for results
+    # Discard warnings that the library prints for a damaged file, because stdout is reserved for results.
     with contextlib.redirect_stdout(io.StringIO()):
         log = ULog(str(path))
     several = {data.name for data in log.data_list if data.multi_id}
@@ -47,7 +48,7 @@ def _load(path: Path) -> tuple[Any, dict[str, Any]]:
 def _open(path: Path, options: Options, select: str | None) -> Table:
     log, topics = _load(path)
     topic = choose(select, list(topics), "topic", path)
-    # rename q[0] to q[1]: elements are counted from 1 in every format
+    # Rename q[0] to q[1], because elements are counted from 1 in every format.
     columns = {
         re.sub(r"\[(\d+)\]$", lambda index: f"[{int(index[1]) + 1}]", name): values
         for name, values in topics[topic].data.items()
@@ -61,7 +62,7 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _topics(path: Path) -> dict[str, str]:
-    """Return the topics of PX4 whose fields are known, each with its name without the instance."""
+    """Return the topics of PX4 in a recording, each with its name without the number of the instance."""
     return {topic: data.name for topic, data in _load(path)[1].items() if data.name in FIELDS}
 
 
