@@ -28,29 +28,29 @@ TOLERANCE = 1e-5
 #: finalist (HEAT), number of finalists (FINALISTS), maximum number of iterations of the best finalist
 #: (STEPS), relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
 HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
-#: Tolerance for equal optima: difference of effect parameters in units of their typical scales, and relative
-#: difference of the costs.
+#: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
+#: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1
-#: Threshold of the distance of a coefficient from its prior mean, in prior standard deviations. A coefficient
-#: beyond the threshold may be distorted by a missing effect.
+#: Distance of a coefficient from its prior mean, in prior standard deviations, above which a missing effect
+#: may have distorted the coefficient.
 DISTORTED = 2.0
 #: Maximum standard deviation of an informative prior, as a fraction of the coefficient. In place of a wider
 #: prior, a prior of this width about the published value is used.
 LOOSE = 0.3
-#: Maximum change of the parameters, in standard errors, for which derivatives are used again.
+#: Maximum change of the parameters, in standard errors, up to which a fit uses earlier derivatives again.
 NEAR = 0.3
 
 
-#: Names of coefficients, and the correlation matrix of their priors.
+#: Type of a prior correlation: names of coefficients, and the correlation matrix of their priors.
 Correlation = tuple[Sequence[str], Array]
 NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
-#: Number added to the diagonal of a correlation matrix to make it positive definite. Files round correlations
-#: to a few digits.
+#: Number added to the diagonal of a correlation matrix to make it positive definite. This is necessary
+#: because files round correlations to a few digits.
 ROUNDING = 1e-6
 
 
 class Mixed(Problem):
-    """Residuals of a model on trials with random effects.
+    """Least-squares problem of a model on trials with random effects.
 
     Parameters
     ----------
@@ -90,13 +90,13 @@ class Mixed(Problem):
         return [j for j in self.own(trial) if self.differs(j)]
 
 
-#: Estimates, cost, residuals and derivatives of a fit, in a form that a process can return.
+#: Type of the result of a fit that a worker process returns: estimates, cost, residuals and derivatives.
 Optimum = tuple[Array, float, list[Array], list[Array]]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted hypothesis.
+    """Fit of a hypothesis: the model with its effects and random effects at the optimum.
 
     Attributes
     ----------
@@ -218,7 +218,7 @@ class Fit:
 
 
 class FitContext:
-    """Model, trials and priors of the coefficients, which all fits of a diagnosis share.
+    """Model, trials and priors that all fits of a diagnosis share.
 
     Parameters
     ----------
@@ -267,8 +267,8 @@ class FitContext:
         return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
-        """Return the model with effects."""
-        # Typical scales of effects are computed from the trials, so the model with effects is cached.
+        """Return the model with the given effects added."""
+        # Cache the model with effects, because the typical scales of effects are computed from the trials.
         key = tuple(id(e) for e in effects)
         if key not in self._known:
             self._known[key] = Affected(self.model, effects, self.trials)
@@ -331,8 +331,8 @@ class FitContext:
     def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
         """Return wider priors of coefficients for a model with another interpretation of the robot's source.
 
-        The priors come from other trials that were fitted with the interpretation in the robot file. They are
-        too narrow for another interpretation.
+        The result is empty for the interpretation in the robot file. The usual priors come from other trials
+        that were fitted with that interpretation, and are too narrow for another one.
         """
         if getattr(problem.model, "model", self.model) is self.model:
             return {}
@@ -383,7 +383,7 @@ class FitContext:
         return np.asarray(root.T @ root)
 
     def begins(self, problem: Mixed, theta: Array) -> list[Array]:
-        """Return starting points: ``theta``, and the prior means if ``theta`` is far from them.
+        """Return starting points of a fit: ``theta``, and the prior means if ``theta`` is far from them.
 
         A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
         there may end in a poor local optimum.
@@ -469,7 +469,7 @@ class FitContext:
         def cost(found: Solution) -> float:
             return float(np.nan_to_num(found.cost, nan=math.inf))
 
-        # Starting points are compared by the parameters of effects only, because every iteration changes the
+        # Compare starting points by the parameters of effects only, because every iteration changes the
         # coefficients.
         own = np.where(["/" in label for label in problem.labels], problem.scale, np.inf)
 
@@ -564,7 +564,7 @@ class FitContext:
         cost: float = math.nan,
         problem: Mixed | None = None,
     ) -> Fit:
-        """Return a fit with given parameters, without a search."""
+        """Return a fit at the given parameter values, without a search for the optimum."""
         problem = problem or self.posed(effects, noise_model)
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
@@ -577,7 +577,7 @@ class FitContext:
         found: Optimum,
         problem: Mixed | None = None,
     ) -> Fit:
-        """Return the fit that belongs to an optimum, for example of an earlier search."""
+        """Return the fit with the values of a known optimum, for example of an earlier search."""
         problem = problem or self.posed(effects, noise_model)
         acting = _acting(effects, problem.random_effects)
         return Fit(tuple(effects), acting, problem.labels, *found, problem)
@@ -649,7 +649,7 @@ def _same(one: Solution, other: Solution, scale: Array) -> bool:
 
 
 def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Return the parameters, of which those in ``known`` are fixed at their value."""
+    """Return the parameters, with those in ``known`` fixed at the values given there."""
     found = list(parameters)
     for i, p in enumerate(parameters):
         if p.name in known:
@@ -669,7 +669,7 @@ def beyond(columns: Array, values: Array) -> Array:
 
 
 def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
-    """Return the covariance matrix of the parameters of a fit, shape (p, p); the prior counts as data.
+    """Return the posterior covariance matrix of the parameters of a fit, shape (p, p).
 
     Parameters
     ----------

@@ -24,24 +24,24 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
 
-#: Relative tolerance of the fit of a held-out trial's start state.
+#: Relative tolerance of the cost when the initial state of a held-out trial is fitted.
 TOLERANCE = 1e-4
-#: Number of bootstrap resamples of trials.
+#: Number of bootstrap resamples of trials for the interval of the closed fraction of the gap.
 RESAMPLES = 1000
 
-#: Minimum fraction of the squared gap that causes must close.
+#: Minimum fraction of the squared gap that causes must close on held-out data.
 MOST = 0.5
-#: Error assigned to a held-out sample whose simulation diverged, in the unit of the channel or in units of
-#: the noise.
+#: Error of a held-out sample whose simulation diverged. Its unit is that of the errors with which it is
+#: summed: the unit of the channel, or the noise standard deviation.
 WORST = 1e6
-#: Threshold of the simulation error, divided by the measured range of the channel. Above it, the simulation
-#: has diverged.
+#: Error of a simulation, divided by the measured range of the channel, above which the simulation counts as
+#: diverged.
 ASTRAY = 10.0
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Held-out samples of one trial in one channel.
+    """Held-out samples of one channel of one trial, with their predictions.
 
     Attributes
     ----------
@@ -59,11 +59,11 @@ class Piece:
     after: Array
 
     def seen(self, values: Array) -> Array:
-        """Return the values at samples with a measurement."""
+        """Return the values at those samples at which the channel was measured."""
         return values[np.isfinite(self.measured)]
 
     def squares(self, simulated: Array, unit: float = 1.0) -> Array:
-        """Return the squared errors of a simulation. A diverged simulation has the largest error."""
+        """Return the squared errors of a simulation. A sample that diverged gets the error ``WORST``."""
         errors = self.seen(self.measured - simulated) / unit
         return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
 
@@ -77,8 +77,9 @@ def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
 
 
 def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapping[str, float]) -> Array:
-    """Return all parameters of a trial: shared parameters as given, and a start state fitted to the trial
-    itself.
+    """Return all parameter values of a trial.
+
+    The shared parameters are those in ``shared``. The initial state is fitted to the trial.
     """
     parameters = tuple(
         replace(p, start=shared.get(p.name, p.start), free=p.free and p.name not in trial.held)
@@ -108,8 +109,10 @@ def pieces(
     *,
     step: Callable[[], None] = lambda: None,
 ) -> list[Piece]:
-    """Return held-out predictions without and with the causes, for validation trials or for each fold in
-    turn.
+    """Return the predictions of held-out data by the models without and with the causes.
+
+    The held-out data are the validation trials. Without validation trials, each cross-validation fold is held
+    out once.
 
     Parameters
     ----------
@@ -164,9 +167,9 @@ def _whole(
     sd: Mapping[str, float],
     near: Sequence[Trial] = (),
 ) -> list[Piece]:
-    """Return the predictions of a whole trial with the parameters as given, without the causes and with them.
+    """Return three predictions of a whole held-out trial: as given, without, and with the causes.
 
-    Each prediction begins at the start state that fits the trial best.
+    Each prediction begins at the initial state that fits the trial best.
     """
     first, last = near or (trial, trial)
     runs = [
@@ -183,7 +186,7 @@ def _whole(
 def _piece(
     trial: Trial, channel: str, runs: Sequence[Mapping[str, Array]], rows: slice | NDArray[np.intp]
 ) -> Piece:
-    """Return some samples of a channel and of its three predictions."""
+    """Return the held-out samples ``rows`` of a channel with their three predictions."""
     series = (trial.time_s, trial.measured[channel], *(run[channel] for run in runs))
     return Piece(trial, channel, *(values[rows] for values in series))
 
@@ -196,9 +199,9 @@ def _stretch(
     vectors: Sequence[Array],
     shipped: Mapping[str, float],
 ) -> list[Piece]:
-    """Return the predictions for the samples of a trial that belong to a fold.
+    """Return three predictions of those samples of a trial that belong to a cross-validation fold.
 
-    The predictions are those with the parameters as given, without the causes and with them.
+    The predictions use the parameters as given, the refitted model, and the refitted model with the causes.
     """
     trial, inside, (nominal, model) = context.trials[k], context.folds.owner[k] == fold, models
     as_given = vectors[0].copy()
@@ -255,7 +258,7 @@ def shrinkages(
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
         known_noise = noise.get(channel, {})
         levels = floor * _resampled(known_noise, len(picks), len(known_noise), rng)
-        # Noise of the held-out trials. The noise of the fitted trials is an estimate of it.
+        # Resample the noise of the held-out trials as well. It is estimated by that of the fitted trials.
         levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s) and len(trials) > 1]
@@ -290,7 +293,7 @@ def widened(count: int) -> float:
 def _resampled(
     noise: Mapping[str, tuple[float, int]], count: int, trials: int, rng: np.random.Generator
 ) -> Array:
-    """Return the noise of resampled trials, divided by the noise of all trials, shape (count,)."""
+    """Return the noise of bootstrap resamples of the trials, relative to all trials, shape (count,)."""
     if len(noise) < 2 or not trials:
         return np.ones(count)
     each = np.array(list(noise.values()))
@@ -300,7 +303,7 @@ def _resampled(
 
 
 def sound(found: Sequence[Piece]) -> bool:
-    """Return whether the causes make no held-out trial diverge."""
+    """Return whether no simulation of a held-out trial diverges because of the causes."""
     for mine in by_channel(found).values():
         values = np.concatenate([p.seen(p.measured) for p in mine])
         for p in mine:
@@ -312,10 +315,9 @@ def sound(found: Sequence[Piece]) -> bool:
 
 
 def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> list[Piece]:
-    """Combine several predictions of the same samples.
+    """Choose among several predictions of the same held-out samples those with the smallest errors.
 
-    The result has the prediction with the smallest error without causes, and the one with the smallest error
-    with causes.
+    The prediction without causes and the prediction with causes are chosen independently.
 
     Parameters
     ----------
@@ -331,9 +333,10 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
 
 
 def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, float]:
-    """Return the noise floor of each channel, limited by the held-out errors without and with the causes.
+    """Return the noise floor of each channel, limited by the held-out errors.
 
-    These errors contain the noise.
+    The noise floor cannot be larger than the errors without or with the causes, because they contain the
+    noise.
     """
     result = dict(floors)
     for channel, mine in by_channel(found).items():
@@ -345,10 +348,9 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
 
 
 def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, float]:
-    """Return the decrease of the squared errors of each held-out trial by the causes, shape (trials,), and
-    the total gap.
+    """Return by how much the causes decrease the squared error of each held-out trial, and the total gap.
 
-    Both are in units of the noise variance.
+    The decreases have shape (trials,). They and the gap are in units of the noise variance.
     """
     lowered: dict[str, float] = {}
     gap = 0.0
@@ -360,10 +362,9 @@ def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, 
 
 
 def chance(each: Array) -> float:
-    """Return the threshold above which the sum of ``each`` over trials is significantly positive (Student, 95
-    %).
+    """Return the threshold above which the sum of ``each`` over trials is significantly positive.
 
-    It is 0 for a single trial.
+    The threshold is the 95 % quantile of Student's distribution. It is 0 for a single trial.
     """
     n = len(each)
     if n < 2:
@@ -372,8 +373,9 @@ def chance(each: Array) -> float:
 
 
 def _errors(piece: Piece, which: str, floors: Mapping[str, float]) -> Array:
-    """Return the squared errors of a prediction, in units of the noise variance; zero if the noise is
-    unknown.
+    """Return the squared errors of a prediction in units of the noise variance.
+
+    They are zero for a channel whose noise is unknown.
     """
     return piece.squares(getattr(piece, which), max(floors.get(piece.channel, math.inf), 1e-300))
 
@@ -416,9 +418,10 @@ def worst(found: Sequence[Piece], floors: Mapping[str, float], *, with_causes: b
     return whole
 
 
-#: Relative tolerance of the fit of validation trials to their prediction, and its maximum number of steps.
+#: Fit of a model with its predictive prior to validation trials: relative tolerance of the cost
+#: (PREDICTED_RTOL), and maximum number of iterations (STEPS).
 PREDICTED_RTOL, STEPS = 1e-3, 12
-#: Probability that at least one validation trial is reported as unpredicted although the model is correct.
+#: Probability that a correct model has at least one validation trial reported as unpredicted.
 CHANCE = 0.025
 
 
@@ -446,12 +449,15 @@ class Misfit:
 
     @property
     def shown(self) -> bool:
-        """Return whether noise makes up less than half of the squared distance."""
+        """Return whether the data contradict the prediction.
+
+        They do if noise makes up less than half of the squared distance.
+        """
         return self.distance > self.samples / (1.0 - MOST)
 
     @property
     def times(self) -> float:
-        """Return the ratio of the root-mean-square error to the one expected of a correct model."""
+        """Return the ratio of the prediction's root-mean-square error to that expected of a correct model."""
         return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
 
 
@@ -475,9 +481,10 @@ def unpredicted(
 
 
 def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
-    """Return the distance of validation trials from their prediction.
+    """Return the distance of validation trials from their prediction by a fit.
 
-    Without validation trials, return the distance of each fold from the fit to the other folds.
+    Without validation trials, return the summed distance of the folds from their predictions by fits to the
+    other folds.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
     if validation:
@@ -523,10 +530,9 @@ def _of_trials(
 
 
 def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """Return the expected mean square of the changes of validation trials by random effects, for each
-    channel.
+    """Return for each channel the mean square by which random effects change the validation trials.
 
-    The expectation is conditional on the samples of the trials. Start states are refitted, and random effects
+    It is the expectation given the samples of these trials. Initial states are refitted, and random effects
     are limited to probable values.
     """
     if not problem.random_effects:
@@ -543,7 +549,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
         own = problem.begun(k)
         seen = noise_model.whiten(problem, k, np.column_stack((rows, jacobian[:, own] * scale[own])))
         seen = beyond(seen[:, len(mine) :], seen[:, : len(mine)])
-        # Square root of the covariance matrix of the random effects.
+        # Compute a square root of the covariance matrix of the random effects.
         root = np.linalg.inv(np.linalg.qr(np.vstack((seen, np.eye(len(mine)))), mode="r"))
         moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
         changes = np.column_stack((np.sum(moved**2, axis=1), problem.sample_weights(k) ** 2))
@@ -556,7 +562,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
 
 
 def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:
-    """Give trials the median weight that each channel has in the fit."""
+    """Weight the samples of new trials by the median noise standard deviation of each channel in a fit."""
     weights: dict[str, list[Array]] = {}
     for channels, sds in zip(fit.problem.channels, noise_model.sd, strict=True):
         for channel, sd in zip(channels, sds, strict=True):
