@@ -98,7 +98,7 @@ def advise(
 def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
     """Return the labels and the normal matrix (information) of the parameters that all trials share.
 
-    The normal matrix is computed from the present trials. Parameters of single trials (start states, random
+    The normal matrix is computed from the present trials. Parameters of single trials (initial states, random
     effects) are projected out.
     """
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]

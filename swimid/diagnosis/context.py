@@ -19,7 +19,7 @@ from swimid.fitting.problem import Problem, Solution, map_in_processes
 
 #: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0
-#: Prior standard deviation of the start state of a trial, in units of the typical scales of its parameters.
+#: Prior standard deviation of the initial state of a trial, in units of the typical scales of its parameters.
 #: The prior mean comes from the first samples of the trial.
 START_PRIOR = 30.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
@@ -82,11 +82,11 @@ class Mixed(Problem):
         return self.slots[j][0] in self._differ
 
     def begun(self, trial: int) -> list[int]:
-        """Return the indices of the start state of a trial."""
+        """Return the indices of the parameters that describe the initial state of a trial."""
         return [j for j in self.own(trial) if not self.differs(j)]
 
     def differing(self, trial: int) -> list[int]:
-        """Return the indices of the random effects of a trial."""
+        """Return the indices of the parameters that are random effects of a trial."""
         return [j for j in self.own(trial) if self.differs(j)]
 
 
@@ -144,7 +144,7 @@ class Fit:
         return np.array([j for j in self.problem.own(k) if inside[j]], dtype=int)
 
     def own(self, k: int) -> Array:
-        """Return the derivatives with respect to the start state of trial ``k``, shape (n_k, m).
+        """Return the derivatives with respect to the initial state of trial ``k``, shape (n_k, m).
 
         The derivatives are multiplied by the typical scales of the m parameters.
         """
@@ -200,7 +200,9 @@ class Fit:
         return np.asarray(self.residuals[k] + self.rows[k][:, mine] @ away)
 
     def marginal_residuals(self, without: Collection[str] = ()) -> list[Array]:
-        """Return the residuals of each trial with random effects at their mean and the start state refitted.
+        """Return the residuals of each trial with random effects at their means.
+
+        The initial state of each trial is refitted.
 
         Parameters
         ----------
@@ -305,8 +307,8 @@ class FitContext:
     def single(self, problem: Problem) -> NDArray[np.bool_]:
         """Return a mask of the parameters that are refitted in each held-out fold, shape (p,).
 
-        The start states of trials are refitted. If whole trials are held out, per-trial values of effects are
-        refitted as well.
+        The initial states of trials are refitted. If whole trials are held out, per-trial values of effects
+        are refitted as well.
         """
         return np.array(
             [
@@ -397,8 +399,8 @@ class FitContext:
             mean, sd = known[p.name]
             size = max(abs(mean), p.scale)
             if p.known is not None and sd > LOOSE * size:
-                # The prior was estimated from these trials, so a missing effect biases the prior too. The
-                # published value is used in its place.
+                # The prior was estimated from these trials, so a missing effect biases the prior too. Use the
+                # published value in its place.
                 mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
@@ -476,7 +478,7 @@ class FitContext:
         def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[Solution]:
             found: list[Solution] = []
             for ended in sorted((one(s, tolerance, steps) for s in starts), key=cost):
-                # Only one of several starting points that lead to the same optimum continues.
+                # Continue only one of several starting points that lead to the same optimum.
                 if not any(_same(ended, other, own) for other in found):
                     found.append(ended)
             return found

@@ -30,7 +30,7 @@ SHRINKAGE = 0.1
 class NormalEquations:
     """Inner products, in each fold, of parameter derivatives, changes by effects, and residuals.
 
-    The start states of single trials are projected out.
+    The initial states of single trials are projected out.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def normal_equations(
             products[f] += seen.T @ seen
             samples[f] += len(block)
         else:
-            # The samples determine a start state so well that the rows of its prior are left out.
+            # The samples determine an initial state so well that the rows of its prior are left out.
             for f in np.unique(owner):
                 part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part

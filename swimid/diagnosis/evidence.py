@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 Rows = list[list[Any]]
 #: Minimum fraction of the gap of a channel that the causes must close to pass the check of the closed gap.
 HALF = 0.5
-#: Codes of the warnings that a log contradicts the beat frequency or the course stated for its trial.
+#: Codes of the warnings that a log contradicts the beat frequency stated for its trial, and that the course
+#: and the heading of a track contradict each other.
 CONTRADICTING = ("SWM032", "SWM063")
 #: Maximum number of panels in a figure, and of points of a curve.
 MAX_PANELS, MAX_POINTS = 4, 800

@@ -48,7 +48,7 @@ def repeats(context: FitContext) -> list[list[int]]:
 
 
 def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Sequence[Array]) -> list[Array]:
-    """Return weighted residuals after a fit of start state, trims, gains and clock to each trial.
+    """Return weighted residuals after a fit of initial state, trims, gains and clock to each trial.
 
     Parameters
     ----------
@@ -119,9 +119,9 @@ class Floor:
         Contribution of each trial to the squared noise floor (up to a common factor), and number of samples
         of the trial.
     how : str
-        Source of the noise floor, in words.
+        Text that states from which data the noise floor was computed.
     repeated : bool
-        Whether the noise floor comes from repeats.
+        Whether the noise floor was computed from repeated trials at one setting.
     """
 
     levels: dict[str, float]

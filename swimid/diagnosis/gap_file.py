@@ -38,7 +38,7 @@ class ChannelGap(yamlio.Document):
 
     channel: str
     nrmse: Number
-    #: Error that noise alone causes.
+    #: Noise floor of the channel: root-mean-square error that noise alone causes.
     floor: Number
     #: Squared gap of this channel as a fraction of the sum over all channels.
     share: Number
@@ -82,7 +82,7 @@ class Where(yamlio.Document):
 
 
 class Value(yamlio.Document):
-    """Estimate of a parameter."""
+    """Estimate of a parameter with its standard error, unit and status."""
 
     value: Number
     stderr: Number = None
@@ -95,7 +95,7 @@ class ChangedValue(Value):
 
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
-    #: Value in the parameter file.
+    #: Value of the parameter in the parameter file.
     given: float = Field(alias="from")
     #: Absolute change divided by the combined standard error of the file and of the estimate.
     standard_errors: Number = None
@@ -166,7 +166,7 @@ class Cause(yamlio.Document):
 class Remaining(yamlio.Document):
     """Residuals that remain with the causes in the model."""
 
-    #: Fraction of the squared gap that remains.
+    #: Fraction of the squared gap that remains with the causes in the model.
     share: Number
     where: str
     #: Whether the remaining residuals have no structure.
@@ -230,7 +230,7 @@ class GapFile(yamlio.ResultFile):
     #: over all trials.
     as_given: dict[str, ChannelScore] = {}
     where: Where
-    #: Causes, the most important first. Several causes act together.
+    #: Causes of the gap, the most important first. Several causes act together.
     causes: list[Cause]
     remaining: Remaining
     advice: list[Advice] = []
@@ -253,7 +253,7 @@ class GapFile(yamlio.ResultFile):
     held_out: HeldOut | None = None
     #: Prediction errors of the held-out data, for the models without and with the causes.
     predicted: Distance | None = None
-    #: Source of the noise floor, in words.
+    #: Text that states from which data the noise floor was computed.
     floor_from: str = ""
     #: Whether some trials repeat a setting. Only then can the between-trial variation be estimated.
     repeats: bool = False
@@ -279,8 +279,8 @@ class GapFile(yamlio.ResultFile):
     odd_trial: dict[str, float] = {}
     #: Causes that fit the trials best, but that increase the held-out errors.
     refuted: list[str] = []
-    #: Validation trials that the model does not predict, largest error first. The value is the root-mean-
-    #: square error divided by the error that noise and uncertain coefficients explain.
+    #: Validation trials that the model does not predict, largest error first. The value is the error (root
+    #: mean square) divided by the error that noise and uncertain coefficients explain.
     unpredicted: dict[str, float] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 

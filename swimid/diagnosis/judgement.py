@@ -57,8 +57,8 @@ class Named:
     probability : float
         Probability that the cause, or one of its equivalents, is missing in the model.
     closing : float
-        Probability that the cause, or one of its equivalents, closes most of the closed part of the gap. It
-        may act itself, or only imitate a cause outside the catalogue.
+        Probability that the cause, or one of its equivalents, belongs to the set of effects that closes the
+        gap best. It may act itself, or only imitate a cause outside the catalogue.
     alone : float
         Probability of the cause and of effects that change the trials in the same way, relative to all
         alternatives, given the other causes.
@@ -406,7 +406,7 @@ def _where(state: State) -> str:
 
 def differs(state: State) -> list[str]:
     """Return the names of random effects that vary between trials significantly more than by chance."""
-    # Factor that subtracts two standard errors from an estimated standard deviation.
+    # Compute the factor that subtracts two standard errors from an estimated standard deviation.
     least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.context.trials))
     return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * kind.most]
 

@@ -50,8 +50,8 @@ class NoiseModel:
     rounding : mapping of channel to float
         Standard deviation of the weighted rounding error, for channels recorded by a counter of known step.
     long_memory : NoiseModel or None
-        The noise model in which slow residuals count as noise. It is set only if there are too few trials to
-        separate slow noise from a gap.
+        Noise model in which low-frequency residuals count as noise. It is set only if there are too few trials
+        to separate low-frequency noise from a gap.
     """
 
     sd: list[list[Array]]
@@ -139,7 +139,7 @@ def brief(
 
     Low-frequency residuals of these channels then do not count as noise.
 
-    The noise level is estimated from second differences of the residuals, to which slow motion contributes
+    The noise level is estimated from second differences of the residuals, to which low frequencies contribute
     little. A fraction `COLOURED` of the noise variance is correlated over a few samples (`POLE`), as in a
     tracker. If the residuals of a rounded record are no larger than the rounding error, they count as
     rounding, however slow they are.

@@ -12,9 +12,9 @@ is similar to theirs, it adds no evidence. Otherwise it must close nearly all of
 a form error rarely looks like a single effect. The folds get random weights (Bayesian bootstrap), so that an
 effect that helps in one fold only is uncertain.
 
-A few trials do not separate slow noise from a gap. Short-memory noise then decides whether there is a gap,
-and how much of it is closed. The cause must also be probable with long-memory noise. The two posteriors are
-pooled logarithmically.
+A few trials do not separate low-frequency noise from a gap. The posterior with short-memory noise then
+decides whether there is a gap, and how much of it is closed. The cause must also be probable with long-memory
+noise. The two posteriors are pooled logarithmically.
 """
 
 from __future__ import annotations
@@ -146,7 +146,9 @@ class Posterior:
 
     @property
     def known(self) -> dict[frozenset[str], float]:
-        """Return for each set of effects the probability that no other catalogued effects close the gap.
+        """Return for each set the probability that it closes most of the gap without other known effects.
+
+        Known effects are those of the catalogue.
 
         A cause outside the catalogue may act in addition.
         """
@@ -182,9 +184,9 @@ class Posterior:
         return self.acts * closing / max(self.outside, 1e-300)
 
     def closing(self, *names: str) -> float:
-        """Return the probability that one of the named effects closes most of the closed part of the gap.
+        """Return the probability that one of the named effects belongs to the set that closes the gap best.
 
-        The effect may be a cause or only imitate one.
+        The effect may be a cause, or only imitate a cause outside the catalogue.
         """
         return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
 

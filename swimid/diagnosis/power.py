@@ -163,7 +163,7 @@ def needed(record: Record, kinds: int) -> float:
     wanted = costs + math.log((1.0 - UNSURE) / UNSURE)
     directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
-    # The excess that is no evidence grows with the gap. Without room for it, no excess is enough.
+    # The excess that refutes no hypothesis grows with the gap. If it grows too fast, no gap is ever reported.
     room = 1.0 - CALIBRATED.form * share
     if room <= 0:
         return math.inf
@@ -182,7 +182,7 @@ def noncentrality(drop: float, numbers: int) -> float:
 
 
 def told_apart(record: Record, cosine: float) -> bool:
-    """Return whether a very large effect can be distinguished from another effect.
+    """Return whether the trials can distinguish an effect, if it is very large, from another effect.
 
     The cosine is the one between the changes of the trials by the two effects.
     """

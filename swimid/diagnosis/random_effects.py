@@ -46,7 +46,7 @@ class RandomEffect:
     Attributes
     ----------
     name : str
-        Name in words.
+        Name of the quantity in texts.
     label : str
         Name of its parameter among the parameters of a model on which the random effect acts.
     size : float
@@ -107,7 +107,7 @@ class TrialEffect(Effect):
         self.kind, self.effect = kind, effect
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return the per-trial parameter."""
+        """Return the per-trial parameter of the random effect."""
         p = self.effect.parameters(model, trials)[self.kind.place]
         return (replace(self.kind.number(p), name=f"{self.effect.name} {p.name}"),)
 
@@ -193,7 +193,7 @@ def spread(
     residuals : sequence of ndarray, shape (n_k,)
         Weighted residuals of simulations with equal random effects in all trials.
     own : sequence of ndarray, shape (n_k, m)
-        Weighted derivatives with respect to the start state of the trial, which is estimated too.
+        Weighted derivatives with respect to the initial state of the trial, which is estimated too.
     random_effects : sequence of ndarray, shape (n_k, q)
         Weighted derivatives with respect to the random effects, multiplied by their typical scales.
     repeats : sequence of sequence of int
@@ -240,7 +240,7 @@ def _estimates(
     ----------
     inner : sequence of ndarray
         Matrix of each trial: inner products of the random effects, the residual, and the derivatives with
-        respect to the start state.
+        respect to the initial state.
     known, sd : ndarray
         Indices of random effects with a known standard deviation, and these standard deviations.
     """
@@ -288,7 +288,8 @@ def _spread(
     if variance <= CLEAR * typical:
         return Spread()
     variance -= typical
-    # Log-density of the estimates with this variation, minus their log-density with the sampling error alone.
+    # Compute by how much the variation increases the log-density of each estimate, compared with its sampling
+    # error alone.
     gained = 0.5 * (b**2 / c - b**2 / (c + variance) - np.log1p(variance / c))
     return Spread(math.sqrt(variance), _most(estimates, repeats), float(gained.sum() - gained.max()))
 

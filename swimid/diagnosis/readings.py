@@ -80,7 +80,7 @@ class Reread:
 
 
 class OtherReading(Effect):
-    """Effect that gives a question about a robot's source another answer than the robot file.
+    """Other interpretation of a robot's source: one question gets another answer than in the robot file.
 
     The robot with this answer replaces the nominal robot, and other effects act on the replacement.
 

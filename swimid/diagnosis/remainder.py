@@ -86,7 +86,7 @@ class Left:
 
     @property
     def found(self) -> bool:
-        """Return whether the residuals decrease by more than pure noise allows."""
+        """Return whether the generic description decreases the residuals by more than noise alone allows."""
         return self.gain > self.threshold
 
 
@@ -203,7 +203,7 @@ class LowFrequency:
     ----------
     ratio : float
         Root-mean-square residual divided by a noise level. The residual is that after each trial has its own
-        start state, trim, gain and clock. The noise level is the root mean square of the sample-to-sample
+        initial state, trim, gain and clock. The noise level is the root mean square of the sample-to-sample
         changes of the residual, divided by the square root of two. The ratio is 1 for white noise, and
         slightly larger for the coloured noise of a tracker.
     share : float
@@ -319,7 +319,7 @@ class Description(Effect):
     size: float
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return the factor of each term as a parameter."""
+        """Return the parameters of the description: one factor for each smooth term."""
         return tuple(
             Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
             for term in self.terms

@@ -379,7 +379,7 @@ class Search:
         return fit.optimum
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
-        """Return a hypothesis without one of its effects.
+        """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
 
         The starting points are the optimum of the hypothesis, and the optima of the best other hypotheses
         that contain the remaining effects. Otherwise further effects could seem to explain the difference

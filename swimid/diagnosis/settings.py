@@ -187,7 +187,7 @@ class Folds:
     Attributes
     ----------
     whole : bool
-        True if whole trials are held out; the start state of a held-out trial is then fitted to this trial.
+        True if whole trials are held out; the initial state of a held-out trial is then fitted to this trial.
         False if segments of trials are held out.
     owner : list of ndarray of int
         Fold of each row of each trial, shape (n_k,).

@@ -119,7 +119,7 @@ def pieces(
     before, after : Fit
         Refitted model without and with the causes, on all trials of the context.
     sd : mapping of channel to float
-        Standard deviation of the noise, for the fit of the start states of held-out trials.
+        Standard deviation of the noise, for the fit of the initial states of held-out trials.
     shipped : mapping of name to float
         Coefficients as given.
     """
@@ -468,7 +468,7 @@ def unpredicted(
 
     The value is the ratio of the root-mean-square error to the one expected of a correct model. More than
     half of the squared distance of such a trial is not noise. A trial is left out if its residuals are larger
-    than the noise of the other trials, but not slower.
+    than the noise of the other trials, but have no low-frequency component.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
     found = {}

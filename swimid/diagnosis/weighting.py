@@ -43,7 +43,8 @@ def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
         noise_model = NoiseModel([list(sds) for sds in problem.sd])
         fit = context.fit((), noise_model, [fit.theta], tolerance=COARSE, warm=fit)
     counted = {c for t in context.trials if np.any(t.time_sd_s) for c in t.measured}
-    # Weights are multiples of the known rounding error.
+    # The noise of a counted channel is a multiple of its known rounding error. Store the rounding error in
+    # units of the noise.
     rounding = {c: 1.0 / factor for c, (factor, _) in previous.items() if c in counted and factor > 0}
     return replace(noise_model, rounding=rounding), fit
 
@@ -116,7 +117,7 @@ def see(
     problem = fit.problem
     plain = replace(noise_model, random_effects=(), long_memory=None)
     if not tells_noise(context):
-        # A few trials do not separate slow noise from a gap.
+        # A few trials do not separate low-frequency noise from a gap, so return short-memory noise.
         whole = coloured(problem, residuals, plain, unknowns=unknowns)
         return replace(brief(whole, problem, residuals, list(whole.colour)), long_memory=whole), []
     # Estimate the autocorrelation from residuals without trim, gain and clock of single trials. The random

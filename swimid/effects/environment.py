@@ -458,7 +458,8 @@ class Waves(Effect):
         scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
         size = 0.1 * scales.speed
         near, words = 0.2 / scales.duration, "frequency of the waves"
-        # An estimate closer to a bound than its scale is not accepted as a hypothesis.
+        # Extend the lower bound by the scale of the frequency. An estimate closer to the bound than the scale
+        # is not accepted as a hypothesis.
         least = max(0.5 * LOWEST, PERIODS / scales.duration - near)
         band = least, max(2.0 * HIGHEST, 2.0 * least)
         return (

@@ -117,7 +117,7 @@ GRAVITY = 9.81
 
 @numba.njit(cache=True, nogil=True)
 def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-def]
-    """Solve ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from rest at ``start``.
+    """Solve the damped oscillation ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from rest at ``start``.
 
     Parameters
     ----------

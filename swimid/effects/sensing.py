@@ -188,12 +188,12 @@ LARGEST = 0.1
 
 
 class ClockRate(base.Clock):
-    """A clock that runs fast: the time stamp ``t`` belongs to the event at ``t_0 + (t - t_0) / (1 + rate)``.
+    """Rate error of a clock: a log whose clock runs fast shows later times than the true ones.
 
-    The clocks of log and drive agree at ``t_0``, where the drive or the trial begins (the first sample of a
-    recorded command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn
-    rates in addition to poses, only the clock of the camera may run at another rate than the clock of the
-    robot.
+    The time stamp ``t`` belongs to the event at the true time ``t_0 + (t - t_0) / (1 + rate)``. The clocks of
+    log and drive agree at ``t_0``, where the drive or the trial begins (the first sample of a recorded
+    command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn rates in
+    addition to poses, only the clock of the camera may run at another rate than the clock of the robot.
     """
 
     name = "clock-rate"
@@ -389,7 +389,7 @@ class TimeOffset(base.Clock):
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             speed = channels[MEAN_SPEED]
             with np.errstate(divide="ignore"):
-                # The measured duration is at least a tenth of the true duration.
+                # Limit the measured duration to at least a tenth of the true duration.
                 longer = np.maximum(1.0 + offset * speed / distance, 0.1)
             return {**channels, MEAN_SPEED: speed / longer}
 

@@ -71,7 +71,7 @@ class Beat:
     asymmetry: float = 0.0
     #: Duration of the quintic smoothstep with which the command begins, s.
     ramp_s: float = 1.0
-    #: Phase of the beat at time zero.
+    #: Phase of the beat at time zero, rad.
     phase_rad: float = 0.0
     #: Phase lag of each driven joint behind the joint before it, in addition to the lag in the robot file.
     lag_rad: float = 0.0
@@ -156,7 +156,8 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
     """
     omega = 2.0 * math.pi * frequency_hz
     rising = 0.5 * (1.0 - asymmetry)  # fraction of the period in which alpha rises
-    # elapsed fraction of the period since the last minimum; the drive starts in the middle of the rise
+    # Compute the fraction of the period that has elapsed since the last minimum. The drive starts in the
+    # middle of the rise.
     share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
     up = share < rising
     falls = 0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising)
@@ -172,7 +173,7 @@ class Cycle:
     name: str
     #: Stroke in the robot file: angles of the hinges over one cycle.
     law: Stroke
-    #: Cycles per second.
+    #: Frequency of the stroke: cycles per second.
     frequency_hz: float
     #: Factor on the deviation of the angles from their values at the start of the cycle.
     scale: float = 1.0

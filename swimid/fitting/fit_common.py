@@ -62,7 +62,7 @@ ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 class Experiment:
     """Experiment: a robot, its model, and the trials from which the model's parameters are estimated."""
 
-    #: Value of ``experiment`` in the trials file.
+    #: Name of the kind of experiment: the value of ``experiment`` in the trials file.
     name: str
     robot: Robot
     model: Model

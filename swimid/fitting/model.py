@@ -506,8 +506,8 @@ class Model(ABC):
     force_unit : str
         Unit of the forces in the equation of motion: N, N m for an angle, m/s^2 for a force per mass.
     timed_runs : bool
-        Whether trials are tables of runs timed over ``distance_m``. Their only channel is the mean speed of
-        the runs.
+        Whether each trial is a table of cruises that are timed over ``distance_m``. The only channel is the
+        mean speed of each cruise.
     has_gaps : bool
         Whether the output is missing at the samples at which the input is missing.
     in_space : bool
@@ -570,7 +570,7 @@ class Model(ABC):
         return {}
 
     def stated(self) -> dict[str, float]:
-        """Return those parameter values of the robot file that differ from the start values of a fit."""
+        """Return the parameter values of the robot file, if a fit may start from other values."""
         return {}
 
     # -------------------------------------------------------- drive

@@ -175,7 +175,7 @@ class FitResult:
         return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
 
     def value(self, name: str, trial: str | None = None) -> float:
-        """Return the estimated or fixed value of a parameter. A per-trial parameter needs the trial."""
+        """Return the estimated or fixed value of a parameter, in the given trial if it is per-trial."""
         for label in (f"{name}[{trial}]", name):
             if label in self.labels:
                 return float(self.estimate[self.labels.index(label)])
@@ -870,7 +870,7 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
     return found
 
 
-# ---------------------------------------------------------------- start states of held-out trials
+# ---------------------------------------------------------------- initial states of held-out trials
 
 
 def estimate_start(
@@ -883,8 +883,8 @@ def estimate_start(
 ) -> dict[str, float]:
     """Estimate the per-trial parameters of one trial, with the shared parameters held.
 
-    A held-out trial has its own start pose, initial speed and clock offset. They are estimated, because they
-    are not part of the test.
+    A held-out trial has its own initial pose, initial speed and clock offset. They are estimated, because
+    they are not part of the test.
 
     Parameters
     ----------

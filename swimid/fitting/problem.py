@@ -101,7 +101,7 @@ class Problem:
                 unknowns.append((index, None, p.name, p.start))
             for k, t in enumerate(self.trials):
                 if p.free and p.per_trial and p.name not in t.held:
-                    # the log of a trial may suggest a better start value than that of the parameter
+                    # Prefer the start value that the log of the trial suggests to that of the parameter.
                     unknowns.append((index, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)))
         self.slots = [(index, k) for index, k, _, _ in unknowns]
         self.labels = [label for _, _, label, _ in unknowns]
@@ -277,7 +277,10 @@ class Problem:
         return known[1]
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
-        """Return the existing samples of channels of a trial, in the order of its residuals, shape (n_k,)."""
+        """Return the samples of all channels of a trial as one array, shape (n_k,).
+
+        Missing samples are left out, so that the order is that of the residuals.
+        """
         return self.at_samples(k, [series[c] for c in self.channels[k]])
 
     def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
@@ -353,7 +356,7 @@ class Problem:
             residuals = self.trial_residuals(theta, k)
             moved += float(change @ change)
             left += float(residuals @ residuals)
-        # a step of one standard error in any direction changes the cost by the variance of the residuals
+        # Compare with a step of one standard error, which changes the cost by the variance of the residuals.
         return moved * sum(map(len, slopes)) <= self.near**2 * left
 
     def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:

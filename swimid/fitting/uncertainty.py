@@ -329,7 +329,7 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
 def independence(
     residuals: np.ndarray, source: np.ndarray, *, lags: int | None = None, first: int = 0
 ) -> TestResult:
-    """Test the independence of residuals from the past of a source with a chi-square statistic.
+    """Test the independence of residuals from the past of an input (source), with a chi-square statistic.
 
     Parameters
     ----------
