@@ -658,7 +658,7 @@ class Diagnosis(FileResult[GapFile]):
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
 
     def bare(self) -> ev.Evidence:
-        """Return the evidence without figures. It is shown if the evidence file is missing."""
+        """Return the evidence that follows from the gap file only, if its evidence file is missing."""
         found = evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
         return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})

@@ -255,7 +255,7 @@ class GapFile(yamlio.ResultFile):
     predicted: Distance | None = None
     #: Text that states from which data the noise floor was computed.
     floor_from: str = ""
-    #: Whether some trials repeat a setting. Only then can the between-trial variation be estimated.
+    #: Whether some trials repeat a setting. Without repeats, differences between settings may be chance.
     repeats: bool = False
     #: Number of different settings among the fitted and validation trials.
     setting_count: int | None = None

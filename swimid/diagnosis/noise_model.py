@@ -50,8 +50,8 @@ class NoiseModel:
     rounding : mapping of channel to float
         Standard deviation of the weighted rounding error, for channels recorded by a counter of known step.
     long_memory : NoiseModel or None
-        Noise model in which low-frequency residuals count as noise. It is set only if there are too few trials
-        to separate low-frequency noise from a gap.
+        Noise model in which low-frequency residuals count as noise. It is set only if there are too few
+        trials to separate low-frequency noise from a gap.
     """
 
     sd: list[list[Array]]
