@@ -345,7 +345,7 @@ class ResidualForce(Description):
         self.place = f"{axis} {kind}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the force in one trial."""
+        """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
         return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
 
@@ -362,7 +362,7 @@ class ResidualPush(Description):
         self.size, self.speed, self.span = size, speed, span
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the force in one trial."""
+        """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [*_window(trial), self.speed, self.span]
         return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
 
@@ -378,7 +378,7 @@ class StrokeDeviation(Description):
     size = 0.03
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that changes the joint angles in one trial."""
+        """Return the hook that applies the smooth change to the joint angles of one trial."""
         begin, length = _window(trial)
         quarter = 0.25 / beat_hz(trial)
 
@@ -408,7 +408,7 @@ class SensorTerm(Description):
         self.place = f"sensor of {channel}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the error to the channel in one trial."""
+        """Return the hook that adds the smooth error to the simulated channel of one trial."""
         begin, length = _window(trial)
         turn = 2.0 * math.pi * beat_hz(trial)
 
@@ -457,7 +457,7 @@ class StrokeTable(Description):
         self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that changes the thrust in one trial."""
+        """Return the hook that multiplies the thrust of one trial by the smooth factor."""
 
         def change(stroke):  # type: ignore[no-untyped-def]
             f = np.log(stroke.frequency_hz / self.frequency_hz)

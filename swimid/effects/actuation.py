@@ -57,7 +57,10 @@ class AmplitudeOffset(base.Actuation):
     scatters = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a command drives the joints and the model does not estimate the offset."""
+        """Return whether the effect applies.
+
+        A command must drive the joints, and the model must not estimate the offset.
+        """
         return super().applies(model, trials) and not model.estimates("amplitude_offset_deg")
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:

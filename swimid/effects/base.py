@@ -412,7 +412,7 @@ class RigCoefficient(Effect, ABC):
     pulley: bool = False
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a rig that does not estimate the coefficient.
+        """Return whether the effect applies: the model must be a rig that does not estimate the coefficient.
 
         An effect of the pulley applies only if some trial has a pulley.
         """
@@ -439,7 +439,7 @@ class Actuation(Effect, ABC):
     needs = frozenset({"command", "stroke"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a command drives the joints in some trial."""
+        """Return whether the effect applies: a command must drive the joints in some trial."""
         return super().applies(model, trials) and any(model.commanded(t) for t in trials)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
@@ -637,7 +637,7 @@ class Sensing(Effect, ABC):
     channels: ClassVar[tuple[str, ...]]
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether one of the channels that the effect changes is measured."""
+        """Return whether the effect applies: one of the channels that it changes must be measured."""
         return super().applies(model, trials) and bool(select_measured(self.channels, trials))
 
     def show(self, change: Callable[[str, Array], Array]) -> Hooks:

@@ -37,9 +37,10 @@ class Buoyancy(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a free swimmer in the vertical plane, or a rig along z.
+        """Return whether the effect applies.
 
-        A rig whose rest position the model estimates is excluded.
+        The model must be a free swimmer in the vertical plane, or a rig along z. A rig whose rest position
+        the model estimates is excluded.
         """
         if model.rig is not None:
             return model.axes == ("z",) and not model.estimates("rest_position")
@@ -81,7 +82,7 @@ class Current(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model has a body that travels."""
+        """Return whether the effect applies: the model must have a body that travels."""
         return super().applies(model, trials) and bool(model.axes)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -219,7 +220,10 @@ class Tether(Effect):
     sources = ("dolphin paper, section 1",)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a pulled body on a rig, timed cruising or a free swimmer."""
+        """Return whether the effect applies.
+
+        It applies to a pulled body on a rig, timed cruising or a free swimmer.
+        """
         return base.is_pulled(model) or model.timed_runs or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:

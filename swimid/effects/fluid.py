@@ -29,7 +29,7 @@ class AddedMass(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a rig or a free swimmer."""
+        """Return whether the effect applies: the model must be a rig or a free swimmer."""
         return model.rig is not None or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -172,7 +172,7 @@ class LiftDamping(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a free swimmer with drag across a link."""
+        """Return whether the effect applies: the model must be a free swimmer with drag across a link."""
         body = base.free_body(model)
         return body is not None and len(body.normal_drag(body.tables())[0]) > 0
 
@@ -219,7 +219,10 @@ class LinearDrag(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the base of the body moves and the model does not estimate a linear drag."""
+        """Return whether the effect applies.
+
+        The base of the body must move, and the model must not estimate a linear drag.
+        """
         held = model.body is not None and not model.body.free
         return super().applies(model, trials) and not held and not model.estimates(*OWN)
 
@@ -283,7 +286,7 @@ class WakeLift(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer of several links."""
+        """Return whether the effect applies: the model must be a swimmer of several links."""
         return model.body is not None and model.body.last > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:

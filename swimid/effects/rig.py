@@ -170,7 +170,7 @@ class StringStretch(Effect):
     sources = ("boxfish paper, section 3.3",)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a weight pulls the body over a pulley in some trial."""
+        """Return whether the effect applies: a weight must pull the body over a pulley in some trial."""
         return base.is_pulled(model) and base.has_pulley(trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:

@@ -22,9 +22,10 @@ class CameraRotation(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether both position coordinates of a swimmer are measured.
+        """Return whether the effect applies.
 
-        A model that estimates the rotation of the camera is excluded.
+        Both position coordinates of a swimmer must be measured. A model that estimates the rotation of the
+        camera is excluded.
         """
         known = model.body is None or model.estimates("camera_rotation")
         return not known and super().applies(model, trials) and _both_measured(model, trials)
@@ -299,7 +300,10 @@ class MarkerOffset(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a free swimmer whose pose or velocity is measured."""
+        """Return whether the effect applies.
+
+        It applies to a free swimmer whose pose or velocity is measured.
+        """
         body = base.free_body(model)
         if body is None or not super().applies(model, trials):
             return False

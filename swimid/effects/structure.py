@@ -29,7 +29,7 @@ class ComOffset(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a free swimmer."""
+        """Return whether the effect applies: the model must be a free swimmer."""
         return base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -186,7 +186,10 @@ class Hardening(Effect):
     )
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer with a spring in a joint, or a free decay."""
+        """Return whether the effect applies.
+
+        It applies to a swimmer with a spring in a joint, or a free decay.
+        """
         return _has_spring(model)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -238,7 +241,7 @@ class JointDamping(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer with a passive joint."""
+        """Return whether the effect applies: the model must be a swimmer with a passive joint."""
         return model.body is not None and bool(model.body.passive)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -343,9 +346,10 @@ class JointStiffness(Effect):
     sources = ("tendon fish paper, Eqs 3 and 4", "dolphin paper, Eq 5 and section 4.2.1")
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer with a spring in a joint, or a free decay.
+        """Return whether the effect applies.
 
-        A free decay whose stiffness the model estimates is excluded.
+        The model must be a swimmer with a spring in a joint, or a free decay. A free decay whose stiffness
+        the model estimates is excluded.
         """
         known = model.body is None and model.estimates("stiffness")
         return _has_spring(model) and not known
@@ -427,7 +431,7 @@ class Friction(Effect, ABC):
         return super().variants(model, trials)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a command drives the joints of the model in some trial."""
+        """Return whether the effect applies: a command must drive the joints in some trial."""
         return "command" in model.offers and any(model.commanded(t) for t in trials)
 
 
@@ -452,7 +456,10 @@ class LoadFriction(Friction):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a planar robot whose joints follow a command in some trial."""
+        """Return whether the effect applies.
+
+        It applies to planar robots whose joints follow a command in some trial.
+        """
         return model.body is not None and bool(model.body.driven) and super().applies(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -618,7 +625,7 @@ class WaterIngress(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model has an inertia.
+        """Return whether the effect applies: the model must have an inertia.
 
         Models with forces per mass, and models with a held base, have none.
         """
