@@ -21,7 +21,7 @@ MOST = 4
 
 
 def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
-    """Return descriptions and trials of experiments that could be run next.
+    """Return experiments that could be done next, each with its description and a trial to simulate.
 
     A proposed trial differs from the given trials in its beat or its driving force.
     """
@@ -61,7 +61,7 @@ def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
             inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
             trial = replace(template, inputs=inputs)
             found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
-    # Each proposed trial gets its own id, because simulations are cached by the id of the trial.
+    # Give each proposed trial an id of its own, because simulations are cached by the id of the trial.
     return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
 
 
@@ -96,9 +96,9 @@ def advise(
 
 
 def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
-    """Return the labels and the normal matrix of the parameters that all trials share.
+    """Return the labels and the normal matrix (information) of the parameters that all trials share.
 
-    The normal matrix is computed from the present trials. Parameters of single trials (start states, random
+    The normal matrix is computed from the present trials. Parameters of single trials (initial states, random
     effects) are projected out.
     """
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
@@ -120,7 +120,7 @@ def apart(
     known: tuple[Sequence[str], Array],
     channels: Sequence[str],
 ) -> float:
-    """Return the difference of two rival models on a proposed trial, in noise standard deviations.
+    """Return the difference between two rival models on a proposed trial, in noise standard deviations.
 
     It is the square root of the sum of squared differences that remain after the parameters of the first
     model have been refitted to the simulation of the second model.

@@ -55,12 +55,13 @@ from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Progress, silent
 from swimid.results.parameters import Estimate
 
-#: Significance level (two-sided, for all parameters together) at which a parameter is reported as moved.
+#: Significance level of the two-sided test that reports parameters as changed by a refit. It applies to all
+#: parameters of a diagnosis together.
 MOVED = 0.05
 #: Standard deviation of the prior that holds a parameter at its given value, in units of the parameter's
 #: typical scale.
 PINNED = 1e-6
-#: Texts that advise the user to run another setting, and to repeat a setting.
+#: Texts that advise the user to record trials at another setting (ANOTHER), or to repeat a setting (REPEAT).
 ANOTHER = "run another setting: what coefficients imitate at one they do not imitate at all"
 REPEAT = "repeat one setting three times: what repeats is physics, what does not is chance"
 
@@ -99,7 +100,7 @@ def answer(
     """
     context = state.context
     if state.changed:
-        # A changed parameter is among the causes, so the gap is measured with the parameters as given.
+        # If a changed parameter is among the causes, measure the gap with the parameter values as given.
         state.nominal = _as_given(state)
     nominal = state.nominal
     ranges = _ranges(context, nominal)
@@ -213,7 +214,7 @@ def _predictions(
     validation: Sequence[Trial],
     progress: Progress,
 ) -> list[Piece]:
-    """Return the held-out samples with their predictions without and with the causes.
+    """Return the held-out samples, with the predictions of the models without and with the causes.
 
     A random effect may absorb a cause, and a cause may absorb between-trial variation. Each model is
     therefore fitted with and without random effects, and the fits that predict held-out data better are used.
@@ -256,7 +257,7 @@ def _waterfall(
 
 
 def _held_out(context: FitContext, validation: Sequence[Trial]) -> HeldOut:
-    """Return which data are held out."""
+    """Return which data are held out: validation trials, whole fitted trials, or segments of them."""
     if validation:
         return "validation"
     if context.folds.whole:
@@ -265,7 +266,7 @@ def _held_out(context: FitContext, validation: Sequence[Trial]) -> HeldOut:
 
 
 def _as_given(state: State) -> Fit:
-    """Return the model with all shared parameters as given; only parameters of single trials are fitted."""
+    """Return a fit of the per-trial parameters only. All shared parameters keep their given values."""
     context, noise_model = state.context, state.noise_model
     problem = context.problem((), noise_model.random_effects)
     noise_model.install(problem)
@@ -395,8 +396,8 @@ def sizes(
         if p.per_trial:
             found[f"{p.name}_rms"] = Value(value=rms(np.array(values)), unit=p.unit)
             continue
-        # An estimate whose distance from a bound is within its standard error counts as at the bound. This
-        # does not apply to a bound that is the null value.
+        # An estimate that is less than its standard error away from a bound counts as at the bound. This does
+        # not apply to a bound that equals the null value of the effect.
         near = sd.get(labels[0], 0.0)
         if any(b != p.start and abs(values[0] - b) <= near for b in (p.lower, p.upper)):
             found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
@@ -406,7 +407,7 @@ def sizes(
 
 
 def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, ChangedValue]:
-    """Return the parameters of the file that a refit changed significantly.
+    """Return the parameters whose refitted values differ significantly from those of the parameter file.
 
     The significance level is 5 % (two-sided) for all parameters together (Bonferroni).
     """
@@ -456,10 +457,10 @@ def _estimate(fit: Fit, p: Parameter, errors: Mapping[str, float]) -> Value:
 
 
 def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
-    """Return the prediction errors of the outermost settings without and with the causes.
+    """Return the errors in predicting the extreme settings, for the models without and with the causes.
 
-    The outermost settings are the highest and the lowest frequency, amplitude and force. Each of them is
-    predicted by a fit to all other trials.
+    The extreme settings are the highest and the lowest frequency, amplitude and force. The trials at each of
+    them are predicted by a fit to all other trials.
     """
     context = state.context
     if not context.folds.whole:
@@ -512,7 +513,11 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
 
 
 def _scores(state: State) -> list[Score]:
-    """Return the score of each effect, from the fit with this effect alone or else from the screen."""
+    """Return the score of each candidate effect.
+
+    The score comes from the fit with this effect only. If the effect was not fitted, the score comes from the
+    screening.
+    """
     rows: dict[str, Score] = {}
     refitted: list[tuple[Tried, Refitted | None]] = [(r.tried, r) for r in state.singles]
     for tried, found in [*refitted, *((t, None) for t in state.screen.tried)]:
@@ -548,9 +553,10 @@ def _hypotheses(state: State) -> list[Hypothesis]:
 
 
 def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float | None]:
-    """Return the probability of each simulation stage: the sum over the effects of the stage, normalised.
+    """Return the probability that the cause of the gap acts in each simulation stage.
 
-    Without a gap all of them are 0.
+    It is the sum of the probabilities of the effects of the stage, normalised over all stages. If there is no
+    gap, all of these probabilities are 0.
     """
     applied = {row.stage for row in rows}
     stages = [stage for stage in STAGES if stage != "rig" or "rig" in applied]
@@ -562,7 +568,7 @@ def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float | None]:
 
 
 def _structured_share(state: State) -> float:
-    """Return the fraction of the squared residuals that smooth terms without physics still explain.
+    """Return the fraction of the squared residuals that generic smooth terms without physics explain.
 
     The residuals are those of the model with the causes, whitened.
     """

@@ -17,20 +17,20 @@ from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Parameter
 from swimid.fitting.problem import map_in_processes
 
-#: Threshold of the sum of squared changes by an effect, in units of the noise variance. A smaller sum counts
-#: as zero.
+#: Sum of squared changes of the trials by an effect, in units of the noise variance, below which the effect
+#: counts as changing nothing.
 NOTHING = 1e-6
 #: Maximum change of a sample by an effect, in noise standard deviations. A larger change means that the
 #: simulation diverged.
 BROKEN = 3e4
-#: Minimum fraction of trials whose simulation does not diverge with an effect. Parameter values with a
-#: smaller fraction are left out.
+#: Minimum fraction of the trials that can be simulated with an effect without divergence. Parameter values of
+#: the effect with a smaller fraction are left out.
 SOUND = 0.7
-#: Number of parameter vectors from the screen at which a refit starts, in addition to the predicted optimum.
-#: They are the vectors with the largest gains.
+#: Number of screened parameter vectors at which the fit of an effect starts, in addition to the predicted
+#: optimum. They are the vectors with the largest gains.
 STARTS = 3
-#: Number of parts into which a trial is divided to cross-validate an effect with a separate value for each
-#: trial.
+#: Number of parts into which each trial is divided to cross-validate an effect whose parameter has a separate
+#: value for each trial.
 PARTS = 4
 
 
@@ -111,12 +111,15 @@ class Screen:
 
 
 def within(change: Array) -> bool:
-    """Return whether a change is finite and smaller than that of a diverged simulation (:data:`BROKEN`)."""
+    """Return whether the change of a trial by an effect is finite and below :data:`BROKEN`.
+
+    A larger change means that the simulation diverged.
+    """
     return bool(np.isfinite(change).all() and np.max(np.abs(change), initial=0.0) < BROKEN)
 
 
 class Trialled(NamedTuple):
-    """Simulated changes by one effect.
+    """Simulated changes of the trials by one effect.
 
     Attributes
     ----------
@@ -181,13 +184,13 @@ def screen(context: FitContext, base: Fit, noise_model: NoiseModel, simulated: S
 
 
 def _strength(parameters: Sequence[Parameter], point: Array) -> float:
-    """Return the largest distance of a parameter from its null value, in units of its typical scale."""
+    """Return the largest distance of an effect's parameters from their null values, in typical scales."""
     sizes = (abs(v - p.start) / p.scale for v, p in zip(point, parameters, strict=True))
     return max(sizes, default=1.0) or 1.0
 
 
 def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array) -> float:
-    """Return the factor of a step from the null value, limited by the bounds of the parameters."""
+    """Return a factor limited so that ``null + factor * step`` is within the bounds of the parameters."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.array([(lower - null) / step, (upper - null) / step])
     ends = ends[:, step != 0.0]
@@ -199,9 +202,10 @@ def _allowed(null: Array, step: Array, factor: float, lower: Array, upper: Array
 def _best(
     inner: NormalEquations, tried: Trialled, first: int, plain: Array, left: Array, whole: Array
 ) -> Tried | None:
-    """Return the screening result of an effect at the point with the largest predicted gain.
+    """Return the screening result of an effect at the parameter vector with the largest predicted gain.
 
-    The points are all screened points, and the best points of different parameters combined.
+    The candidates are all simulated parameter vectors, and the combination of the best vectors of different
+    parameters.
 
     Parameters
     ----------
@@ -217,7 +221,7 @@ def _best(
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
 
     def fitted(*chosen: int) -> tuple[Array, Array]:
-        """Return the gains by some points fitted together, and the fitted factors of the changes."""
+        """Fit the changes at some parameter vectors together. Return the gains and the fitted factors."""
         prior = [(_strength(parameters, points[i][0]) / EFFECT_PRIOR) ** 2 for i in chosen]
         where = [first + i for i in chosen]
         gains = plain - crossval.held_out(inner, where, prior)
@@ -269,8 +273,8 @@ def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trial
     """Return the screening result of an effect with separate parameter values for each trial."""
     single = [j for j, p in enumerate(tried.parameters) if p.per_trial]
     null = [p.start for p in tried.parameters]
-    # The change is linear in a per-trial parameter. One point is therefore enough for each combination of the
-    # other parameters.
+    # The change of a trial is linear in a per-trial parameter. One simulated value is therefore enough for
+    # each combination of the other parameters.
     groups: dict[bytes, dict[tuple[int, ...], tuple[Array, list[Array]]]] = {}
     for point, changed in tried.points:
         moved = tuple(j for j in single if point[j] != null[j])
@@ -290,9 +294,10 @@ def _apart(context: FitContext, base: Fit, noise_model: NoiseModel, tried: Trial
 
 
 def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried, second: Tried) -> float:
-    """Return the cosine between the changes by two effects, with the parameters of ``base`` projected out.
+    """Return the cosine between the changes of the trials by two effects.
 
-    It is 0 if an effect changes nothing else.
+    The parameters of ``base`` are projected out. The cosine is 0 if they imitate the whole change by one of
+    the effects.
     """
     columns = [first.signature, second.signature]
     inner = crossval.projected(crossval.normal_equations(context, base, noise_model, columns))
@@ -303,9 +308,9 @@ def alike(context: FitContext, base: Fit, noise_model: NoiseModel, first: Tried,
 
 
 def own(fit: Fit, tried: Tried) -> list[list[Array]]:
-    """Return the derivatives of each trial with respect to its own values of the parameters of an effect.
+    """Return the derivatives of each trial with respect to its per-trial parameters of an effect.
 
-    The derivatives are multiplied by the typical scales.
+    The derivatives are multiplied by the typical scales of the parameters.
     """
     found = []
     for p in (p for p in tried.parameters if p.per_trial):
@@ -318,11 +323,11 @@ def own(fit: Fit, tried: Tried) -> list[list[Array]]:
 def own_gains(
     context: FitContext, base: Fit, noise_model: NoiseModel, own: Sequence[Sequence[Array]]
 ) -> Array:
-    """Return the decrease of the squared held-out residuals by changes that are scaled in each trial.
+    """Return the decrease of the squared held-out residuals by an effect with per-trial parameters.
 
-    The result has shape (folds,). The factor of a change is estimated from three quarters of a trial and
-    evaluated on the remaining quarter, for each quarter in turn. A change that only fits the start of a trial
-    or a drift therefore has no gain.
+    The result has shape (folds,). The factor of the effect's change is estimated from three quarters of a
+    trial and evaluated on the remaining quarter, for each quarter in turn. An effect that only fits the start
+    of a trial or a drift therefore has no gain.
 
     Parameters
     ----------

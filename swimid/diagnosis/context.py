@@ -19,7 +19,7 @@ from swimid.fitting.problem import Problem, Solution, map_in_processes
 
 #: Prior standard deviation of the parameters of an effect, in units of their typical scales.
 EFFECT_PRIOR = 5.0
-#: Prior standard deviation of the start state of a trial, in units of the typical scales of its parameters.
+#: Prior standard deviation of the initial state of a trial, in units of the typical scales of its parameters.
 #: The prior mean comes from the first samples of the trial.
 START_PRIOR = 30.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
@@ -28,29 +28,29 @@ TOLERANCE = 1e-5
 #: finalist (HEAT), number of finalists (FINALISTS), maximum number of iterations of the best finalist
 #: (STEPS), relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
 HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
-#: Tolerance for equal optima: difference of effect parameters in units of their typical scales, and relative
-#: difference of the costs.
+#: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
+#: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1
-#: Threshold of the distance of a coefficient from its prior mean, in prior standard deviations. A coefficient
-#: beyond the threshold may be distorted by a missing effect.
+#: Distance of a coefficient from its prior mean, in prior standard deviations, above which a missing effect
+#: may have distorted the coefficient.
 DISTORTED = 2.0
 #: Maximum standard deviation of an informative prior, as a fraction of the coefficient. In place of a wider
 #: prior, a prior of this width about the published value is used.
 LOOSE = 0.3
-#: Maximum change of the parameters, in standard errors, for which derivatives are used again.
+#: Maximum change of the parameters, in standard errors, up to which a fit uses earlier derivatives again.
 NEAR = 0.3
 
 
-#: Names of coefficients, and the correlation matrix of their priors.
+#: Type of a prior correlation: names of coefficients, and the correlation matrix of their priors.
 Correlation = tuple[Sequence[str], Array]
 NO_CORRELATION: Correlation = ((), np.empty((0, 0)))
-#: Number added to the diagonal of a correlation matrix to make it positive definite. Files round correlations
-#: to a few digits.
+#: Number added to the diagonal of a correlation matrix to make it positive definite. This is necessary
+#: because files round correlations to a few digits.
 ROUNDING = 1e-6
 
 
 class Mixed(Problem):
-    """Residuals of a model on trials with random effects.
+    """Least-squares problem of a model on trials with random effects.
 
     Parameters
     ----------
@@ -82,21 +82,21 @@ class Mixed(Problem):
         return self.slots[j][0] in self._differ
 
     def begun(self, trial: int) -> list[int]:
-        """Return the indices of the start state of a trial."""
+        """Return the indices of the parameters that describe the initial state of a trial."""
         return [j for j in self.own(trial) if not self.differs(j)]
 
     def differing(self, trial: int) -> list[int]:
-        """Return the indices of the random effects of a trial."""
+        """Return the indices of the parameters that are random effects of a trial."""
         return [j for j in self.own(trial) if self.differs(j)]
 
 
-#: Estimates, cost, residuals and derivatives of a fit, in a form that a process can return.
+#: Type of the result of a fit that a worker process returns: estimates, cost, residuals and derivatives.
 Optimum = tuple[Array, float, list[Array], list[Array]]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted hypothesis.
+    """Fit of a hypothesis: the model with its effects and random effects at the optimum.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Fit:
         return np.array([j for j in self.problem.own(k) if inside[j]], dtype=int)
 
     def own(self, k: int) -> Array:
-        """Return the derivatives with respect to the start state of trial ``k``, shape (n_k, m).
+        """Return the derivatives with respect to the initial state of trial ``k``, shape (n_k, m).
 
         The derivatives are multiplied by the typical scales of the m parameters.
         """
@@ -200,7 +200,9 @@ class Fit:
         return np.asarray(self.residuals[k] + self.rows[k][:, mine] @ away)
 
     def marginal_residuals(self, without: Collection[str] = ()) -> list[Array]:
-        """Return the residuals of each trial with random effects at their mean and the start state refitted.
+        """Return the residuals of each trial with random effects at their means.
+
+        The initial state of each trial is refitted.
 
         Parameters
         ----------
@@ -218,7 +220,7 @@ class Fit:
 
 
 class FitContext:
-    """Model, trials and priors of the coefficients, which all fits of a diagnosis share.
+    """Model, trials and priors that all fits of a diagnosis share.
 
     Parameters
     ----------
@@ -267,8 +269,8 @@ class FitContext:
         return FitContext(model, self.parameters, trials, self.prior, **more)  # type: ignore[arg-type]
 
     def affected(self, effects: Sequence[Effect]) -> Affected:
-        """Return the model with effects."""
-        # Typical scales of effects are computed from the trials, so the model with effects is cached.
+        """Return the model with the given effects added."""
+        # Cache the model with effects, because the typical scales of effects are computed from the trials.
         key = tuple(id(e) for e in effects)
         if key not in self._known:
             self._known[key] = Affected(self.model, effects, self.trials)
@@ -305,8 +307,8 @@ class FitContext:
     def single(self, problem: Problem) -> NDArray[np.bool_]:
         """Return a mask of the parameters that are refitted in each held-out fold, shape (p,).
 
-        The start states of trials are refitted. If whole trials are held out, per-trial values of effects are
-        refitted as well.
+        The initial states of trials are refitted. If whole trials are held out, per-trial values of effects
+        are refitted as well.
         """
         return np.array(
             [
@@ -331,8 +333,8 @@ class FitContext:
     def loosened(self, problem: Problem) -> dict[str, tuple[float, float]]:
         """Return wider priors of coefficients for a model with another interpretation of the robot's source.
 
-        The priors come from other trials that were fitted with the interpretation in the robot file. They are
-        too narrow for another interpretation.
+        The result is empty for the interpretation in the robot file. The usual priors come from other trials
+        that were fitted with that interpretation, and are too narrow for another one.
         """
         if getattr(problem.model, "model", self.model) is self.model:
             return {}
@@ -383,7 +385,7 @@ class FitContext:
         return np.asarray(root.T @ root)
 
     def begins(self, problem: Mixed, theta: Array) -> list[Array]:
-        """Return starting points: ``theta``, and the prior means if ``theta`` is far from them.
+        """Return starting points of a fit: ``theta``, and the prior means if ``theta`` is far from them.
 
         A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
         there may end in a poor local optimum.
@@ -397,8 +399,8 @@ class FitContext:
             mean, sd = known[p.name]
             size = max(abs(mean), p.scale)
             if p.known is not None and sd > LOOSE * size:
-                # The prior was estimated from these trials, so a missing effect biases the prior too. The
-                # published value is used in its place.
+                # The prior was estimated from these trials, so a missing effect biases the prior too. Use the
+                # published value in its place.
                 mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
@@ -469,14 +471,14 @@ class FitContext:
         def cost(found: Solution) -> float:
             return float(np.nan_to_num(found.cost, nan=math.inf))
 
-        # Starting points are compared by the parameters of effects only, because every iteration changes the
+        # Compare starting points by the parameters of effects only, because every iteration changes the
         # coefficients.
         own = np.where(["/" in label for label in problem.labels], problem.scale, np.inf)
 
         def ranked(starts: Sequence[Array], tolerance: float, steps: int) -> list[Solution]:
             found: list[Solution] = []
             for ended in sorted((one(s, tolerance, steps) for s in starts), key=cost):
-                # Only one of several starting points that lead to the same optimum continues.
+                # Continue only one of several starting points that lead to the same optimum.
                 if not any(_same(ended, other, own) for other in found):
                     found.append(ended)
             return found
@@ -564,7 +566,7 @@ class FitContext:
         cost: float = math.nan,
         problem: Mixed | None = None,
     ) -> Fit:
-        """Return a fit with given parameters, without a search."""
+        """Return a fit at the given parameter values, without a search for the optimum."""
         problem = problem or self.posed(effects, noise_model)
         rows = [-r for r in problem.trial_jacobians(theta)]
         residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
@@ -577,7 +579,7 @@ class FitContext:
         found: Optimum,
         problem: Mixed | None = None,
     ) -> Fit:
-        """Return the fit that belongs to an optimum, for example of an earlier search."""
+        """Return the fit with the values of a known optimum, for example of an earlier search."""
         problem = problem or self.posed(effects, noise_model)
         acting = _acting(effects, problem.random_effects)
         return Fit(tuple(effects), acting, problem.labels, *found, problem)
@@ -649,7 +651,7 @@ def _same(one: Solution, other: Solution, scale: Array) -> bool:
 
 
 def held_at(parameters: Sequence[Parameter], known: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Return the parameters, of which those in ``known`` are fixed at their value."""
+    """Return the parameters, with those in ``known`` fixed at the values given there."""
     found = list(parameters)
     for i, p in enumerate(parameters):
         if p.name in known:
@@ -669,7 +671,7 @@ def beyond(columns: Array, values: Array) -> Array:
 
 
 def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
-    """Return the covariance matrix of the parameters of a fit, shape (p, p); the prior counts as data.
+    """Return the posterior covariance matrix of the parameters of a fit, shape (p, p).
 
     Parameters
     ----------

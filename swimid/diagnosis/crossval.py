@@ -1,4 +1,4 @@
-"""Approximate leave-group-out cross-validation by linear algebra.
+"""Approximate cross-validation of a fit by linear algebra, without refits.
 
 Near an optimum the simulation is linear in the parameters. A refit without one fold is then one Gauss-Newton
 step from the fit to all data (Rad and Maleki 2020, J. R. Stat. Soc. B 82(4)). This step and the squared
@@ -20,15 +20,17 @@ from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting.model import Array
 
-#: Weight of the information of all folds in a refit without one fold. It matters if the other folds hardly
-#: determine a shared parameter. Without it the held-out fold would be predicted arbitrarily badly, which
-#: would hide the gain of an effect.
+#: Weight, in a refit without one fold, of the information that all folds give on the shared parameters. It
+#: matters if the other folds hardly determine a parameter. Without it the held-out fold would be predicted
+#: arbitrarily badly, which would hide the gain of an effect.
 SHRINKAGE = 0.1
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Inner products of columns in each fold, with the start states of single trials projected out.
+    """Inner products, in each fold, of parameter derivatives, changes by effects, and residuals.
+
+    The initial states of single trials are projected out.
 
     Attributes
     ----------
@@ -56,7 +58,7 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Random samples of noise residuals and of prior means.
+    """Random samples of noise residuals and of prior means, which replace those of a fit.
 
     Attributes
     ----------
@@ -79,15 +81,15 @@ def project_out(
     *,
     to: NDArray[np.intp] | None = None,
 ) -> Array:
-    """Return whitened columns of a trial with the parameters of this trial alone projected out.
+    """Return whitened columns of a trial, with the parameters that only this trial has projected out.
 
     Parameters
     ----------
     block : ndarray, shape (n_k, c)
         Columns divided by the noise standard deviation; the last column is the residual.
     to : ndarray of int, optional
-        Indices of the parameters that are projected out. By default these are all parameters of this trial
-        alone that are not at a bound.
+        Indices of the parameters that are projected out. By default these are all parameters that only this
+        trial has and that are not at a bound.
 
     Returns
     -------
@@ -112,7 +114,7 @@ def project_out(
 def normal_equations(
     context: FitContext, fit: Fit, noise_model: NoiseModel, columns: Sequence[Sequence[Array]] = ()
 ) -> NormalEquations:
-    """Return the inner products between derivatives, further columns and residuals of a fit in each fold.
+    """Return the inner products in each fold of parameter derivatives, further columns and residuals.
 
     Parameters
     ----------
@@ -138,7 +140,7 @@ def normal_equations(
             products[f] += seen.T @ seen
             samples[f] += len(block)
         else:
-            # The samples determine a start state so well that the rows of its prior are left out.
+            # The samples determine an initial state so well that the rows of its prior are left out.
             for f in np.unique(owner):
                 part = seen[: len(block)][owner == f]
                 products[f] += part.T @ part
@@ -180,7 +182,7 @@ def held_out(
     right = equations.products[:, at, -1][:, :, None] if draws is None else draws.right[:, at, :]
     total, all_right, shared = inner.sum(axis=0), right.sum(axis=0), equations.shared
     whole = solved(total + ridge, all_right + pull)
-    # Some information of the fold that is left out remains.
+    # Keep a small weight of the held-out fold's information on the shared parameters (see SHRINKAGE).
     lean = np.zeros_like(total)
     lean[:shared, :shared] = SHRINKAGE * total[:shared, :shared]
     theta = solved(total - inner + ridge + lean, all_right - right + pull + lean @ whole)
@@ -193,7 +195,10 @@ def held_out(
 def _fitted(
     equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the columns of the shared parameters and of the chosen changes, and their prior precision."""
+    """Return the indices of the fitted columns, and their prior precision matrix.
+
+    The fitted columns are those of the shared parameters and those of the chosen changes.
+    """
     at = [*range(equations.shared), *(equations.shared + i for i in chosen)]
     return np.array(at, dtype=np.intp), block_diag(equations.prior, np.diag(np.asarray(prior, dtype=float)))
 
@@ -249,7 +254,7 @@ def solved(normal: Array, right: Array) -> Array:
 
 
 def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[float]) -> Array:
-    """Fit shared parameters and the factors of chosen columns to all folds.
+    """Fit the shared parameters together with a factor for each chosen column, to all folds.
 
     The result has shape (shared + chosen,): first the steps of the shared parameters, then the factors.
     """
@@ -261,7 +266,9 @@ def together(equations: NormalEquations, chosen: Sequence[int], prior: Sequence[
 
 
 def projected(equations: NormalEquations) -> Array:
-    """Return inner products of further columns and residual, with all shared parameters projected out.
+    """Return inner products of the further columns and the residual, summed over folds.
+
+    All shared parameters are projected out.
 
     Returns
     -------

@@ -27,7 +27,7 @@ from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
 from swimid.simulation.compare_series import ChannelScore
 
-#: Reason for which a diagnosis without a parameter file considers no change of a parameter.
+#: Text that says why a diagnosis without a parameter file cannot find a changed parameter.
 NOT_GIVEN = (
     "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
     "as known, and no change of a parameter can be named"
@@ -35,7 +35,7 @@ NOT_GIVEN = (
 
 
 def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
-    """Return the errors of the model with the parameters as given, by channel.
+    """Return the error of the model in each channel, with the parameter values as given.
 
     The errors are those that the command ``compare`` computes.
     """

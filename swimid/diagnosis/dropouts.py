@@ -20,19 +20,20 @@ from swimid.fitting.model import Array, Trial
 if TYPE_CHECKING:
     from swimid.diagnosis.search import State
 
-#: Minimum change of the residual at a jump, in robust standard deviations of the differences between
-#: residuals.
+#: Minimum change of the residual that counts as a jump, in robust standard deviations of the differences
+#: between successive residuals.
 JUMP = 9.0
-#: Minimum number of equal consecutive values in a frozen segment, and minimum motion of the simulation over
-#: the segment, in robust standard deviations of the differences between residuals.
+#: Frozen segment: minimum number of equal consecutive values (FROZEN), and minimum motion of the simulation
+#: over the segment (MOVED), in robust standard deviations of the differences between successive residuals.
 FROZEN, MOVED = 4, 6.0
 #: Channels that a camera measures by tracking markers.
 CAMERA = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
-#: Minimum number of samples of a channel for a detection of failures.
+#: Minimum number of samples of a channel in which failed samples are detected.
 FEWEST = 60
-#: Minimum offset of a displaced segment, in robust standard deviations of the differences between residuals.
+#: Minimum offset of the residuals of a displaced segment, in robust standard deviations of the differences
+#: between successive residuals.
 OFF = 6.0
-#: Maximum number of samples on one side of a jump whose median is the level of the residual on that side.
+#: Maximum number of samples before or after a jump whose median is the level of the residual there.
 BESIDE = 8
 
 
@@ -70,7 +71,7 @@ class Dropouts:
         return sum(int(m.sum()) for by in self.masks.values() for m in by.values())
 
     def confirmed(self, other: Dropouts) -> Dropouts:
-        """Return only the failures that a second detection with a better model finds as well."""
+        """Return the failed samples that a second detection, with a better model, finds as well."""
         again = {s[:2] for s in other.stretches}
         kept = [
             s
@@ -125,7 +126,7 @@ def look(trials: Sequence[Trial], simulated: Sequence[Mapping[str, Array]]) -> D
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Return the indices of each run of consecutive true values."""
+    """Return the indices of each group of consecutive true values."""
     parts, count = label(mask)
     return [np.flatnonzero(parts == i) for i in range(1, count + 1)]
 
@@ -159,7 +160,7 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     jumps = np.flatnonzero(np.abs(smooth[4:] - smooth[:-4]) > JUMP * local[2:-1])
     if len(jumps):
         edges = [int(g[len(g) // 2]) + 2 for g in np.split(jumps, np.flatnonzero(np.diff(jumps) > 3) + 1)]
-        # Level of the last valid samples. A segment that returns to this level is valid again.
+        # Compute the residual level of the last valid samples. A segment that returns to this level is valid.
         sound = float(np.median(r[max(edges[0] - BESIDE, 0) : edges[0]]))
         for begin, end in zip(edges, [*edges[1:], len(r)], strict=True):
             level = float(np.median(r[begin : min(begin + BESIDE, end)])) if end > begin else sound
@@ -170,11 +171,11 @@ def _failed(values: Array, simulated: Array) -> NDArray[np.str_]:
     return kinds
 
 
-#: Minimum number of failed samples, and minimum sum of their squared residuals in units of the noise
-#: variance. Failed samples below either minimum are not reported as a cause.
+#: Failed samples that are reported as a cause: their minimum number (FAILED), and the minimum sum of their
+#: squared residuals in units of the noise variance (FAILED_MISFIT).
 FAILED, FAILED_MISFIT = 4, 50.0
-#: Probability that a marker really failed if there are failed samples and a cause outside the catalogue. In
-#: blind tests this was true in one of two such cases, because a body that slips or sticks also jumps.
+#: Probability that detected failures of a marker are real if the gap also has a cause outside the catalogue.
+#: In blind tests they were real in one of two such cases, because a body that slips or sticks also jumps.
 REAL = 0.5
 
 

@@ -32,14 +32,16 @@ if TYPE_CHECKING:
 
 
 Rows = list[list[Any]]
-#: Minimum fraction of the gap of a channel that the causes should close.
+#: Minimum fraction of the gap of a channel that the causes must close to pass the check of the closed gap.
 HALF = 0.5
-#: Codes of the warnings that a log contradicts the beat or the course that is stated for it.
+#: Codes of the warnings that a log contradicts the beat frequency stated for its trial, and that the course
+#: and the heading of a track contradict each other.
 CONTRADICTING = ("SWM032", "SWM063")
 #: Maximum number of panels in a figure, and of points of a curve.
 MAX_PANELS, MAX_POINTS = 4, 800
 
-#: References of the method (REFERENCES), and of the choice of the next experiment (BOX).
+#: Literature that a diagnosis report cites for its method (REFERENCES), and for the choice of the next
+#: experiment (BOX).
 REFERENCES = (
     "Kennedy, M. C., & O'Hagan, A. (2001). Bayesian calibration of computer models. Journal of the Royal "
     "Statistical Society B, 63(3), 425-464.",
@@ -111,7 +113,7 @@ def _facts(file: GapFile) -> dict[str, str]:
 
 
 def checks(file: GapFile) -> Iterable[ev.Check]:
-    """Yield the checks that determine the level of the verdict."""
+    """Yield the checks of a diagnosis, which decide whether its verdict is a pass, a caution or a failure."""
     yield from _of_trials(file)
     if file.verdict == "none":
         yield from _of_no_gap(file)
@@ -244,7 +246,7 @@ def _percents(*values: float | None) -> list[float | None]:
 
 
 def _table(id: str, title: str, columns: str, rows: Rows, caption: str, *, folded: bool = True) -> ev.Table:
-    """Return a table. Its column headings are given as one text, separated by vertical bars."""
+    """Return a table of the report. ``columns`` is one text with the headings between vertical bars."""
     names = columns.split(" | ")
     return ev.Table(id=id, title=title, columns=names, rows=list(rows), caption=caption, folded=folded)
 
@@ -265,8 +267,9 @@ def _waterfall(file: GapFile) -> ev.Table:
 
 
 def _errors(file: GapFile) -> ev.Table:
-    """Return the table of errors on held-out data. Without a cause, the table has the errors on all
-    trials.
+    """Return the table of the errors of each channel on held-out data.
+
+    If the diagnosis found no cause, the table has the errors on all trials.
     """
     rows: Rows = [
         [s.channel, *_percents(s.shipped, s.before, s.after, s.floor, s.closed), interval_text(s)]
@@ -427,7 +430,7 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
 #: Minimum change of a coefficient that is reported, in standard errors and as a fraction of its value. Both
 #: must be exceeded.
 MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
-#: Maximum number of notes, and maximum number of parts of the data in one note.
+#: Maximum number of notes in a report, and of places of the gap (settings, phases, times) in one note.
 MAX_NOTES, MAX_PARTS = 5, 3
 
 
@@ -439,7 +442,10 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 
 def answer_text(file: GapFile) -> str:
-    """Return the answer: the causes with their sizes, and the reduction of the held-out errors by them."""
+    """Return the answer of a diagnosis as sentences.
+
+    They name the causes with their sizes, and say by how much the causes reduce the held-out errors.
+    """
     names = [_named(c) for c in file.causes]
     if file.verdict == "none":
         return _no_gap(file)
@@ -482,14 +488,14 @@ def _no_gap(file: GapFile) -> str:
 
 
 def plural(one: str, several: str, things: Sequence[object]) -> str:
-    """Return the words for one thing or those for several things."""
+    """Return the text ``one`` if the list has one entry, otherwise the text ``several``."""
     if len(things) == 1:
         return one
     return several
 
 
 def _named(cause: Cause) -> str:
-    """Return a cause with its sizes and its equivalents as part of a sentence."""
+    """Return text that names a cause, its parameter values and its equivalent effects."""
     sizes = [f"{name} {value_text(v)}" for name, v in list(cause.parameters.items())[:2]]
     name = cause.effect
     if changes_text(cause.parameters):
@@ -500,7 +506,7 @@ def _named(cause: Cause) -> str:
 
 
 def changes_text(parameters: Mapping[str, Value]) -> str:
-    """Return the changes of parameters: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
+    """Return text for changed parameters: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
     changed = [(name, value) for name, value in parameters.items() if isinstance(value, ChangedValue)]
     return listed(
         [
@@ -512,7 +518,7 @@ def changes_text(parameters: Mapping[str, Value]) -> str:
 
 
 def value_text(value: Value) -> str:
-    """Return an estimate with its standard error and unit."""
+    """Return text for an estimate with its standard error and unit."""
     if value.status == "unidentifiable":
         return "not identifiable"
     text = numbers.measured(value.value, value.stderr, value.unit)
@@ -522,20 +528,20 @@ def value_text(value: Value) -> str:
 
 
 def otherwise_text(file: GapFile) -> str:
-    """Return the probabilities of no gap and of a cause outside the catalogue, in"""
+    """Return text with the probabilities of no gap and of a cause outside the catalogue, in percent."""
     none, outside = probability_text(file.no_gap), probability_text(file.outside)
     return f"no gap {none}, a cause outside the catalogue {outside}"
 
 
 def probability_text(probability: float | None) -> str:
-    """Return a probability in percent; ``< 0.1 %`` for values below a thousandth."""
+    """Return text for a probability in percent; ``< 0.1 %`` for values below a thousandth."""
     if probability is not None and probability < 1e-3:
         return "< 0.1 %"
     return numbers.percent(probability, 2)
 
 
 def remaining_text(file: GapFile) -> str:
-    """Return in words how much of the gap remains, and where."""
+    """Return text that says which fraction of the squared gap the causes do not close, and where."""
     left, share = file.remaining, "an unknown share"
     if left.share is not None:
         share = numbers.percent(left.share, 2)
@@ -546,13 +552,13 @@ def remaining_text(file: GapFile) -> str:
 
 
 def moved(file: GapFile) -> list[Absorbed]:
-    """Return the coefficients that compensated for the missing causes, the largest change first."""
+    """Return the coefficients that compensated for missing causes, sorted from the largest change down."""
     far = [(_shift(a), a) for c in file.causes for a in c.absorbed]
     return [a for shift, a in sorted(far, key=lambda pair: -pair[0]) if shift > 0]
 
 
 def _shift(a: Absorbed) -> float:
-    """Return the change of a coefficient in standard errors; 0 if it is small."""
+    """Return by how many standard errors the causes change a coefficient; 0 for a small change."""
     before, after = a.without.value, a.with_effect.value
     errors = [v.stderr for v in (a.without, a.with_effect) if v.stderr]
     if before is None or after is None or not errors:
@@ -565,12 +571,12 @@ def _shift(a: Absorbed) -> float:
 
 
 def parts(file: GapFile) -> list[Cell]:
-    """Return the gap in each part of the data: settings, stroke phases and times."""
+    """Return the gap at each setting, in each phase of the stroke, and in each interval of time."""
     return [*file.where.regime, *file.where.phase, *file.where.time]
 
 
 def notes(file: GapFile) -> list[str]:
-    """Return notes on the next experiment, the place of the gap, and the reasons for the verdict."""
+    """Return the notes of a report: next experiment, place of the gap, and reasons for the verdict."""
     said = [f"next experiment: {a.text}" for a in file.advice[:1]]
     worst: dict[str, Cell] = {}
     for cell in sorted(parts(file), key=lambda c: -(c.ratio or 0.0)):
@@ -651,7 +657,7 @@ class Diagnosis(FileResult[GapFile]):
 
     @property
     def causes(self) -> pd.DataFrame:
-        """Return one row for each parameter of each cause.
+        """Return the causes as a table with one row for each parameter of each cause.
 
         A cause without parameters, such as another interpretation of the robot's source, has one row.
         """
@@ -684,7 +690,7 @@ class Diagnosis(FileResult[GapFile]):
         return pd.DataFrame([c.model_dump() for c in self.file.where.channels])
 
     def bare(self) -> ev.Evidence:
-        """Return the evidence that can be shown if the evidence file is missing."""
+        """Return the evidence that follows from the gap file only, if its evidence file is missing."""
         found = evidence(self.file)
         text = f"No evidence file, so its figures cannot be shown. {found.verdict.text}"
         return found.model_copy(update={"verdict": found.verdict.lowered("caution", text)})

@@ -1,4 +1,4 @@
-"""Estimate the noise floor of each channel, from repeats of a setting if there are any."""
+"""Estimate the noise floor of each channel, from repeated trials at one setting if there are any."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ MIN_SAMPLES = 20
 
 
 def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
-    """Split the stacked weighted residuals of a trial by channel, in the channels' units.
+    """Split the stacked weighted residuals of a trial into one series for each channel, in its unit.
 
-    The value is NaN where the channel has no sample.
+    The series are NaN where the channel has no sample.
     """
     found = {}
     for (channel, mask, part), sd in zip(fit.problem.by_channel(k, residual), fit.problem.sd[k], strict=True):
@@ -30,7 +30,7 @@ def split(fit: Fit, k: int, residual: Array) -> dict[str, Array]:
 
 
 def repeats(context: FitContext) -> list[list[int]]:
-    """Return the trials of each setting that was repeated.
+    """Return the indices of the trials at each setting that was repeated.
 
     A recording that is given twice counts once. Repeats have the same setting, but need not have different
     samples: an encoder logs the same positions in every drop, at other times.
@@ -48,7 +48,7 @@ def repeats(context: FitContext) -> list[list[int]]:
 
 
 def nuisance_residuals(fit: Fit, residuals: Sequence[Array], random_effects: Sequence[Array]) -> list[Array]:
-    """Return weighted residuals after each trial was fitted by its own start state, trims, gains and clock.
+    """Return weighted residuals after a fit of initial state, trims, gains and clock to each trial.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def rms(values: Array) -> float:
 
 
 def excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> dict[str, float]:
-    """Return, by channel, the sum of squared residuals beyond the noise, in units of the noise variance."""
+    """Return for each channel the sum of squared residuals minus that of the noise, in noise variances."""
     found = by_channel(fit, residuals)
     more = {c: float(np.sum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in found.items()}
     return {c: m if m > 1e-9 * len(found[c]) else 0.0 for c, m in more.items()}
@@ -101,7 +101,7 @@ def excess(fit: Fit, residuals: Sequence[Array], floor: Mapping[str, float]) -> 
 
 @dataclass(frozen=True)
 class Floor:
-    """Noise floor of each channel.
+    """Noise floor of each channel: the root-mean-square error that noise and between-trial variation cause.
 
     Attributes
     ----------
@@ -119,9 +119,9 @@ class Floor:
         Contribution of each trial to the squared noise floor (up to a common factor), and number of samples
         of the trial.
     how : str
-        Source of the noise floor, in words.
+        Text that states from which data the noise floor was computed.
     repeated : bool
-        Whether the noise floor comes from repeats.
+        Whether the noise floor was computed from repeated trials at one setting.
     """
 
     levels: dict[str, float]
@@ -132,9 +132,9 @@ class Floor:
     repeated: bool = False
 
     def less(self, shares: Mapping[str, float]) -> Floor:
-        """Return the noise floor after a fraction of the noise variance is removed.
+        """Return a copy of the noise floor with a fraction of the noise variance removed.
 
-        ``shares`` has this fraction for each channel. Other channels are unchanged.
+        The mapping ``shares`` has this fraction for each channel. Other channels are unchanged.
         """
         left = {c: float(np.sqrt(1.0 - share)) for c, share in shares.items()}
         levels, inside, within = (
@@ -163,7 +163,9 @@ def _mean_squares(fit: Fit, residuals: Sequence[Array]) -> dict[str, float]:
 
 
 def taken_up(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """Return, by channel, a correction factor of squared residuals for the noise that parameters absorb.
+    """Return for each channel the factor of the noise variance that corrects for absorbed noise.
+
+    A fit absorbs part of the noise in its parameters, so that its residuals are smaller than the noise.
 
     Let h be the leverage of a fold. The expected squared residuals of the fold are 1 - h times the noise
     variance if the fold is fitted, and 1 / (1 - h) times the noise variance if the fold is held out (deletion
@@ -196,7 +198,7 @@ def floors(
     alike: Fit,
     noise_model: NoiseModel,
 ) -> Floor:
-    """Return the noise floor of each channel: no model of these trials can have smaller errors.
+    """Return the noise floor of each channel, the smallest error that a model of these trials can have.
 
     Parameters
     ----------
@@ -241,10 +243,10 @@ def floors(
 def _between_repeats(
     context: FitContext, last: Fit, residuals: Sequence[Array]
 ) -> tuple[dict[str, float], str | None]:
-    """Return the standard deviation between repeats of a setting, by channel, and the number of repeats.
+    """Return for each channel the standard deviation between repeats, and a text with their number.
 
-    The number of repeats is given in words. The result is empty if there are no repeats, or too few samples
-    in every trial.
+    Repeats are trials at the same setting. The result is empty if there are no repeats, or too few samples in
+    every trial.
     """
     groups = repeats(context)
     if not groups or all(len(r) < MIN_SAMPLES for r in last.residuals):
@@ -264,7 +266,9 @@ def _between_repeats(
 
 
 def disagreement(series: Sequence[tuple[Array, Array]]) -> Array:
-    """Return the variance between repeats at the times of the first repeat that the others cover, too.
+    """Return the variance between repeats of a trial at the common times.
+
+    The common times are the times of the first repeat within the time ranges of all others.
 
     The result has shape (n,). The other repeats are interpolated linearly. An interpolated sample is a
     weighted mean of two samples, and has less noise variance than each of them. The variance is therefore

@@ -16,14 +16,14 @@ from swimid.simulation.compare_series import ChannelScore
 
 Verdict = Literal["none", "explained", "ambiguous", "unexplained"]
 HeldOut = Literal["validation", "trials", "stretches"]
-#: Description of each way to hold out data.
+#: Text that describes each way to hold out data from a fit.
 HELD_OUT: dict[HeldOut | None, str] = {
     None: "on held-out data",
     "validation": "on the validation trials",
     "trials": "in cross-validation over trials",
     "stretches": "in cross-validation over stretches of trials",
 }
-#: Value of ``params`` in a diagnosis without a parameter file.
+#: Value of the gap-file field ``params`` in a diagnosis without a parameter file.
 ROBOT_FILE = "the robot file"
 #: Prefix of the names of other interpretations of the robot. The rest of such a name is a value of the option
 #: ``--reading``.
@@ -38,13 +38,13 @@ class ChannelGap(yamlio.Document):
 
     channel: str
     nrmse: Number
-    #: Error that noise alone causes.
+    #: Noise floor of the channel: root-mean-square error that noise alone causes.
     floor: Number
-    #: Fraction of the squared gap that this channel has, of the sum over all channels.
+    #: Squared gap of this channel as a fraction of the sum over all channels.
     share: Number
     rmse: Number = None
     unit: str = "1"
-    #: Error within trials, without between-trial variation.
+    #: Root-mean-square error within trials, without the between-trial variation.
     within: Number = None
 
     @property
@@ -67,10 +67,14 @@ class Cell(yamlio.Document):
 
 
 class Where(yamlio.Document):
-    """Location of the gap. Every list is sorted by size, largest first."""
+    """Location of the gap by channel, stage of the simulation, stroke phase, setting and time.
+
+    Every list is sorted by size, largest first.
+    """
 
     channels: list[ChannelGap]
-    #: Probability of each stage of the simulation: the sum over the effects of the stage, normalised to one.
+    #: Probability that the cause of the gap acts in each stage of the simulation. It is the sum over the
+    #: effects of the stage, normalised to one.
     stage: dict[Stage, Number]
     phase: list[Cell] = []
     regime: list[Cell] = []
@@ -78,7 +82,7 @@ class Where(yamlio.Document):
 
 
 class Value(yamlio.Document):
-    """Estimate of a parameter."""
+    """Estimate of a parameter with its standard error, unit and status."""
 
     value: Number
     stderr: Number = None
@@ -91,7 +95,7 @@ class ChangedValue(Value):
 
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
-    #: Value in the parameter file.
+    #: Value of the parameter in the parameter file.
     given: float = Field(alias="from")
     #: Absolute change divided by the combined standard error of the file and of the estimate.
     standard_errors: Number = None
@@ -150,7 +154,7 @@ class Step(yamlio.Document):
 
 
 class Absorbed(yamlio.Document):
-    """A coefficient of the model as given, refitted without the causes, and refitted with the causes."""
+    """Values of a coefficient of the model: as given, refitted without the causes, refitted with them."""
 
     coefficient: str
     given: Value | None = None
@@ -166,7 +170,8 @@ class Cause(yamlio.Document):
     probability: Number
     #: Effects that these trials cannot distinguish from this effect.
     equivalent: list[str] = []
-    #: Estimates. There are none for another interpretation of the robot's source (``reading:NAME=OPTION``).
+    #: Estimated parameters of the effect. Another interpretation of the robot's source
+    #: (``reading:NAME=OPTION``) has none.
     parameters: dict[str, Value | ChangedValue]
     shrinkage: list[Shrinkage] = []
     stage: Stage | None = None
@@ -176,14 +181,15 @@ class Cause(yamlio.Document):
     gain: Number = None
     gain_stderr: Number = None
     absorbed: list[Absorbed] = []
-    #: Prediction errors of the outermost settings (:class:`Distance`), each by a fit to all other trials.
+    #: Prediction errors (:class:`Distance`) at the extreme settings. Each setting is predicted by a fit to
+    #: all other trials.
     extrapolation: dict[str, Distance] = {}
 
 
 class Remaining(yamlio.Document):
     """Residuals that remain with the causes in the model."""
 
-    #: Fraction of the squared gap that remains.
+    #: Fraction of the squared gap that remains with the causes in the model.
     share: Number
     where: str
     #: Whether the remaining residuals have no structure.
@@ -203,7 +209,7 @@ class Advice(yamlio.Document):
 
 
 class Score(yamlio.Document):
-    """Results for one effect of the catalogue that was added to the model alone."""
+    """Results for one effect of the catalogue that is the only effect in the model."""
 
     effect: str
     stage: Stage | None = None
@@ -226,11 +232,11 @@ class Hypothesis(yamlio.Document):
     #: Sum of squared residuals at the optimum in units of the noise variance, plus the penalty for the
     #: parameters of the effects.
     score: Number
-    #: Value of ``score`` with noise whose correlation lasts long. None if the trials are enough to estimate
+    #: Value of ``score`` for noise with a long correlation time. None if there are enough trials to estimate
     #: the correlation of the noise.
     slow: Number = None
-    #: Largest squared cosine between the change of the trials by an effect and by another effect, for each
-    #: effect of a hypothesis with several effects.
+    #: Similarity of each effect of the hypothesis to the others: largest squared cosine between the changes
+    #: of the trials by this effect and by another one.
     alike: dict[str, float] = {}
     #: Sum of squared residuals of each fold in the fit to all data.
     folds: list[Number] = []
@@ -251,7 +257,7 @@ class GapFile(yamlio.ResultFile):
     waterfall: list[Step] = []
     #: Closed share of the squared gap over all channels; None without a cause.
     closed: Closed | None = None
-    #: Causes, the most important first. Several causes act together.
+    #: Causes of the gap, the most important first. Several causes act together.
     causes: list[Cause]
     remaining: Remaining
     advice: list[Advice] = []
@@ -264,26 +270,26 @@ class GapFile(yamlio.ResultFile):
     #: (``outside``).
     no_gap: Number = None
     outside: Number = None
-    #: Hypotheses, number of samples and number of effects. The probabilities in this file are computed from
-    #: them.
+    #: Hypotheses (``hypotheses``), number of samples (``samples``) and number of effects (``tried``) from
+    #: which the probabilities in this file are computed.
     hypotheses: list[Hypothesis] = []
     samples: int | None = None
     tried: int | None = None
-    #: Data on which the errors before and after are computed: ``validation`` trials, or parts of the data
-    #: (``trials`` or ``stretches`` of trials) that are held out of a refit in turn.
+    #: Data on which the errors without and with the causes are computed: ``validation`` trials, or parts of
+    #: the data (``trials`` or ``stretches`` of trials) that are held out of a refit, one after another.
     held_out: HeldOut | None = None
-    #: Prediction error of the held-out data without and with the causes.
+    #: Prediction errors of the held-out data, for the models without and with the causes.
     predicted: Distance | None = None
-    #: Source of the noise floor, in words.
+    #: Text that states from which data the noise floor was computed.
     floor_from: str = ""
-    #: Whether a setting was repeated, so that the between-trial variation can be estimated.
+    #: Whether some trials repeat a setting. Without repeats, differences between settings may be chance.
     repeats: bool = False
-    #: Number of settings of fitted and validation trials.
+    #: Number of different settings among the fitted and validation trials.
     setting_count: int | None = None
     #: Scores of all effects, best first.
     scores: list[Score] = []
-    #: Parameters of the file that the refit changed significantly. Their change is not a hypothesis, because
-    #: the file states no standard error or the model is a black box.
+    #: Parameters whose refitted values differ significantly from those of the parameter file. Their change is
+    #: not a hypothesis, because the file states no standard error or the model is a black box.
     moved: dict[str, ChangedValue] = {}
     #: Fraction of the output that a black-box model reproduces, for each channel with less than one half. The
     #: fraction is one minus the root-mean-square error divided by the standard deviation of the output.
@@ -293,23 +299,23 @@ class GapFile(yamlio.ResultFile):
     #: Reasons for the verdict, and reasons why the causes are not certain. Each reason is a clause.
     reasons: list[str] = []
     unsure: list[str] = []
-    #: Effects that could not be evaluated, with the reason.
+    #: Effects that could not be tested as causes, with the reason.
     left_out: dict[str, str] = {}
     #: Trial that contradicts the others, with its prediction error divided by the typical prediction error of
     #: the others.
     odd_trial: dict[str, float] = {}
     #: Causes that fit the trials best, but that increase the held-out errors.
     refuted: list[str] = []
-    #: Validation trials that the model does not predict, largest error first. The value is the root-mean-
-    #: square error divided by the error that noise and uncertain coefficients explain.
+    #: Validation trials that the model does not predict, largest error first. The value is the error (root
+    #: mean square) divided by the error that noise and uncertain coefficients explain.
     unpredicted: dict[str, float] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _largest_first(self) -> GapFile:
-        """Sort every list by size, largest first; unknown values come last.
+        """Sort every list of the gap file by size, largest first. Unknown values come last.
 
-        Scores without a gain keep the order of the screen.
+        Scores without a gain keep the order of the screening.
         """
         where = self.where
         where.channels.sort(key=lambda c: -_size(c.share))
@@ -334,7 +340,7 @@ class GapFile(yamlio.ResultFile):
         return self.causes[0].shrinkage if self.causes else []
 
     def write(self, path: str | Path) -> None:
-        """Write the file completely or not at all; unknown values are written as null."""
+        """Write the gap file completely or not at all. Unknown values are written as null."""
         yamlio.write(path, self.model_dump(mode="python"))
 
 

@@ -1,5 +1,6 @@
-"""Decide the verdict of a diagnosis. The fits propose the causes, and further tests can only weaken the
-verdict.
+"""Decide the verdict of a diagnosis.
+
+The fits propose a verdict and the causes. Further tests can only weaken the verdict.
 """
 
 from __future__ import annotations
@@ -23,42 +24,41 @@ from swimid.fitting import output_error
 from swimid.fitting.between_trials import MIN_TRIALS, OutlierTrial, find_outlier_trial
 from swimid.fitting.model import Array, Trial
 
-#: Minimum probability of the known causes, divided by that of all causes, for the verdict "explained". Below
-#: it, the verdict is "ambiguous".
+#: Minimum probability of causes in the catalogue, divided by that of all causes, for the verdict "explained".
+#: Below it, the verdict is "ambiguous".
 SURE = 0.8
-#: Minimum number of repeats, in addition to one trial per setting, for a statement that settings differ by
-#: more than chance. A single pair of repeats determines the between-repeat variance with one degree of
-#: freedom only.
+#: Minimum number of repeats, in addition to one trial per setting, that are needed to conclude that settings
+#: differ by more than chance. One repeat gives the between-repeat variance only one degree of freedom.
 MIN_REPEATS = 2
-#: Minimum total probability of a cause and its equivalents. Equivalents are added in order of decreasing
-#: probability until the sum reaches it.
+#: Minimum total probability of a reported cause and its equivalents. Equivalents are added in the order of
+#: decreasing probability until their sum reaches this minimum.
 CREDIBLE = 0.9
-#: Maximum number of effects in one answer: a cause and its equivalents. If there are more, the most probable
-#: ones are listed.
+#: Maximum number of effects that are reported for one cause: the cause and its equivalents. If there are
+#: more, the most probable ones are listed.
 SET = 3
-#: Threshold of the between-trial standard deviation, minus two standard errors, divided by the largest one
-#: that may be chance. Above it, the trials differ by more than chance.
+#: Ratio above which trials differ by more than chance. The numerator is the between-trial standard deviation
+#: minus two standard errors. The denominator is the largest standard deviation that may be chance.
 DIFFERS = 2.0
-#: Minimum fraction of the squared residuals of all trials, beyond the noise, that belongs to one trial. A
-#: trial with a larger fraction is tested as an outlier.
+#: Fraction of the squared residuals of all trials, minus the noise, above which a single trial is tested as
+#: an outlier.
 MAJORITY = 0.5
 
 
-#: Distances of held-out data from the predictions without and with the causes.
+#: Type of a pair: distances of held-out data from the predictions without and with the causes.
 Predicted = tuple[Misfit, Misfit]
 
 
 @dataclass(frozen=True)
 class Named:
-    """One reported cause with its equivalents and probabilities.
+    """Reported cause with its equivalents and probabilities.
 
     Attributes
     ----------
     probability : float
         Probability that the cause, or one of its equivalents, is missing in the model.
     closing : float
-        Probability that the cause, or one of its equivalents, closes most of the closed part of the gap. It
-        may act itself, or only imitate a cause outside the catalogue.
+        Probability that the cause, or one of its equivalents, belongs to the set of effects that closes the
+        gap best. It may act itself, or only imitate a cause outside the catalogue.
     alone : float
         Probability of the cause and of effects that change the trials in the same way, relative to all
         alternatives, given the other causes.
@@ -102,7 +102,7 @@ def named(state: State, found: Round) -> Named:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict of a diagnosis and its reasons.
+    """Verdict of a diagnosis, with its causes and reasons.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class Judgement:
 
     @property
     def odd_trial(self) -> dict[str, float]:
-        """Return the outlier trial with its error ratio; empty without an outlier."""
+        """Return the name and the error ratio of the outlier trial; empty without an outlier trial."""
         if self.odd is None:
             return {}
         return {self.odd.trial: self.odd.error_ratio}
@@ -150,7 +150,7 @@ class Judgement:
         return tuple(c.best.tried.effect.name for c in self.causes)
 
     def model(self, state: State) -> Fit:
-        """Return the model with the causes; without causes, the model without effects."""
+        """Return the fit of the model with the causes. If there are none, return that without effects."""
         if self.causes:
             return self.base
         return state.nominal
@@ -165,7 +165,7 @@ def judge(
     dropout: bool,
     validation: Sequence[Trial] = (),
 ) -> tuple[Judgement, list[Array], Remaining]:
-    """Return the verdict, the gap and the remaining part of the gap.
+    """Return the verdict of a diagnosis, the gap, and the part of the gap that the causes do not close.
 
     The gap consists of the weighted residuals of the model without effects. It has one array, shape (n_k,),
     for each trial.
@@ -186,7 +186,7 @@ def judge(
     floor = noise.inside
     told = _by_held_out(by_fits(state), state, held, floor, predicted)
     told = _by_single_trials(told, state, floor)
-    # Between-trial variation that a cause accounts for is part of the gap.
+    # Count between-trial variation as part of the gap if a cause accounts for it.
     gap = state.nominal.marginal_residuals([e.name for e in told.base.effects])
     left = remaining(state, told.base, gap, floor)
     if told.verdict != "none":
@@ -230,7 +230,10 @@ def _unreproduced(state: State, fit: Fit) -> dict[str, float]:
 
 
 def by_fits(state: State) -> Judgement:
-    """Return the most probable verdict: no gap, known causes, or a cause outside the catalogue."""
+    """Return the verdict that is most probable by the fits, before the tests on held-out data.
+
+    The verdicts are no gap, causes of the catalogue, and a cause outside the catalogue.
+    """
     posterior = state.posterior
     chosen = []
     if posterior.none <= UNSURE:
@@ -283,7 +286,7 @@ def _by_held_out(
 
 
 def _weakened(told: Judgement, why: str) -> Judgement:
-    """Return the judgement with a further reason for doubt: "explained" becomes "ambiguous"."""
+    """Return the judgement with a further reason for doubt. A verdict "explained" becomes "ambiguous"."""
     told = replace(told, unsure=(*told.unsure, why))
     if told.verdict == "explained":
         return replace(told, verdict="ambiguous")
@@ -331,7 +334,7 @@ def _by_single_trials(told: Judgement, state: State, floor: Mapping[str, float])
 def _by_differences(
     told: Judgement, state: State, gap: Sequence[Array], noise: Floor, left: Remaining
 ) -> Judgement:
-    """Return "unexplained" instead of "none" if the trials differ by more than chance.
+    """Change the verdict "none" to "unexplained" if the trials differ by more than chance.
 
     Chance differences are random differences of trim or friction, and differences between repeats of one
     setting.
@@ -352,7 +355,8 @@ def _by_remaining(told: Judgement, state: State, left: Remaining) -> Judgement:
     if not told.causes or not (left.share or 0.0) > shrinkage.MOST:
         return told
     why = f"{left.share:.0%} of the squared gap remains with {', '.join(told.names)}: {left.where}"
-    # A cause outside the catalogue acts, whatever its probability according to the fits.
+    # The remaining gap shows that a cause outside the catalogue acts, so recompute the probabilities of the
+    # causes under this condition.
     beside = state.posterior.beside_outside
     causes = (replace(c, probability=beside(*c.alike)) for c in told.causes if c.closing > 0.5)
     return replace(told, verdict="unexplained", causes=tuple(causes), reasons=(*told.reasons, why))
@@ -402,7 +406,7 @@ def _where(state: State) -> str:
 
 def differs(state: State) -> list[str]:
     """Return the names of random effects that vary between trials significantly more than by chance."""
-    # Factor that subtracts two standard errors from an estimated standard deviation.
+    # Compute the factor that subtracts two standard errors from an estimated standard deviation.
     least = 1.0 - 2.0 / np.sqrt(2.0 * len(state.context.trials))
     return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * kind.most]
 
@@ -410,9 +414,9 @@ def differs(state: State) -> list[str]:
 def contradicting(
     context: FitContext, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
 ) -> OutlierTrial | None:
-    """Return the outlier trial, or None.
+    """Return the trial that contradicts the other trials (an outlier), or None.
 
-    An outlier trial has most of the gap, and the other trials predict it worse than they predict each other.
+    An outlier has most of the gap, and the other trials predict it worse than they predict each other.
 
     Parameters
     ----------
@@ -442,9 +446,9 @@ def contradicting(
 
 
 def _excess(fit: Fit, k: int, residual: Array, floor: Mapping[str, float]) -> float:
-    """Return the squared residuals of a trial minus the expected noise, at least 0.
+    """Return the sum of squared residuals of a trial minus the expected noise, in noise variances.
 
-    The unit is the noise variance.
+    The result is at least 0.
     """
     parts = split(fit, k, residual).items()
     return max(sum(float(np.nansum((v / max(floor[c], 1e-300)) ** 2 - 1.0)) for c, v in parts), 0.0)

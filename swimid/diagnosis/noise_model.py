@@ -20,19 +20,20 @@ from swimid.fitting.model import Array
 from swimid.fitting.problem import Problem
 from swimid.fitting.uncertainty import fit_autoregression, joined
 
-#: Maximum order of the autoregression, and minimum number of samples per coefficient.
+#: Autoregression of the noise: maximum order (ORDER), and minimum number of samples per coefficient
+#: (PER_ORDER).
 ORDER, PER_ORDER = 6, 25
 #: Short-memory noise: fraction of the variance that is correlated in time, and correlation of that part
 #: between successive samples.
 COLOURED, POLE = 0.4, 0.8
-#: Threshold of the mean square of residuals above that of the rounding error, in standard errors (two: 95 %).
-#: Larger residuals are not only rounding.
+#: Excess of the mean square of residuals over that of the rounding error, in standard errors, above which the
+#: residuals are not only rounding (two standard errors: 95 %).
 ROUNDED = 2.0
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """A linear map from the weighted residuals of each trial to independent residuals of unit variance.
+    """Linear map from the weighted residuals of each trial to independent residuals of unit variance.
 
     Attributes
     ----------
@@ -49,8 +50,8 @@ class NoiseModel:
     rounding : mapping of channel to float
         Standard deviation of the weighted rounding error, for channels recorded by a counter of known step.
     long_memory : NoiseModel or None
-        The noise model in which slow residuals count as noise. It is set only if there are too few trials to
-        separate slow noise from a gap.
+        Noise model in which low-frequency residuals count as noise. It is set only if there are too few
+        trials to separate low-frequency noise from a gap.
     """
 
     sd: list[list[Array]]
@@ -88,8 +89,8 @@ class NoiseModel:
         a, count = self.colour.get(channel, np.empty(0)), int(np.sum(mask))
         taps = np.concatenate(([1.0], a)) / self.size.get(channel, 1.0)
         lags, first = np.arange(len(taps)), 1.0 / self.whole.get(channel, 1.0)
-        # Segments without a missing sample. The first sample of a segment has no predecessor, and the next
-        # samples have fewer predecessors than the order.
+        # Find the segments without a missing sample. The first sample of a segment has no predecessor, and
+        # the next samples have fewer predecessors than the order of the autoregression.
         begin = np.concatenate(([0], np.flatnonzero(np.diff(np.flatnonzero(mask)) > 1) + 1))[:count]
         past = np.arange(count) - np.repeat(begin, np.diff([*begin, count]))
         whole = np.flatnonzero(past >= len(a))
@@ -104,7 +105,7 @@ class NoiseModel:
 def coloured(
     problem: Problem, residuals: Sequence[Array], noise_model: NoiseModel, *, unknowns: float = 0.0
 ) -> NoiseModel:
-    """Return the noise model with autoregressions and standard deviations estimated from weighted residuals.
+    """Estimate the autoregressions and the standard deviations of a noise model from weighted residuals.
 
     Parameters
     ----------
@@ -134,10 +135,11 @@ def coloured(
 def brief(
     noise_model: NoiseModel, problem: Problem, residuals: Sequence[Array], channels: Sequence[str]
 ) -> NoiseModel:
-    """Return the noise model with short-memory noise in some channels. Slow residuals of these channels are
-    then not noise.
+    """Return a copy of the noise model with short-memory noise in the given channels.
 
-    The noise level is estimated from second differences of the residuals, to which slow motion contributes
+    Low-frequency residuals of these channels then do not count as noise.
+
+    The noise level is estimated from second differences of the residuals, to which low frequencies contribute
     little. A fraction `COLOURED` of the noise variance is correlated over a few samples (`POLE`), as in a
     tracker. If the residuals of a rounded record are no larger than the rounding error, they count as
     rounding, however slow they are.

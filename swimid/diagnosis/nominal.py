@@ -1,4 +1,4 @@
-"""Prepare the model for a diagnosis: the parameters to refit, and their priors."""
+"""Prepare a diagnosis: select the model parameters to refit, and their priors."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, 
 from swimid.results.parameters import Estimate
 from swimid.simulation.catalogue import Loaded
 
-#: File name endings of logs among the inputs.
+#: File name endings by which logs are recognised among the input files.
 LOGS = (".csv", *tabular.PARQUET)
 
-#: Prior standard deviation of a coefficient that no other trials determine, as a fraction of its value.
+#: Prior standard deviation of a coefficient that was not estimated from other trials, as a fraction of its
+#: value.
 OWN_PRIOR = 0.6
-#: Additional prior standard deviation of a black-box coefficient, as a fraction of its value, because
-#: conditions differ between days. A single black-box coefficient has no physical meaning. A change of one is
-#: therefore never a hypothesis.
+#: Additional prior standard deviation of a black-box coefficient, as a fraction of its value. It allows for
+#: conditions that differ between days. A change of a black-box coefficient is never a hypothesis, because a
+#: single one has no physical meaning.
 OTHER_PRIOR = 0.03
-#: Threshold of the correlation between the noise of a logged rate and that of the differentiated pose. Above
-#: it, the rate was computed from the pose.
+#: Correlation between the noise of a logged rate and that of the differentiated pose above which the rate
+#: counts as computed from the pose.
 DERIVED = 0.3
-#: Prefix of the names of parameter-change hypotheses. The rest of such a name is the name of the parameter.
+#: Prefix of the names of hypotheses that a parameter has changed. The rest of such a name is the parameter.
 PREFIX = "parameter:"
-#: Typical scale of a change, as a fraction of the parameter's value.
+#: Typical scale of a parameter's change since the parameter file was written, as a fraction of its value.
 TYPICAL_CHANGE = 0.1
 
 
@@ -83,7 +84,7 @@ class ParameterChange(Effect):
 
 @dataclass(frozen=True)
 class Begun:
-    """The trials and the priors of the coefficients at the start of a diagnosis.
+    """Trials, and priors of the coefficients, at the start of a diagnosis.
 
     Attributes
     ----------
@@ -122,7 +123,8 @@ def begun(loaded: Loaded) -> Begun:
         own_data = any(digest in known_logs for digest in digests_of(logs).values())
     own = applied.fitted_per_trial()
     if len(experiment.trials) >= FEWEST:
-        # These parameters are random effects in a diagnosis. Without a prior they would absorb any gap.
+        # Do not free the per-trial parameters of OWN. They are random effects in a diagnosis, and without a
+        # prior they would absorb any gap.
         own -= OWN.keys()
     model.parameters = refitted(model.parameters, given, applied.values(), own=own)
     runs = [run for trial in experiment.trials for run in model.apart(trial)]
@@ -208,8 +210,9 @@ def prior(
 
 
 def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
-    """Return the trial in which every logged channel counts as measured, unless it is computed from
-    another one.
+    """Return a copy of the trial in which all logged channels count as measured.
+
+    Channels that were computed from other channels are left out.
     """
     measured = dict(trial.measured)
     joints_drive = trial.swim.joints is not None
@@ -227,7 +230,7 @@ def widened(trial: Trial, channels: Sequence[Channel]) -> Trial:
 
 
 def _computed(name: str, values: Array, trial: Trial) -> bool:
-    """Return whether a velocity was computed from the logged pose."""
+    """Return whether a logged velocity or rate was computed by differentiation of the logged pose."""
     source = {"yaw_rate_rad_s": "yaw_rad", "pitch_rate_rad_s": "pitch_rad"}.get(name)
     heading = next((c for c in ("yaw_rad", "pitch_rad") if c in trial.measured), None)
     time = trial.time_s

@@ -1,4 +1,4 @@
-"""The options of ``diagnose``."""
+"""Options of the command ``diagnose``."""
 
 from __future__ import annotations
 

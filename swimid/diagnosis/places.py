@@ -15,16 +15,17 @@ from swimid.diagnosis.gap_file import Cell
 from swimid.diagnosis.remainder import beat_hz
 from swimid.fitting.model import Array
 
-#: Number of bins of the stroke phase.
+#: Number of bins of the stroke phase in which the gap is computed.
 PHASES = 8
-#: Maximum number of trials that are listed individually.
+#: Maximum number of trials for which the gap is listed trial by trial.
 MOST_TRIALS = 30
-#: Duration of the start-up: number of beats, or a fraction of the duration of a trial without a beat.
+#: Duration of the start-up of a trial: number of beats (START_BEATS), or fraction of the duration of a trial
+#: without a beat (START_SHARE).
 START_BEATS, START_SHARE = 3.0, 0.2
 
 
 class Map:
-    """Squared residuals of each sample, divided by the squared noise floor.
+    """Table of the squared residual of each sample divided by the squared noise floor.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ class Map:
         self.total = max(float(np.sum(self.samples["square"].dropna().to_numpy() - 1.0)), 1e-12)
 
     def cells(self, kind: str, labels: pd.Series) -> list[Cell]:
-        """Return the gap in the samples of each label, over all channels."""
+        """Return the gap for each label, over all channels, where each sample has one of the labels."""
         return [
             Cell(
                 kind=kind,
@@ -71,7 +72,7 @@ class Map:
 
 
 def regimes(where: Map) -> list[Cell]:
-    """Return the gap by setting, and by trial."""
+    """Return the gap at each value of each setting, and in each trial."""
     known = pd.DataFrame([{**settings.words(t), "trial": t.id} for t in where.trials])
     found = []
     for kind in known:
@@ -82,7 +83,7 @@ def regimes(where: Map) -> list[Cell]:
 
 
 def phases(where: Map) -> list[Cell]:
-    """Return the gap by stroke phase; empty if no trial has a drive."""
+    """Return the gap in each bin of the stroke phase; empty if no trial has a drive."""
     if not any(t.swim.drive is not None for t in where.trials):
         return []
     edges = [round(360 * i / PHASES) for i in range(PHASES + 1)]
@@ -91,7 +92,7 @@ def phases(where: Map) -> list[Cell]:
 
 
 def times(where: Map) -> list[Cell]:
-    """Return the gap during start-up and steady motion."""
+    """Return the gap during the start-up of the trials, and during the steady motion after it."""
     ends = []
     for t in where.trials:
         if len(t.time_s) < 10:

@@ -12,9 +12,9 @@ is similar to theirs, it adds no evidence. Otherwise it must close nearly all of
 a form error rarely looks like a single effect. The folds get random weights (Bayesian bootstrap), so that an
 effect that helps in one fold only is uncertain.
 
-A few trials do not separate slow noise from a gap. Short-memory noise then decides whether there is a gap,
-and how much of it is closed. The cause must also be probable with long-memory noise. The two posteriors are
-pooled logarithmically.
+A few trials do not separate low-frequency noise from a gap. The posterior with short-memory noise then
+decides whether there is a gap, and how much of it is closed. The cause must also be probable with long-memory
+noise. The two posteriors are pooled logarithmically.
 """
 
 from __future__ import annotations
@@ -30,17 +30,18 @@ from swimid.fitting.model import Array
 
 #: Maximum root-mean-square error of the model, divided by that of the noise, that counts as no gap.
 TENTH = 0.1
-#: Prior odds of one further cause. They are a choice: a gap with several causes is assumed to be rarer.
+#: Prior odds of each further cause in a set of causes. The value is chosen, not estimated: a gap with several
+#: causes is assumed to be rarer.
 FURTHER = 0.1
-#: Threshold of the probability of no gap. Below it, a gap is reported.
+#: Probability of no gap below which a diagnosis reports a gap.
 UNSURE = 0.1
-#: Number of random samples of the fold weights.
+#: Number of random samples of the weights of the cross-validation folds (Bayesian bootstrap).
 WEIGHTINGS = 200
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Constants that are calibrated on trials with known causes.
+    """Constants of the posterior probabilities, calibrated on trials with known causes.
 
     Attributes
     ----------
@@ -71,14 +72,15 @@ class Calibration:
     acts: float
 
 
-#: From ``python -m tests.calibrate`` on trials simulated by independent code. Each case was also judged with
-#: its true effect removed from the catalogue.
+#: Constants of the posterior probabilities as ``python -m tests.calibrate`` computes them. The calibration
+#: uses trials that independent code simulates. Each case is also diagnosed with its true effect removed from
+#: the catalogue.
 CALIBRATED = Calibration(8.7, 0.30, 1.4, 8.0, -2.7, 4.3, 0.15)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A hypothesis with its squared residuals and penalty.
+    """Hypothesis with its squared residuals and the penalty for its parameters.
 
     Attributes
     ----------
@@ -107,7 +109,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Posterior probabilities. Those of ``sets``, ``none`` and ``outside`` sum to one.
+    """Posterior probabilities of the sets of causes, of no gap, and of a cause outside the catalogue.
+
+    The values of ``sets``, ``none`` and ``outside`` sum to one.
 
     Attributes
     ----------
@@ -142,7 +146,9 @@ class Posterior:
 
     @property
     def known(self) -> dict[frozenset[str], float]:
-        """Return the probability that each set closes most of the gap without other effects of the catalogue.
+        """Return for each set the probability that it closes most of the gap without other known effects.
+
+        Known effects are those of the catalogue.
 
         A cause outside the catalogue may act in addition.
         """
@@ -178,17 +184,16 @@ class Posterior:
         return self.acts * closing / max(self.outside, 1e-300)
 
     def closing(self, *names: str) -> float:
-        """Return the probability that one of the named effects closes most of the closed part of the gap.
+        """Return the probability that one of the named effects belongs to the set that closes the gap best.
 
-        The effect may be a cause or only imitate one.
+        The effect may be a cause, or only imitate a cause outside the catalogue.
         """
         return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
 
     def instead(self, name: str, among: frozenset[str], *, exact: bool = False) -> dict[str, float]:
-        """Return the probability of each effect in the place of ``name`` in the set ``among``, given the
-        others.
+        """Return the probability of each effect that could replace ``name`` in the set ``among``.
 
-        The probabilities sum to one.
+        The other effects of the set are assumed to act. The probabilities sum to one.
 
         Parameters
         ----------
@@ -224,7 +229,7 @@ def prior(size: int, effects: int) -> float:
 
 @dataclass(frozen=True)
 class Record:
-    """Amount of data.
+    """Size of the data set: numbers of residuals, of cross-validation folds, and of applicable effects.
 
     Attributes
     ----------
@@ -242,7 +247,7 @@ class Record:
 
 
 def unit(record: Record, gap: float, known: Calibration = CALIBRATED) -> float:
-    """Return the largest excess that is no evidence against a hypothesis.
+    """Return the largest excess of squared residuals over the noise that refutes no hypothesis.
 
     It is the sum of three terms: a discrepancy as large as the noise in all its directions, a model error of
     a tenth of the noise, and the form error of a true effect.
@@ -305,7 +310,7 @@ def penalty(shared: int, own: int, samples: float, trials: int) -> float:
 
 
 def most(excess: float, record: Record) -> float:
-    """Return the maximum gain in log-evidence of a larger set over a set with this excess."""
+    """Return the maximum log-evidence that a further effect can add to a set of effects with this excess."""
     gained = 0.5 * CALIBRATED.further * math.log1p(max(excess, 0.0) / unit(record, 0.0))
     return gained - CALIBRATED.number
 
@@ -388,8 +393,12 @@ def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> A
 
 
 def _spread(evidence: Array, gained: Array) -> Array:
-    """Add the log-evidence ``gained`` to that of each hypothesis, shape (c, m), without a change of the
-    total.
+    """Add ``gained`` to the log-evidence of each hypothesis, and rescale so that the total stays the same.
+
+    Parameters
+    ----------
+    evidence : ndarray, shape (c, m)
+        Log-evidence of each hypothesis for each sample of the fold weights.
     """
     if not len(evidence):
         return evidence

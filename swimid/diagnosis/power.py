@@ -41,8 +41,8 @@ class Row(yamlio.Document):
 
     effect: str
     stage: str
-    #: Parameter that states the size of the effect. ``size`` is its smallest value that is detected with 90 %
-    #: power; null if no value within its bounds is detected.
+    #: Name of the parameter that gives the size of the effect (``parameter``), and its smallest value that is
+    #: detected with 90 % power (``size``). The value is null if no value within its bounds is detected.
     parameter: str
     size: Number = None
     unit: str
@@ -63,13 +63,13 @@ class PowerFile(yamlio.ResultFile):
     params: str
     trials: list[str]
     effects: list[Row]
-    #: Effects that could not be evaluated, with the reason.
+    #: Effects whose detection power could not be computed, with the reason.
     left_out: dict[str, str] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
 def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:
-    """Return the evidence of a power file: its table, and the number of detectable effects."""
+    """Return the evidence of a power file: a table of the effects, and the number of detectable effects."""
     blind = [r.effect for r in file.effects if r.size is None]
     twins = sum(r.size is not None and bool(r.alike) for r in file.effects)
     seen = len(file.effects) - len(blind)
@@ -135,13 +135,13 @@ class DetectionPower(FileResult[PowerFile]):
 
     @property
     def effects(self) -> pd.DataFrame:
-        """Return a table with one row for each effect."""
+        """Return the table of detection powers, with one row for each effect."""
         import pandas as pd
 
         return pd.DataFrame([r.model_dump() for r in self.file.effects])
 
     def bare(self) -> ev.Evidence:
-        """Return the evidence for the report of a power file that contains none."""
+        """Return the evidence that the power file alone provides, if its evidence file is missing."""
         return evidence(self.file)
 
 
@@ -149,20 +149,21 @@ class DetectionPower(FileResult[PowerFile]):
 
 #: Probability with which an effect of the reported size is detected.
 POWER = 0.9
-#: Minimum fraction of a squared change that remains after the model's parameters are projected out. A smaller
-#: remainder is rounding error.
+#: Minimum fraction of the squared change by an effect that must remain after the model's parameters are
+#: projected out. A smaller remainder is rounding error.
 ROUNDING = 1e-9
 
 
 def needed(record: Record, kinds: int) -> float:
-    """Return the minimum excess of the model without an effect for which a gap is reported, if the effect
-    closes the whole gap.
+    """Return the minimum excess of squared residuals over the noise at which a gap is reported.
+
+    The excess is that of the model without an effect. The effect is assumed to close the whole gap.
     """
     costs = CALIBRATED.number * kinds - posterior.prior(1, record.effects)
     wanted = costs + math.log((1.0 - UNSURE) / UNSURE)
     directions = CALIBRATED.directions * record.parts
     share = math.expm1(2.0 * wanted / directions)
-    # The excess that is no evidence grows with the gap. Without room for it, no excess is enough.
+    # The excess that refutes no hypothesis grows with the gap. If it grows too fast, no gap is ever reported.
     room = 1.0 - CALIBRATED.form * share
     if room <= 0:
         return math.inf
@@ -170,9 +171,10 @@ def needed(record: Record, kinds: int) -> float:
 
 
 def noncentrality(drop: float, numbers: int) -> float:
-    """Return the squared change, in units of the noise variance, that reduces the cost by at least ``drop``.
+    """Return the squared change of the trials by an effect that is needed for detection with 90 % power.
 
-    The probability of such a reduction is 90 %.
+    With this probability, a fit of the effect reduces the cost by at least ``drop``. The squared change is in
+    units of the noise variance.
     """
     if not math.isfinite(drop):
         return math.inf
@@ -180,7 +182,7 @@ def noncentrality(drop: float, numbers: int) -> float:
 
 
 def told_apart(record: Record, cosine: float) -> bool:
-    """Return whether a very large effect can be distinguished from another effect.
+    """Return whether the trials can distinguish an effect, if it is very large, from another effect.
 
     The cosine is the one between the changes of the trials by the two effects.
     """
@@ -191,7 +193,7 @@ def told_apart(record: Record, cosine: float) -> bool:
 
 
 class _Line(NamedTuple):
-    """An effect whose size varies along one direction of its parameters.
+    """Effect whose size varies along one direction in the space of its parameters.
 
     Attributes
     ----------
@@ -213,7 +215,7 @@ class _Line(NamedTuple):
 def shown(
     given: FitContext, effects: Sequence[Effect], asked: Collection[str] | None, *, seed: int
 ) -> tuple[list[Row], dict[str, str]]:
-    """Return the detection power of each effect, and the reason for each effect that has none.
+    """Return the detection power of each effect, and the reasons why it is unknown for some effects.
 
     The noise is estimated from the residuals of the model. Structure that a generic description finds in
     these residuals (:mod:`swimid.diagnosis.remainder`) does not count as noise.
@@ -285,8 +287,9 @@ def shown(
 
 
 def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
-    """Return the directions in which an effect is tried, and append the changes of the trials to
-    ``columns``.
+    """Return the parameter directions in which an effect was simulated.
+
+    The resulting changes of the trials are appended to ``columns``.
     """
     null = np.array([p.start for p in tried.parameters])
     groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
@@ -302,7 +305,10 @@ def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
 
 
 def _cosine(products: Array, i: int, j: int) -> float:
-    """Return the cosine between two changes, from the matrix of their products; 0 if one is zero."""
+    """Return the cosine between the changes of the trials by two effects; 0 if one change is zero.
+
+    The argument ``products`` has the inner products of all changes.
+    """
     norm = np.sqrt(max(products[i, i], 0.0) * max(products[j, j], 0.0))
     if norm <= 0:
         return 0.0
@@ -310,10 +316,10 @@ def _cosine(products: Array, i: int, j: int) -> float:
 
 
 def _strength(strengths: Array, squares: Array, wanted: float) -> tuple[float, int]:
-    """Return the distance from the null value at which the squared change reaches ``wanted``.
+    """Return the distance of a parameter from its null value at which the squared change reaches ``wanted``.
 
-    The second value is the index of the nearest tried value. The squared change is assumed to be quadratic in
-    the distance. The distance is infinite if the effect changes nothing.
+    The second value is the index of the nearest simulated value. The squared change of the trials is assumed
+    to be quadratic in the distance. The distance is infinite if the effect changes nothing.
     """
     with np.errstate(divide="ignore"):
         reached = strengths * np.sqrt(wanted / squares)

@@ -19,33 +19,34 @@ from scipy import special
 from swimid.effects.base import Effect
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
 
-#: Per-trial parameters of a model that may also differ at random. The value names a shared parameter and the
-#: fraction of it that is the typical scale. None means that the typical scale is the parameter's own scale.
+#: Per-trial parameters of a model that may be random effects. The value names a shared parameter, and the
+#: fraction of it that is the typical scale of the random effect. None stands for the parameter's own scale.
 OWN: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
     "start_offset": None,
     "initial_speed": None,
 }
-#: Minimum number of trials for a between-trial standard deviation, and minimum ratio of the variance of the
-#: per-trial estimates to their sampling variance.
+#: Estimation of a between-trial standard deviation: minimum number of trials (FEWEST), and minimum ratio of
+#: the variance of the per-trial estimates to their sampling variance (CLEAR).
 FEWEST, CLEAR = 3, 2.0
-#: Maximum standard deviation that may be chance, in typical scales. A larger one is treated as an effect. If
-#: settings are repeated, the maximum is the upper confidence bound, at level `LEVEL`, of the standard
-#: deviation between repeats.
+#: Maximum between-trial standard deviation that may be chance, in typical scales. A larger one is treated as
+#: an effect. If settings are repeated, the maximum is the upper confidence bound, at level `LEVEL`, of the
+#: standard deviation between repeats.
 LARGEST_SD, LEVEL = 0.5, 0.95
-#: Maximum deviation of one trial in standard deviations, and possible error of a standard deviation from few
-#: trials in typical scales. Without these limits, random effects would absorb any gap.
+#: Limits of a random effect, without which it would absorb any gap: maximum deviation of one trial in
+#: between-trial standard deviations (FARTHEST), and allowance in typical scales for the error of a standard
+#: deviation from few trials (UNSURE).
 FARTHEST, UNSURE = 3.0, 0.1
 
 
 @dataclass(frozen=True)
 class RandomEffect:
-    """A quantity that differs at random between trials.
+    """Random effect: a quantity that differs at random between trials.
 
     Attributes
     ----------
     name : str
-        Name in words.
+        Name of the quantity in texts.
     label : str
         Name of its parameter among the parameters of a model on which the random effect acts.
     size : float
@@ -72,11 +73,14 @@ class RandomEffect:
     most: float = LARGEST_SD
 
     def scattering(self, sd: float) -> RandomEffect:
-        """Return a copy with another standard deviation, limited to the largest one that may be chance."""
+        """Return a copy of the random effect with another between-trial standard deviation.
+
+        The standard deviation is limited to the largest one that may be chance.
+        """
         return replace(self, sd=min(sd, self.most))
 
     def number(self, parameter: Parameter) -> Parameter:
-        """Return the per-trial parameter, with bounds at the largest chance deviation."""
+        """Return the per-trial parameter of the random effect, bounded by the largest chance deviation."""
         farthest = FARTHEST * math.hypot(self.sd, UNSURE) * self.size
         lower = max(parameter.lower, parameter.start - farthest)
         upper = min(parameter.upper, parameter.start + farthest)
@@ -85,7 +89,7 @@ class RandomEffect:
 
     @cached_property
     def acting(self) -> Effect | None:
-        """Return the effect with one value for each trial.
+        """Return the effect whose parameter has one value for each trial; None for a model parameter.
 
         The same object is always returned, because results are cached by the object.
         """
@@ -95,7 +99,7 @@ class RandomEffect:
 
 
 class TrialEffect(Effect):
-    """An effect of which one parameter has a separate value for each trial."""
+    """Effect of which one parameter has a separate value for each trial (a random effect)."""
 
     name: ClassVar[str] = "chance"
 
@@ -103,7 +107,7 @@ class TrialEffect(Effect):
         self.kind, self.effect = kind, effect
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return the per-trial parameter."""
+        """Return the per-trial parameter of the random effect."""
         p = self.effect.parameters(model, trials)[self.kind.place]
         return (replace(self.kind.number(p), name=f"{self.effect.name} {p.name}"),)
 
@@ -121,8 +125,10 @@ def kinds(
     effects: Sequence[Effect],
     value: Mapping[str, float],
 ) -> list[RandomEffect]:
-    """Return the possible random effects: those of effects that may differ at random, and per-trial
-    parameters of the model.
+    """Return the possible random effects of a model.
+
+    They come from effects whose parameters may differ at random between trials, and from per-trial parameters
+    of the model.
 
     Parameters
     ----------
@@ -187,7 +193,7 @@ def spread(
     residuals : sequence of ndarray, shape (n_k,)
         Weighted residuals of simulations with equal random effects in all trials.
     own : sequence of ndarray, shape (n_k, m)
-        Weighted derivatives with respect to the start state of the trial, which is estimated too.
+        Weighted derivatives with respect to the initial state of the trial, which is estimated too.
     random_effects : sequence of ndarray, shape (n_k, q)
         Weighted derivatives with respect to the random effects, multiplied by their typical scales.
     repeats : sequence of sequence of int
@@ -228,14 +234,13 @@ def spread(
 def _estimates(
     inner: Sequence[Array], i: int, known: NDArray[np.intp], sd: Array, kinds: int
 ) -> dict[int, tuple[float, float]]:
-    """Return each trial's estimate of one random effect and the sampling variance of the estimate, by trial
-    index.
+    """Return for each trial index the estimate of one random effect, and the estimate's sampling variance.
 
     Parameters
     ----------
     inner : sequence of ndarray
         Matrix of each trial: inner products of the random effects, the residual, and the derivatives with
-        respect to the start state.
+        respect to the initial state.
     known, sd : ndarray
         Indices of random effects with a known standard deviation, and these standard deviations.
     """
@@ -264,13 +269,13 @@ def _spread(
     used: int,
     cautious: bool,
 ) -> Spread:
-    """Return the between-trial variation from per-trial estimates."""
+    """Return the between-trial variation of a random effect, computed from its per-trial estimates."""
     n = len(estimates)
     if n < FEWEST:
         return Spread()
     b, c = (np.array(x) for x in zip(*estimates.values(), strict=True))
     # Limit the standard deviation by the median absolute deviation, so that one outlier trial does not
-    # decide.
+    # determine it.
     middle = float(np.median(b))
     robust = 1.4826 * float(np.median(np.abs(b - middle))) * (1.0 + 0.8 / n)
     if cautious:
@@ -283,13 +288,14 @@ def _spread(
     if variance <= CLEAR * typical:
         return Spread()
     variance -= typical
-    # Log-density of the estimates with this variation, minus their log-density with the sampling error alone.
+    # Compute by how much the variation increases the log-density of each estimate, compared with its sampling
+    # error alone.
     gained = 0.5 * (b**2 / c - b**2 / (c + variance) - np.log1p(variance / c))
     return Spread(math.sqrt(variance), _most(estimates, repeats), float(gained.sum() - gained.max()))
 
 
 def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequence[int]]) -> float:
-    """Return the largest standard deviation that may be chance, from repeats of one setting.
+    """Return the largest between-trial standard deviation that may be chance, from repeats of one setting.
 
     Without repeats it is :data:`LARGEST_SD`. With few repeats it is at most the larger of :data:`LARGEST_SD`
     and the standard deviation between the repeats.
@@ -303,6 +309,6 @@ def _most(estimates: Mapping[int, tuple[float, float]], repeats: Sequence[Sequen
     if not freedom:
         return LARGEST_SD
     bound = math.sqrt(squares / float(special.chdtri(freedom, LEVEL)))
-    # One pair of repeats leaves a wide bound. A limit above :data:`LARGEST_SD` requires that the pair itself
-    # differs by more.
+    # A single pair of repeats gives a wide confidence bound. The result exceeds :data:`LARGEST_SD` only if
+    # the standard deviation between the repeats does.
     return min(bound, max(LARGEST_SD, math.sqrt(squares / freedom)))

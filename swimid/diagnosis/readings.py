@@ -16,14 +16,14 @@ from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
 from swimid.robots.file import RobotFile
 from swimid.swimmer.model import Swimmer
 
-#: Threshold of the difference between two simulations, divided by the range of the channel. Below it, two
-#: interpretations of the source are equivalent.
+#: Difference between two simulations, divided by the range of the channel, below which two interpretations of
+#: the robot's source are equivalent.
 ALIKE = 1e-9
-#: Offset of the coefficients from their start values, in typical scales, for the comparison of
-#: interpretations. With a coefficient of zero, differences would not be visible.
+#: Offset of the coefficients from their start values, in typical scales, when two interpretations of the
+#: robot are compared. A coefficient of zero would hide differences.
 AWAY = 0.1
-#: Part of the simulated system to which a place in the robot file belongs, by the words in the place. All
-#: other places belong to the structure.
+#: Part of the simulated system (stage) to which an entry of the robot file belongs. The text is contained in
+#: the path of the entry. All other entries belong to the stage "structure".
 PLACES: tuple[tuple[str, Stage], ...] = (
     (".driven", "actuation"),
     (".elements.", "fluid"),
@@ -32,12 +32,13 @@ PLACES: tuple[tuple[str, Stage], ...] = (
     (".reference", "sensing"),
     (".markers.", "sensing"),
 )
-#: Words of places in the robot file whose content is already part of the loaded trials.
+#: Texts in the paths of those entries of the robot file that are already part of the loaded trials. An answer
+#: that changes such an entry cannot be tested.
 COMMANDS = (".strokes.",)
 
 
 class Reread:
-    """The models of a robot file for all interpretations of its source.
+    """Cache of the models of a robot file for all interpretations of its source.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class Reread:
         self._models: dict[tuple[float, frozenset[tuple[str, str]]], Swimmer] = {}
 
     def model(self, model: Model, question: str, option: str) -> Model:
-        """Return the model in which one question about the source has another answer."""
+        """Return the model of the robot if one question about its source has another answer."""
         assert model.swimmer is not None
         chosen = {key: reading.chosen for key, reading in model.swimmer.robot.readings.items()}
         key = model.swimmer.max_step, frozenset({**chosen, question: option}.items())
@@ -61,8 +62,10 @@ class Reread:
         return self._models[key]
 
     def stand(self, answers: Mapping[str, str]) -> bool:
-        """Return whether the given answers can be combined in a model that is comparable with the nominal
-        one.
+        """Return whether the answers can be combined into a model that is comparable with the nominal one.
+
+        A comparable model has the same parameters and channels. The answers belong to questions about the
+        robot's source.
         """
         model: Model = self._nominal
         try:
@@ -77,7 +80,7 @@ class Reread:
 
 
 class OtherReading(Effect):
-    """A question about a robot's source, with another answer than the robot file has chosen.
+    """Other interpretation of a robot's source: one question gets another answer than in the robot file.
 
     The robot with this answer replaces the nominal robot, and other effects act on the replacement.
 
@@ -98,14 +101,14 @@ class OtherReading(Effect):
     meaning: ClassVar[str]
 
     def __init__(self, question: str, option: str, *, meaning: str, stage: Stage, reread: Reread) -> None:
-        # Each robot file has its own questions. Attributes that belong to the class of other effects
-        # therefore belong to the instance here.
+        # Set name, stage and meaning on the instance. Other effects have them on the class, but the questions
+        # differ between robot files.
         vars(self).update(name=f"{READING}{question}={option}", stage=stage, meaning=meaning)
         self.question, self.option = question, option
         self._reread = reread
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return no parameters."""
+        """Return no parameters, because another interpretation of the robot has none."""
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
@@ -113,22 +116,25 @@ class OtherReading(Effect):
         return NONE
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Return one point, which has no parameters."""
+        """Return one empty parameter vector, because the effect has no parameters."""
         return [np.empty(0)]
 
     def joins(self, effects: Sequence[Effect]) -> bool:
-        """Return whether the reading can be combined with effects; its own options exclude each other."""
+        """Return whether this interpretation of the robot can be combined with the given effects.
+
+        Two answers to the same question cannot be combined.
+        """
         answers = {e.question: e.option for e in effects if isinstance(e, OtherReading)}
         if self.question in answers:
             return False
         return not answers or self._reread.stand({**answers, self.question: self.option})
 
     def in_place_of(self, model: Model) -> Model:
-        """Return the model of the robot with this answer."""
+        """Return the model of the robot with this answer, which replaces the nominal model."""
         return self._reread.model(model, self.question, self.option)
 
     def content(self) -> bytes:
-        """Return the name, which identifies the effect."""
+        """Return the name of the effect as bytes. The name identifies the effect."""
         return self.name.encode()
 
 
@@ -186,8 +192,9 @@ def names(experiment: Experiment) -> list[str]:
 
 
 def _stage(places: Sequence[str]) -> Stage:
-    """Return the part of the simulated system that an interpretation concerns, the first one if there are
-    several.
+    """Return the part of the simulated system (stage) that the given entries of the robot file concern.
+
+    If there are several stages, the first one is returned.
     """
     stages: list[Stage] = [
         next((stage for word, stage in PLACES if word in place), "structure") for place in places
@@ -196,7 +203,7 @@ def _stage(places: Sequence[str]) -> Stage:
 
 
 def _away(model: Model) -> Array:
-    """Return parameter values slightly off their start values, within bounds."""
+    """Return values of the model parameters slightly off their start values, within their bounds."""
     return np.array(
         [
             p.start if p.per_trial else float(np.clip(p.start + AWAY * p.scale, p.lower, p.upper))

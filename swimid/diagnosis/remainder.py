@@ -1,4 +1,4 @@
-"""Test whether the remaining residuals have structure, and in which part of the data.
+"""Test whether the residuals of a fit have structure, and where in the simulation it may arise.
 
 The test fits a generic description to the residuals: smooth forces, stroke changes and sensor errors without
 a physical cause. They are never reported as a cause. They are a model discrepancy with a prior, as in Kennedy
@@ -24,28 +24,36 @@ from swimid.effects.base import Effect
 from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
 from swimid.fitting.problem import Problem, map_in_processes
 
-#: Candidate prior standard deviations of the coefficients of a generic description, in typical scales.
+#: Candidates for the prior standard deviation of the terms that describe residuals without physics, in units
+#: of the typical scale of each term.
 WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-#: Maximum effective number of parameters of a generic description, as a fraction of the number of samples.
-#: With more parameters it would describe noise.
+#: Maximum effective number of parameters of a generic description of residuals, as a fraction of the number
+#: of samples. With more parameters, the description would fit noise.
 MOST_USED = 0.5
-#: Thresholds of :attr:`LowFrequency.ratio`. A channel moves slower than noise if its ratio exceeds `SURE`, or
-#: if it exceeds both `SLOW` and `AGAINST` times the smallest ratio of all channels.
+#: Thresholds of :attr:`LowFrequency.ratio`. The residuals of a channel have a low-frequency component if
+#: their ratio exceeds `SURE`, or if it exceeds both `SLOW` and `AGAINST` times the smallest ratio of all
+#: channels.
 SLOW, AGAINST, SURE = 1.45, 1.25, 2.2
 
-#: Minimum decrease of the held-out squared residuals per sample by a generic description, in units of the
-#: noise variance.
+#: Minimum decrease of the held-out squared residuals, per sample, with which a generic description shows
+#: structure in the residuals. Its unit is the noise variance.
 PER_SAMPLE = 0.002
-#: Number of random samples of pure noise, and quantile of the largest decrease of their squared residuals by
-#: a generic description. The decrease in the trials must exceed this quantile.
+#: Number of random noise records, and quantile of the decreases of their squared residuals when a generic
+#: description is fitted to them. The decrease in the trials must exceed this quantile to count as structure.
 DRAWS, QUANTILE = 400, 0.975
-#: Upper and lower limit of the minimum decrease of the held-out squared residuals, in units of the noise
-#: variance. Between the limits, the minimum is half the number of samples.
+#: Largest and smallest value of the decrease of the held-out squared residuals that is required for
+#: structure, in units of the noise variance. Between these limits, half the number of samples is required.
 LEAST_GAIN, LEAST_OF_FEW = 50.0, 25.0
 
 
 def least_gain(samples: float) -> float:
-    """Return the minimum decrease of the held-out squared residuals that counts as structure."""
+    """Return the minimum decrease of the held-out squared residuals that counts as structure in them.
+
+    Parameters
+    ----------
+    samples : float
+        Number of residuals.
+    """
     return float(np.clip(0.5 * samples, LEAST_OF_FEW, LEAST_GAIN))
 
 
@@ -78,14 +86,15 @@ class Left:
 
     @property
     def found(self) -> bool:
-        """Return whether the residuals decrease by more than pure noise allows."""
+        """Return whether the generic description decreases the residuals by more than noise alone allows."""
         return self.gain > self.threshold
 
 
 def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
-    """Return the place of each generic term, and its weighted change of each trial at the typical scale.
+    """Return the place of each generic term in the simulation, and its weighted change of each trial.
 
-    Terms that change nothing, or with which the simulation diverges, are left out.
+    Each term has its typical scale. Terms that change nothing, or with which the simulation diverges, are
+    left out.
     """
 
     def of(description: Description) -> list[tuple[str, list[Array]]]:
@@ -101,8 +110,9 @@ def _terms(context: FitContext, base: Fit) -> list[tuple[str, list[Array]]]:
 
 
 def find(context: FitContext, base: Fit, noise_model: NoiseModel, *, rng: np.random.Generator) -> Left:
-    """Fit a generic description to the residuals of a fit. The width of its prior is chosen on held-out
-    folds.
+    """Fit a generic description without physics to the residuals of a fit.
+
+    The width of the prior of its terms is chosen on held-out folds.
     """
     terms = _terms(context, base)
     columns = [changed for _, changed in terms]
@@ -187,18 +197,18 @@ def saturated(
 
 @dataclass(frozen=True)
 class LowFrequency:
-    """Slow motion in the residuals of a channel, compared with the noise of the channel.
+    """Low-frequency component of the residuals of a channel, compared with the noise of the channel.
 
     Attributes
     ----------
     ratio : float
         Root-mean-square residual divided by a noise level. The residual is that after each trial has its own
-        start state, trim, gain and clock. The noise level is the root mean square of the sample-to-sample
+        initial state, trim, gain and clock. The noise level is the root mean square of the sample-to-sample
         changes of the residual, divided by the square root of two. The ratio is 1 for white noise, and
         slightly larger for the coloured noise of a tracker.
     share : float
-        Fraction of the mean-square residual that is slow motion. The reference without slow motion is the
-        smallest ratio of all channels, at least 1 and at most `SLOW`.
+        Fraction of the mean-square residual in the low-frequency component. The reference without such a
+        component is the smallest ratio of all channels, at least 1 and at most `SLOW`.
     """
 
     ratio: float
@@ -206,11 +216,10 @@ class LowFrequency:
 
 
 def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, LowFrequency]:
-    """Return the slow motion in the residuals of each channel. Trim, gain and clock of single trials are
-    excluded.
+    """Return the low-frequency component of the residuals of each channel.
 
-    The motion may differ between trials. Gusts, vortices, or a spring that differs from day to day appear
-    only here.
+    Errors of the trim, gain and clock of single trials are excluded. The component may differ between trials,
+    so that it shows gusts, vortices, or a spring that differs from day to day. No other test shows them.
 
     Parameters
     ----------
@@ -238,7 +247,7 @@ def low_frequency(problem: Problem, residuals: Sequence[Array]) -> dict[str, Low
 
 
 def drifting(found: dict[str, LowFrequency]) -> list[str]:
-    """Return the channels whose residuals move slower than noise."""
+    """Return the channels whose residuals have a larger low-frequency component than noise."""
     if not found:
         return []
     least = max(min(s.ratio for s in found.values()), 1.0)
@@ -250,9 +259,8 @@ TERMS = (
     "constant", "speed", "speed squared", "sway", "yaw rate", "time", "cos phase", "sin phase", "cos 2 phase",
     "sin 2 phase", "cos phase x time", "sin phase x time",
 )  # fmt: skip
-#: Constants for the levels of a setting in a table of runs: minimum number of runs that share a level,
-#: relative tolerance of the setting within a level, and maximum number of levels. With more levels, none is
-#: used.
+#: Levels of the frequency or amplitude in a table of steady swimming: minimum number of rows that share a
+#: level, relative tolerance within a level, and maximum number of levels. If there are more, none is used.
 SHARED, LEVEL, LEVELS = 3, 1e-3, 12
 AXES = {"surge": 0, "sway": 1, "yaw": 2}
 
@@ -281,7 +289,7 @@ def smooth_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyp
 RIG_TERMS = (
     "constant", "speed", "speed squared", "speed cubed", "place", "place squared", "place cubed", "time",
 )  # fmt: skip
-#: Terms of the error of a sensor channel.
+#: Names of the terms of a smooth error of a sensor channel.
 SENSOR_TERMS = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
 
 
@@ -299,7 +307,7 @@ def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untype
 
 
 class Description(Effect):
-    """Smooth effect without physics: a sum of terms, each with a free factor."""
+    """Generic description of residuals: a smooth effect without physics, with one factor for each term."""
 
     name: ClassVar[str] = "residual"
     #: Place in the simulation where the effect acts, in words.
@@ -311,16 +319,16 @@ class Description(Effect):
     size: float
 
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return the factor of each term as a parameter."""
+        """Return the parameters of the description: one factor for each smooth term."""
         return tuple(
             Parameter(f"{self.prefix}{term}", self.unit, -math.inf, math.inf, 0.0, self.size)
             for term in self.terms
         )
 
     def tries(self, parameters: Sequence[Parameter]) -> list[Array]:
-        """Return one point for each factor: it has its typical scale, and all other factors are zero.
+        """Return the parameter vectors to simulate: one factor at its typical scale, all others zero.
 
-        One size is enough, because the change by a factor is nearly linear.
+        One size is enough, because the simulated trials depend nearly linearly on each factor.
         """
         return [np.eye(len(parameters))[k] * p.scale for k, p in enumerate(parameters)]
 
@@ -337,7 +345,7 @@ class ResidualForce(Description):
         self.place = f"{axis} {kind}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the force in one trial."""
+        """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [AXES[self.axis], beat_hz(trial), *_window(trial), self.speed]
         return Hooks(force=(Force(smooth_force, np.concatenate((known, values))),))
 
@@ -354,7 +362,7 @@ class ResidualPush(Description):
         self.size, self.speed, self.span = size, speed, span
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the force in one trial."""
+        """Return the hook that adds the smooth force to the simulation of one trial."""
         known = [*_window(trial), self.speed, self.span]
         return Hooks(force=(Force(smooth_push, np.concatenate((known, values))),))
 
@@ -370,7 +378,7 @@ class StrokeDeviation(Description):
     size = 0.03
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that changes the joint angles in one trial."""
+        """Return the hook that applies the smooth change to the joint angles of one trial."""
         begin, length = _window(trial)
         quarter = 0.25 / beat_hz(trial)
 
@@ -400,7 +408,7 @@ class SensorTerm(Description):
         self.place = f"sensor of {channel}"
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that adds the error to the channel in one trial."""
+        """Return the hook that adds the smooth error to the simulated channel of one trial."""
         begin, length = _window(trial)
         turn = 2.0 * math.pi * beat_hz(trial)
 
@@ -423,10 +431,10 @@ class SensorTerm(Description):
 
 
 class StrokeTable(Description):
-    """Smooth factor on the thrust of the steady runs of a table.
+    """Smooth factor on the thrust of steady swimming, for trials from a table of swimming speeds.
 
     The logarithm of the factor is quadratic in the logarithms of frequency and amplitude, and linear in the
-    order of the runs. It has one more term for each fin and for each level of frequency and amplitude.
+    order of the trials. It has one more term for each fin and for each level of frequency and amplitude.
     """
 
     place = "thrust"
@@ -449,7 +457,7 @@ class StrokeTable(Description):
         self.terms = (*self.curve, *each, *(f"fin {name}" for name in self.fins))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that changes the thrust in one trial."""
+        """Return the hook that multiplies the thrust of one trial by the smooth factor."""
 
         def change(stroke):  # type: ignore[no-untyped-def]
             f = np.log(stroke.frequency_hz / self.frequency_hz)
@@ -466,7 +474,7 @@ class StrokeTable(Description):
 
 
 def _levels(values: Array) -> list[float]:
-    """Return the levels of a setting that several runs of a table share.
+    """Return the values of a setting (its levels) that several rows of a table share.
 
     The result is empty if there is only one such level, or more than :data:`LEVELS`.
     """
@@ -483,7 +491,7 @@ def _window(trial: Trial) -> tuple[float, float]:
 
 
 def beat_hz(trial: Trial) -> float:
-    """Return the beat frequency of a trial in Hz; without a beat, the lowest that the trial resolves."""
+    """Return the beat frequency of a trial in Hz. Without a beat, return one over the trial's duration."""
     drive = trial.swim.drive
     if drive is not None and drive.frequency_hz > 0:
         return float(drive.frequency_hz)
@@ -496,7 +504,7 @@ def beat_hz(trial: Trial) -> float:
 
 
 def descriptions(model: Model, trials: Sequence[Trial]) -> list[Description]:
-    """Return all smooth effects for which the model has hooks and the trials have data."""
+    """Return all generic descriptions of residuals for which the model has hooks and the trials have data."""
     found: list[Description] = []
     dynamic = any(len(t.time_s) > 1 for t in trials)
     channels = sorted({c for t in trials for c in t.measured})

@@ -35,27 +35,27 @@ from swimid.fitting.problem import map_in_processes
 from swimid.logs.sampling import white_noise_sd
 from swimid.notices import Progress, show, silent
 
-#: Maximum change of a sample by a doubled integration step, as a fraction of the range of the channel. If a
-#: tenth of the noise is larger, that is the maximum.
+#: Maximum change of a simulated sample for which a doubled integration step counts as accurate, as a fraction
+#: of the range of the channel. If a tenth of the noise is larger, that is the maximum.
 SMALL_CHANGE = 1e-4
-#: Number of hypotheses to which further effects are added, and number of the most promising sets that are
-#: fitted.
+#: Search for larger sets of effects: number of hypotheses to which a further effect is added (PARENTS), and
+#: number of the resulting sets that are fitted (SETS).
 PARENTS, SETS = 4, 10
 #: Number of alternatives to each effect of a set that are fitted together with the other effects of the set.
 RIVALS = 4
-#: Threshold of the posterior probability relative to the largest one, and number of steps. Once the noise is
-#: known, hypotheses below the threshold get at most this number of steps.
+#: Improbable hypotheses: their maximum posterior probability divided by the largest one (HOPELESS), and the
+#: maximum number of iterations of their refit with the estimated noise (FEW).
 HOPELESS, FEW = 1e-4, 2
-#: Minimum cosine between the changes of the trials by an effect and by a parameter that count as equal. Each
-#: then leaves less than a tenth of the squared change by the other.
+#: Minimum cosine between the changes of the trials by an effect and by a changed parameter at which the two
+#: changes count as equal. At this cosine, each change explains nine tenths of the square of the other.
 SAME_COSINE = 0.95
-#: Maximum number of noise iterations, and their convergence tolerance: change of a between-trial standard
-#: deviation, in typical scales.
+#: Iterative estimation of the noise: maximum number of iterations (TURNS), and convergence tolerance of the
+#: between-trial standard deviations, in typical scales (STAYS).
 TURNS, STAYS = 6, 0.02
 #: Maximum number of effects in one hypothesis.
 COMBINED = 3
-#: Approximate number of simulations of each trial in a diagnosis, and number of those with effects that add
-#: forces or elements. For the trials of ``sample_logs/gap`` the numbers are 13,300 and 3,620.
+#: Approximate number of simulations of each trial in a diagnosis (RUNS), and number of those among them with
+#: effects that add forces or elements (AFFECTED). The trials of ``sample_logs/gap`` need 13,300 and 3,620.
 RUNS, AFFECTED = 13000, 3600
 #: Approximate number of simulations of each trial in the fit of one hypothesis.
 FITTED = 250
@@ -65,11 +65,12 @@ Key = frozenset[int]
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """The model with a set of effects, fitted to its optimum.
+    """Hypothesis: the model with a set of effects, fitted to its optimum.
 
     Attributes
     ----------
     fit : Fit
+        Optimum of the model with these effects.
     misfits : ndarray, shape (folds,)
         Held-out squared residuals of each fold, approximated by one Gauss-Newton step from the fit to all
         folds.
@@ -89,19 +90,19 @@ class Hypothesis:
 
     @property
     def key(self) -> Key:
-        """Return the key of the effects."""
+        """Return the identities of the effects, which identify the hypothesis in the search."""
         return frozenset(id(e) for e in self.fit.effects)
 
     @property
     def names(self) -> frozenset[str]:
-        """Return the names of the effects."""
+        """Return the names of the effects of the hypothesis."""
         return frozenset(e.name for e in self.fit.effects)
 
     @property
     def ends(self) -> list[str]:
-        """Return the parameters of the effects that are near a bound in :attr:`Effect.inside`.
+        """Return the parameters of effects that are near a bound at which the effect could imitate others.
 
-        Near such a bound, an effect could imitate others.
+        The attribute :attr:`Effect.inside` of an effect lists such bounds.
         """
         fit, problem = self.fit, self.fit.problem
         ends = {"lower": problem.lower, "upper": problem.upper}
@@ -115,7 +116,7 @@ class Hypothesis:
 
 @dataclass
 class Round:
-    """One candidate cause and its alternatives, compared while all other causes are in the model.
+    """Comparison of one candidate cause with its alternatives, while all other causes are in the model.
 
     Attributes
     ----------
@@ -166,7 +167,7 @@ class State:
     random_effects: list[RandomEffect] = field(default_factory=list)
     low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
     nuisance_residuals: list[Array] = field(default_factory=list)
-    #: Number of effects that apply and are requested.
+    #: Number of effects that apply to the model and that the user requested.
     tried: int = 0
 
     @property
@@ -176,8 +177,9 @@ class State:
 
 
 def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
-    """Return the model with twice the integration step. Return None if that changes a sample by much of its
-    noise.
+    """Return the model with twice the integration step, or None if that is too inaccurate.
+
+    It is too inaccurate if a sample changes by more than a small fraction of its noise or of the range.
 
     Parameters
     ----------
@@ -205,14 +207,20 @@ def prepared(
     *,
     share: float = 1.0,
 ) -> None:
-    """Compile a model if that saves time in a diagnosis, or in a fraction ``share`` of its simulations."""
+    """Compile a model if that saves time.
+
+    Parameters
+    ----------
+    share : float
+        Fraction of the simulations of a diagnosis that the model runs.
+    """
     lasting = share * sum(float(t.time_s[-1] - t.time_s[0]) for t in trials)
     model.prepare(progress, simulated_s=RUNS * lasting, affected_s=AFFECTED * lasting, checkpoint=checkpoint)
 
 
 @dataclass(eq=False)
 class Search:
-    """All hypotheses for one set of trials and one noise model.
+    """Search over all hypotheses for one set of trials with one noise model.
 
     Parameters
     ----------
@@ -237,9 +245,10 @@ class Search:
     random_effects: list[RandomEffect] = field(init=False, default_factory=list)
     pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
     screens: dict[Key, Screen] = field(init=False, default_factory=dict)
-    #: Pairs of keys: a set, and a smaller set that has been refitted from the optimum of the larger one.
+    #: Pairs of a set of effects and a smaller set that has been refitted from the optimum of the larger one.
+    #: The sets are given by their keys.
     returned: set[tuple[Key, Key]] = field(init=False, default_factory=set)
-    #: Keys of hypotheses that were fitted in a few steps only.
+    #: Keys of improbable hypotheses, whose fits were stopped after a few iterations.
     hopeless: set[Key] = field(init=False, default_factory=set)
     _cosines: dict[frozenset[int], float] = field(init=False, default_factory=dict)
 
@@ -256,8 +265,12 @@ class Search:
         return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
 
     def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
-        """Compile the models of other interpretations of the robot in these sets of effects, if that saves
-        time.
+        """Compile the models of other interpretations of the robot if that saves time.
+
+        Parameters
+        ----------
+        acting : iterable of sequences of Effect
+            Sets of effects. Each other interpretation among them has a model of its own.
         """
         models = (self.context.affected(effects).model for effects in acting)
         for model in {id(m): m for m in models if m is not self.context.model}.values():
@@ -273,9 +286,10 @@ class Search:
         return posterior.penalty(len(mine) - each + freed, each, samples, len(fit.residuals))
 
     def begin(self, start: Array) -> Hypothesis:
-        """Fit the model without effects, from the prior means as well if its coefficients are far from them.
+        """Fit the model without effects.
 
-        Otherwise an effect could seem to explain the difference between a poor optimum and the best one.
+        If the coefficients are far from their prior means, a second fit starts at the prior means. Without
+        it, an effect could seem to explain the difference between a poor optimum and the best one.
         """
         starts = self.context.begins(self.context.problem((), self.noise_model.random_effects), start)
         self.null = self.judged(self.context.fit((), self.noise_model, starts, tolerance=FINE))
@@ -283,16 +297,17 @@ class Search:
         return self.null
 
     def screened(self, parent: Hypothesis) -> Screen:
-        """Screen every further effect added to a hypothesis, with a linear approximation at each tried
-        size.
+        """Screen all effects that can be added to a hypothesis.
+
+        The screening simulates each effect at several sizes and linearises the model about each of them.
         """
         if parent.key not in self.screens:
             self.prepared([parent.fit.acting])
             rest = [e for e in self.effects if e.joins(parent.fit.effects)]
             found = Screen([])
             for readings in (False, True):
-                # Screen interpretations of the robot separately. The rounding of the other inner products
-                # then does not depend on them.
+                # Screen the interpretations of the robot separately from all other effects, so that they do
+                # not change the rounding errors of the other inner products.
                 part = [e for e in rest if isinstance(e, OtherReading) == readings]
                 simulated = candidates.simulate(self.context, parent.fit, part)
                 if simulated:
@@ -304,9 +319,9 @@ class Search:
         return self.screens[parent.key]
 
     def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
-        """Fit each parent with one more effect, and put the results into the pool.
+        """Fit each hypothesis of ``parents`` with one more effect, and add the results to the pool.
 
-        All effects are fitted, or the ``most`` promising ones.
+        If ``most`` is given, only this number of the most promising combinations is fitted.
         """
         context = self.context
         promised: dict[Key, tuple[float, Hypothesis, Tried]] = {}
@@ -334,13 +349,16 @@ class Search:
             self.step(tried.effect.name)
 
     def _name(self, effects: Sequence[Effect]) -> str:
-        """Return the key of a cached optimum: effects in their forms, and number of random effects."""
+        """Return the name under which the optimum of a set of effects is cached.
+
+        It states the form of each effect and the number of random effects.
+        """
         model, trials = self.context.model, self.context.trials
         own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
         return "+".join([*own, str(len(self.noise_model.random_effects))])
 
     def fitted(self, parent: Hypothesis, tried: Tried) -> Optimum:
-        """Return the joint optimum of a parent and one more effect.
+        """Return the joint optimum of the hypothesis ``parent`` and one more effect.
 
         The starting points are the size that the screen predicts, the sizes that reduced the residuals
         without a refit, and the prior means of the coefficients.
@@ -358,13 +376,14 @@ class Search:
             starts = [kept]
         fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
         if names and not fit.cost <= parent.fit.cost:
-            # The model with the effect at its null value is the model without the effect.
+            # An added effect cannot increase the cost, because its null value gives the model without the
+            # effect. If the cost is larger, start again at the null value.
             null = context.start(effects, noise_model, parent.fit)
             fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
         return fit.optimum
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
-        """Return a hypothesis without one of its effects.
+        """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
 
         The starting points are the optimum of the hypothesis, and the optima of the best other hypotheses
         that contain the remaining effects. Otherwise further effects could seem to explain the difference
@@ -390,8 +409,9 @@ class Search:
         return self.pool[known.key]
 
     def lessened(self) -> Posterior:
-        """Return the posterior after the most probable set has been compared with each set that has one
-        effect less.
+        """Return the posterior probabilities after refits of the most probable set without each effect.
+
+        The refits make sure that the smaller sets are at their best optima.
         """
         while True:
             found = self.weighed()
@@ -403,8 +423,9 @@ class Search:
                 return found
 
     def best(self, size: int) -> list[Hypothesis]:
-        """Return the hypotheses with a given number of effects, best first. Of each set, only the best
-        form is returned.
+        """Return the hypotheses with a given number of effects, best first.
+
+        If an effect has several forms, only the best form of each set is returned.
         """
         found = [h for h in self.pool.values() if len(h.fit.effects) == size and not h.ends]
         first: dict[frozenset[str], Hypothesis] = {}
@@ -470,8 +491,8 @@ class Search:
             effects = h.fit.effects
             problem = context.problem(effects, noise_model.random_effects)
             sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
-            # Starting points: the previous optimum, and the optimum of the model without effects, because
-            # per-trial values depend on the previous noise model.
+            # Start at the previous optimum, and at the optimum of the model without effects. The second start
+            # is needed because the previous per-trial values depend on the previous noise model.
             starts = [
                 *context.begins(problem, context.start(effects, noise_model, h.fit)),
                 context.start(effects, noise_model, self.null.fit, sizes),
@@ -485,7 +506,8 @@ class Search:
 
             fit = settled(starts)
             if sizes and not fit.cost <= self.null.fit.cost:
-                # The model with the effect at its null value is the model without the effect.
+                # An effect cannot increase the cost, because its null value gives the model without the
+                # effect. If the cost is larger, start again at the null value.
                 fit = settled([context.start(effects, noise_model, self.null.fit)])
             return fit.optimum
 
@@ -498,7 +520,7 @@ class Search:
             self._refitted(h, optimum)
 
     def finish(self) -> None:
-        """Complete the fits of hypotheses that were stopped early and are no longer improbable."""
+        """Complete the early-stopped fits of hypotheses that are no longer improbable."""
         context, noise_model = self.context, self.noise_model
 
         def one(h: Hypothesis) -> Optimum:
@@ -519,7 +541,7 @@ class Search:
                 self.hopeless.discard(h.key)
 
     def _refitted(self, h: Hypothesis, optimum: Optimum) -> None:
-        """Replace a hypothesis by the same hypothesis at another optimum."""
+        """Replace a hypothesis in the pool by the same hypothesis at another optimum."""
         fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
         parent = None
         if h.tried is not None:
@@ -535,17 +557,18 @@ class Search:
 
     @property
     def count(self) -> int:
-        """Return the number of different effects, at least one."""
+        """Return the number of different effects in the search. Without effects, return 1."""
         return max(len({e.name for e in self.effects}), 1)
 
     @property
     def record(self) -> Record:
-        """Return the amount of data."""
+        """Return the size of the data set: numbers of residuals, folds and effects."""
         residuals = self.null.fit.residuals
         return Record(float(sum(len(r) for r in residuals)), self.context.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
-        # All per-trial parameters of one effect are one kind: cosine and sine amplitudes, for example.
+        # All per-trial parameters of one effect, for example its cosine and sine amplitudes, count as one
+        # parameter.
         mine = [n for n in h.fit.labels if _belongs(n, h.fit.effects)]
         kinds = {n.split("/")[0] if "[" in n else n for n in mine}
         slow = None
@@ -555,8 +578,10 @@ class Search:
         return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
-        """Return, for each effect of a set, the largest squared cosine between its change of the trials
-        and that by another effect.
+        """Return how similarly each effect of a hypothesis changes the trials to another of its effects.
+
+        The similarity is the largest squared cosine between its change of the trials and the change by
+        another effect.
         """
         if len(h.names) < 2:
             return {}
@@ -564,7 +589,7 @@ class Search:
         mine = [(e.name, screened.get(id(e))) for e in h.fit.effects]
         found = dict.fromkeys(sorted(h.names), 0.0)
         for (one, first), (other, second) in combinations(mine, 2):
-            # An effect that changes nothing when it acts alone has no screening result.
+            # An effect that changes nothing when it is the only effect has no screening result.
             if first is None or second is None:
                 continue
             cosine = self._cosine(first, second)
@@ -572,10 +597,9 @@ class Search:
         return found
 
     def _cosine(self, first: Tried, second: Tried) -> float:
-        """Return the cosine between the changes of the trials by two effects, with the model's parameters
-        projected out.
+        """Return the cosine between the changes of the trials by two effects.
 
-        The result is cached.
+        The model's parameters are projected out. The result is cached.
         """
         pair = frozenset((id(first), id(second)))
         if pair not in self._cosines:
@@ -588,7 +612,10 @@ class Search:
         return next((h for h in self.best(len(found.best)) if h.names == found.best), self.null)
 
     def ranked(self, base: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Refitted]:
-        """Return hypotheses with one effect more than the base, best first."""
+        """Return the given hypotheses sorted by score, best first, with their gains over ``base``.
+
+        Each hypothesis has one effect more than the hypothesis ``base``.
+        """
         found = []
         for h in sorted(hypotheses, key=lambda h: h.score):
             (last,) = [e for e in h.fit.effects if id(e) not in base.key]
@@ -616,10 +643,12 @@ def _belongs(label: str, effects: Sequence[Effect]) -> bool:
 
 
 def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:
-    """Return the context without failed samples, with the noise model and the fit of the model without
-    effects.
+    """Remove failed samples from the trials, estimate the noise, and fit the model without effects.
 
-    The failed samples are returned as well.
+    Returns
+    -------
+    tuple of FitContext, NoiseModel, Fit and Dropouts
+        The context without the failed samples, the noise model, the fit, and the failed samples.
     """
     fine, trials = given.model, given.trials
     start = [np.array([p.start for p in given.parameters])] * len(trials)
@@ -630,7 +659,8 @@ def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext
     if dropouts.count:
         context = given.replaced(model, dropouts.without(trials))
         noise_model, fit = weigh(context)
-    # A coarse integration step may be accurate at the start values, but not at the fitted start states.
+    # The doubled integration step was accurate at the start values of the parameters. It may be inaccurate at
+    # the fitted values.
     own = [fit.problem.vector(fit.theta, k) for k in range(len(context.trials))]
     if model is not fine and coarser(fine, own, context.trials) is None:
         context = given.replaced(fine, context.trials)
@@ -649,7 +679,7 @@ def run(
     checkpoint: Checkpoint | None = None,
     progress: Progress = silent,
 ) -> State:
-    """Run the search up to the choice of causes, on the trials that are used in fits.
+    """Run the complete search of a diagnosis: noise, fits of hypotheses, and choice of the causes.
 
     Parameters
     ----------
@@ -701,8 +731,8 @@ def chosen(
     while 0 < len(best.names) < min(most, count):
         size = len(best.names)
         loses = posterior.prior(size, count) - posterior.prior(size + 1, count)
-        # The noise was estimated from the residuals of the best hypothesis and may contain part of its
-        # excess. Add the decrease of the squared residuals that the screen predicts.
+        # The noise was estimated from the residuals of the best hypothesis, so it may contain part of the
+        # excess of this hypothesis. Add the decrease of the squared residuals that the screening predicts.
         left = found.excess[best.names] + max([0.0, *(t.gain for t in search.screened(best).tried)])
         if posterior.most(left, search.record) < loses:
             break
@@ -713,7 +743,7 @@ def chosen(
         larger = search.likeliest(search.lessened())
         if len(larger.names) == size:
             break
-        # Estimate the noise from the residuals of the larger set.
+        # Estimate the noise again, from the residuals of the larger set of effects.
         keep = {h.key for n in range(1, size + 2) for h in search.best(n)[:PARENTS]}
         keep |= {larger.key - {k} for k in larger.key} | {larger.key, best.key, frozenset()}
         search.pool = {key: h for key, h in search.pool.items() if key in keep}
@@ -734,8 +764,9 @@ def chosen(
 
 
 def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropouts) -> State:
-    """Arrange the result by causes: each cause and its alternatives, while all other causes are in the
-    model.
+    """Return the result of the search with one comparison for each cause.
+
+    Each cause is compared with its alternatives while all other causes are in the model.
     """
     best = in_parameters(search, best, found)
     null = search.null
@@ -765,10 +796,9 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
 
 
 def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothesis:
-    """Return a hypothesis in which each effect that is equivalent to a changed parameter is replaced by that
-    parameter.
+    """Replace each effect of a hypothesis that is equivalent to a changed parameter by that parameter.
 
-    A parameter that the model already has needs no additional physics.
+    The changed parameter is preferred because it needs no additional physics.
     """
     for effect in best.fit.effects:
         if effect.adds_to is not None:

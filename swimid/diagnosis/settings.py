@@ -1,6 +1,7 @@
 """Describe the settings of trials, find repeats, and divide the data into folds.
 
-A fold is the repeats of one setting, a part of a table of runs, or a segment of a trial.
+A fold consists of the repeats of one setting, of some rows of a table of steady trials, or of a segment of a
+trial.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from swimid.logs.log import FREQUENCY_RTOL
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A quantity that was set in a trial, for example the beat frequency.
+    """Quantity that the experimenter set in a trial, for example the beat frequency.
 
     Attributes
     ----------
@@ -38,9 +39,7 @@ class Quantity:
         return f"{self.value:.{self.digits}g} {self.unit}"
 
     def __eq__(self, other: object) -> bool:
-        """Return whether two values are equal to within the tolerance between a stated and a logged beat
-        frequency.
-        """
+        """Return whether two values are equal to within the tolerance of beat frequencies."""
         if not isinstance(other, Quantity):
             return False
         size = max(abs(self.value), abs(other.value), self.against, other.against)
@@ -88,7 +87,10 @@ def _beaten(
 
 
 def _logged(trial: Trial) -> dict[str, Quantity | str]:
-    """Return the beat of the joint that moves most; empty if that joint does not beat."""
+    """Return frequency, amplitude and bias of the joint that moves most.
+
+    The result is empty if the motion of that joint has no beat.
+    """
     angles = [motion(trial.time_s)[0] for motion in trial.swim.joints or ()]
     largest = max(angles, key=lambda angle: float(np.std(angle)), default=np.zeros(0))
     beat = find_beat(trial.time_s, largest)
@@ -98,9 +100,7 @@ def _logged(trial: Trial) -> dict[str, Quantity | str]:
 
 
 def _steady(trial: Trial) -> tuple[float, float]:
-    """Return frequency (Hz) and amplitude (rad) of the steady beat of a single run; NaN without a steady
-    beat.
-    """
+    """Return frequency (Hz) and amplitude (rad) of a trial with one steady beat; NaN for other trials."""
     frequency_hz, amplitude_rad = trial.steady
     if len(frequency_hz) != 1:
         return math.nan, math.nan
@@ -113,7 +113,7 @@ def words(trial: Trial) -> dict[str, str]:
 
 
 def repeated(trial: Trial) -> str:
-    """Return the settings of a trial as a text that is equal for repeats.
+    """Return a text of the settings of a trial. Two trials are repeats if their texts are equal.
 
     Repeats differ only by random effects and noise.
     """
@@ -125,10 +125,11 @@ def repeated(trial: Trial) -> str:
         parts.append(trial.cruise.fin)
     if swim.stroke is not None:
         own = swim.stroke
-        # The kinematic law of a stroke belongs to the robot.
+        # Leave out the kinematic law of the stroke, because it belongs to the robot and is equal in all
+        # trials.
         parts.append(repr((own.name, own.frequency_hz, own.scale, own.ramp_s, own.cycles, own.phase_rad)))
     if swim.joints is not None and swim.commanded:
-        # A command that was played again is identical to the last digit.
+        # Compare logged commands exactly: a command that was replayed is identical to the last digit.
         parts.append(repr([motion(trial.time_s)[0].tobytes() for motion in swim.joints]))
     known = {**_drop(trial), **dict(zip(("frequency_hz", "amplitude_rad"), _steady(trial), strict=True))}
     parts += [f"{name}={value:.6g}" for name, value in known.items() if not math.isnan(value)]
@@ -138,7 +139,7 @@ def repeated(trial: Trial) -> str:
 
 
 def count(trials: Sequence[Trial]) -> int:
-    """Return the number of different settings.
+    """Return the number of different settings among the trials.
 
     Each trial without known settings counts as one setting. Trials with the same replayed command count once.
     """
@@ -158,7 +159,10 @@ def count(trials: Sequence[Trial]) -> int:
 
 
 def _drop(trial: Trial) -> dict[str, float]:
-    """Return force, moving mass and drag area of a body that a known force pulls; empty for other trials."""
+    """Return the force, the moving mass and the drag area in a trial of a body that a known force pulls.
+
+    The result is empty for other trials.
+    """
     rig = trial.rig
     if rig.force is None:
         return {}
@@ -166,24 +170,24 @@ def _drop(trial: Trial) -> dict[str, float]:
     return {name: value for name, value in known.items() if not math.isnan(value)}
 
 
-#: Minimum number of settings or trials for folds of whole trials. With fewer, segments of trials are held
-#: out.
+#: Minimum number of settings or trials for cross-validation folds of whole trials. With fewer settings and
+#: trials, the folds are segments of trials.
 FEWEST = 4
-#: Minimum total number of segments into which a few trials are divided.
+#: Minimum total number of cross-validation folds if the folds are segments of trials.
 STRETCHES = 8
-#: Number of folds of a table of runs. A table with at most this number of settings has one fold for each
-#: setting.
+#: Maximum number of cross-validation folds of a table of steady trials. A table with fewer settings has one
+#: fold for each setting.
 TABLE_FOLDS = 10
 
 
 @dataclass(frozen=True)
 class Folds:
-    """Parts of the data that are held out in turn.
+    """Cross-validation folds: parts of the data that are held out of a fit, one after another.
 
     Attributes
     ----------
     whole : bool
-        True if whole trials are held out; the start state of a held-out trial is then fitted to this trial.
+        True if whole trials are held out; the initial state of a held-out trial is then fitted to this trial.
         False if segments of trials are held out.
     owner : list of ndarray of int
         Fold of each row of each trial, shape (n_k,).
@@ -197,7 +201,10 @@ class Folds:
 
 
 def folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
-    """Divide trials into folds. A few trials are divided into segments of equal duration.
+    """Divide trials into cross-validation folds.
+
+    Each fold has whole trials. If there are only a few trials, each fold is a segment of one trial, and all
+    segments of a trial have equal duration.
 
     Parameters
     ----------
@@ -212,7 +219,7 @@ def folds(trials: Sequence[Trial], times: Sequence[Array]) -> Folds:
     if len(groups) >= FEWEST:
         count = len(groups)
         if all(len(t) == 1 for t in times):
-            # Runs are assigned to the folds in turn, so that neighbouring rows of the table are in different
+            # Assign the rows of a table to the folds in rotation, so that neighbouring rows are in different
             # folds.
             count = min(count, TABLE_FOLDS)
         owner = [np.full(len(t), groups.index(n) % count) for t, n in zip(times, names, strict=True)]

@@ -24,27 +24,27 @@ from swimid.diagnosis.noise_model import NoiseModel
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
 
-#: Relative tolerance of the fit of a held-out trial's start state.
+#: Relative tolerance of the cost when the initial state of a held-out trial is fitted.
 TOLERANCE = 1e-4
-#: Number of bootstrap resamples of trials.
+#: Number of bootstrap resamples of trials for the interval of the closed fraction of the gap.
 RESAMPLES = 1000
 
 #: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
 #: of nearly equal numbers.
 LEAST_GAP = 0.04
-#: Minimum fraction of the squared gap that causes must close.
+#: Minimum fraction of the squared gap that causes must close on held-out data.
 MOST = 0.5
-#: Error assigned to a held-out sample whose simulation diverged, in the unit of the channel or in units of
-#: the noise.
+#: Error of a held-out sample whose simulation diverged. Its unit is that of the errors with which it is
+#: summed: the unit of the channel, or the noise standard deviation.
 WORST = 1e6
-#: Threshold of the simulation error, divided by the measured range of the channel. Above it, the simulation
-#: has diverged.
+#: Error of a simulation, divided by the measured range of the channel, above which the simulation counts as
+#: diverged.
 ASTRAY = 10.0
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Held-out samples of one trial in one channel.
+    """Held-out samples of one channel of one trial, with their predictions.
 
     Attributes
     ----------
@@ -64,11 +64,11 @@ class Piece:
     between: tuple[Array, ...] = ()
 
     def seen(self, values: Array) -> Array:
-        """Return the values at samples with a measurement."""
+        """Return the values at those samples at which the channel was measured."""
         return values[np.isfinite(self.measured)]
 
     def squares(self, simulated: Array, unit: float = 1.0) -> Array:
-        """Return the squared errors of a simulation. A diverged simulation has the largest error."""
+        """Return the squared errors of a simulation. A sample that diverged gets the error ``WORST``."""
         errors = self.seen(self.measured - simulated) / unit
         return np.minimum(np.nan_to_num(errors**2, nan=WORST**2), WORST**2)
 
@@ -82,8 +82,9 @@ def by_channel(found: Sequence[Piece]) -> dict[str, list[Piece]]:
 
 
 def _own_start(model: Model, shared: Mapping[str, float], trial: Trial, sd: Mapping[str, float]) -> Array:
-    """Return all parameters of a trial: shared parameters as given, and a start state fitted to the trial
-    itself.
+    """Return all parameter values of a trial.
+
+    The shared parameters are those in ``shared``. The initial state is fitted to the trial.
     """
     parameters = tuple(
         replace(p, start=shared.get(p.name, p.start), free=p.free and p.name not in trial.held)
@@ -112,8 +113,10 @@ def pieces(
     *,
     step: Callable[[], None] = lambda: None,
 ) -> list[Piece]:
-    """Return held-out predictions without and with the causes, for validation trials or for each fold in
-    turn.
+    """Return the predictions of held-out data by the models without and with the causes.
+
+    The held-out data are the validation trials. Without validation trials, each cross-validation fold is held
+    out once.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ def pieces(
         Refitted model without causes, with the first cause and so on, and with all causes, on all trials of
         the context.
     sd : mapping of channel to float
-        Standard deviation of the noise, for the fit of the start states of held-out trials.
+        Standard deviation of the noise, for the fit of the initial states of held-out trials.
     shipped : mapping of name to float
         Coefficients as given.
     """
@@ -171,14 +174,14 @@ def _whole(
     sd: Mapping[str, float],
     near: Sequence[Trial],
 ) -> list[Piece]:
-    """Return the predictions of a whole trial with the parameters as given, without the causes and with them.
+    """Return the predictions of a whole held-out trial: as given, without the causes, and with them.
 
-    Each prediction begins at the start state that fits the trial best.
+    Each prediction begins at the initial state that fits the trial best.
 
     Parameters
     ----------
     near : sequence of Trial
-        The trial with the start state from which the search for the best one begins, for each model.
+        The trial with the initial state from which the search for the best one begins, for each model.
     """
     runs = [
         m.simulate(_own_start(m, values, begun, sd), trial)
@@ -194,7 +197,7 @@ def _whole(
 def _piece(
     trial: Trial, channel: str, runs: Sequence[Mapping[str, Array]], rows: slice | NDArray[np.intp]
 ) -> Piece:
-    """Return some samples of a channel and of its predictions."""
+    """Return the held-out samples ``rows`` of a channel with their predictions."""
     shipped, before, *between, after = (run[channel][rows] for run in runs)
     time_s, measured = trial.time_s[rows], trial.measured[channel][rows]
     return Piece(trial, channel, time_s, measured, shipped, before, after, tuple(between))
@@ -208,9 +211,9 @@ def _stretch(
     vectors: Sequence[Array],
     shipped: Mapping[str, float],
 ) -> list[Piece]:
-    """Return the predictions for the samples of a trial that belong to a fold.
+    """Return the predictions of those samples of a trial that belong to a cross-validation fold.
 
-    The predictions are those with the parameters as given, without the causes and with them.
+    The predictions use the parameters as given, the refitted model, and the refitted model with the causes.
     """
     trial, inside = context.trials[k], context.folds.owner[k] == fold
     as_given = vectors[0].copy()
@@ -268,7 +271,7 @@ def shrinkages(
         roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
         known_noise = noise.get(channel, {})
         levels = floor * _resampled(known_noise, len(picks), len(known_noise), rng)
-        # Noise of the held-out trials. The noise of the fitted trials is an estimate of it.
+        # Resample the noise of the held-out trials as well. It is estimated by that of the fitted trials.
         levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
         shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s) and len(trials) > 1]
@@ -357,7 +360,7 @@ def widened(count: int) -> float:
 def _resampled(
     noise: Mapping[str, tuple[float, int]], count: int, trials: int, rng: np.random.Generator
 ) -> Array:
-    """Return the noise of resampled trials, divided by the noise of all trials, shape (count,)."""
+    """Return the noise of bootstrap resamples of the trials, relative to all trials, shape (count,)."""
     if len(noise) < 2 or not trials:
         return np.ones(count)
     each = np.array(list(noise.values()))
@@ -367,7 +370,7 @@ def _resampled(
 
 
 def sound(found: Sequence[Piece]) -> bool:
-    """Return whether the causes make no held-out trial diverge."""
+    """Return whether no simulation of a held-out trial diverges because of the causes."""
     for mine in by_channel(found).values():
         values = np.concatenate([p.seen(p.measured) for p in mine])
         for p in mine:
@@ -379,7 +382,7 @@ def sound(found: Sequence[Piece]) -> bool:
 
 
 def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> list[Piece]:
-    """Combine several predictions of the same samples.
+    """Choose among several predictions of the same held-out samples those with the smallest errors.
 
     The result has the prediction with the smallest error without causes, with each number of causes, and with
     all causes.
@@ -404,9 +407,10 @@ def better(found: Sequence[Sequence[Piece]], floors: Mapping[str, float]) -> lis
 
 
 def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, float]:
-    """Return the noise floor of each channel, limited by the held-out errors without and with the causes.
+    """Return the noise floor of each channel, limited by the held-out errors.
 
-    These errors contain the noise.
+    The noise floor cannot be larger than the errors without or with the causes, because they contain the
+    noise.
     """
     result = dict(floors)
     for channel, mine in by_channel(found).items():
@@ -418,7 +422,7 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
 
 
 def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return the decrease of the squared errors of each held-out trial by the causes, and the squared gap.
+    """Return by how much the causes decrease the squared error of each held-out trial, and its squared gap.
 
     Both have shape (trials,) and are in units of the noise variance.
     """
@@ -432,10 +436,9 @@ def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, 
 
 
 def chance(each: Array) -> float:
-    """Return the threshold above which the sum of ``each`` over trials is significantly positive (Student, 95
-    %).
+    """Return the threshold above which the sum of ``each`` over trials is significantly positive.
 
-    It is 0 for a single trial.
+    The threshold is the 95 % quantile of Student's distribution. It is 0 for a single trial.
     """
     n = len(each)
     if n < 2:
@@ -491,9 +494,10 @@ def worst(found: Sequence[Piece], floors: Mapping[str, float], *, with_causes: b
     return whole
 
 
-#: Relative tolerance of the fit of validation trials to their prediction, and its maximum number of steps.
+#: Fit of a model with its predictive prior to validation trials: relative tolerance of the cost
+#: (PREDICTED_RTOL), and maximum number of iterations (STEPS).
 PREDICTED_RTOL, STEPS = 1e-3, 12
-#: Probability that at least one validation trial is reported as unpredicted although the model is correct.
+#: Probability that a correct model has at least one validation trial reported as unpredicted.
 CHANCE = 0.025
 
 
@@ -521,12 +525,15 @@ class Misfit:
 
     @property
     def shown(self) -> bool:
-        """Return whether noise makes up less than half of the squared distance."""
+        """Return whether the data contradict the prediction.
+
+        They do if noise makes up less than half of the squared distance.
+        """
         return self.distance > self.samples / (1.0 - MOST)
 
     @property
     def times(self) -> float:
-        """Return the ratio of the root-mean-square error to the one expected of a correct model."""
+        """Return the ratio of the prediction's root-mean-square error to that expected of a correct model."""
         return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
 
 
@@ -537,7 +544,7 @@ def unpredicted(
 
     The value is the ratio of the root-mean-square error to the one expected of a correct model. More than
     half of the squared distance of such a trial is not noise. A trial is left out if its residuals are larger
-    than the noise of the other trials, but not slower.
+    than the noise of the other trials, but have no low-frequency component.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
     found = {}
@@ -550,9 +557,10 @@ def unpredicted(
 
 
 def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
-    """Return the distance of validation trials from their prediction.
+    """Return the distance of validation trials from their prediction by a fit.
 
-    Without validation trials, return the distance of each fold from the fit to the other folds.
+    Without validation trials, return the summed distance of the folds from their predictions by fits to the
+    other folds.
     """
     inner = crossval.normal_equations(context, fit, noise_model)
     if validation:
@@ -598,10 +606,9 @@ def _of_trials(
 
 
 def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """Return the expected mean square of the changes of validation trials by random effects, for each
-    channel.
+    """Return for each channel the mean square by which random effects change the validation trials.
 
-    The expectation is conditional on the samples of the trials. Start states are refitted, and random effects
+    It is the expectation given the samples of these trials. Initial states are refitted, and random effects
     are limited to probable values.
     """
     if not problem.random_effects:
@@ -618,7 +625,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
         own = problem.begun(k)
         seen = noise_model.whiten(problem, k, np.column_stack((rows, jacobian[:, own] * scale[own])))
         seen = beyond(seen[:, len(mine) :], seen[:, : len(mine)])
-        # Square root of the covariance matrix of the random effects.
+        # Compute a square root of the covariance matrix of the random effects.
         root = np.linalg.inv(np.linalg.qr(np.vstack((seen, np.eye(len(mine)))), mode="r"))
         moved = beyond(jacobian[:, own] * scale[own], rows @ np.column_stack((away, root)))
         changes = np.column_stack((np.sum(moved**2, axis=1), problem.sample_weights(k) ** 2))
@@ -631,7 +638,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
 
 
 def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:
-    """Give trials the median weight that each channel has in the fit."""
+    """Weight the samples of new trials by the median noise standard deviation of each channel in a fit."""
     weights: dict[str, list[Array]] = {}
     for channels, sds in zip(fit.problem.channels, noise_model.sd, strict=True):
         for channel, sd in zip(channels, sds, strict=True):

@@ -1,6 +1,4 @@
-"""Estimate the weights of residuals: noise level, autocorrelation of the noise, and between-trial
-variation.
-"""
+"""Estimate the weights of residuals: noise level, autocorrelation, and between-trial variation."""
 
 from __future__ import annotations
 
@@ -20,19 +18,20 @@ from swimid.effects.base import Effect
 from swimid.fitting import uncertainty as sample_noise
 from swimid.fitting.model import Array
 
-#: Number of reweighting iterations before any effect is tried.
+#: Number of iterations that reweight the residuals before any effect is fitted.
 WEIGHTINGS = 2
-#: Relative tolerance of the cost, and maximum number of steps, of the fits during the estimation of weights.
+#: Fits during the estimation of weights: relative tolerance of the cost (COARSE), and maximum number of
+#: iterations (FEW).
 COARSE, FEW = 1e-3, 8
-#: Threshold of the standard deviation of fitted random effects, divided by the assumed one. Above it, the
-#: standard deviation is estimated again. The second value is the maximum number of such estimates.
+#: Ratio of the standard deviation of fitted random effects to the assumed one above which the assumed one is
+#: replaced (STRAINED), and maximum number of such replacements (SETTLINGS).
 STRAINED, SETTLINGS = 2.0, 3
-#: Minimum number of samples in a trial. Shorter trials do not determine the autocorrelation of the noise.
+#: Minimum number of samples of a trial from which the autocorrelation of the noise can be estimated.
 SHORT = 20
 
 
 def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
-    """Refit the model without effects, with weights from its own residuals."""
+    """Refit the model without effects, and estimate the weights of the residuals from its own residuals."""
     problem = context.problem(())
     sample_noise.weigh_first(problem)
     noise_model = NoiseModel([list(sds) for sds in problem.sd])
@@ -44,7 +43,8 @@ def weigh(context: FitContext) -> tuple[NoiseModel, Fit]:
         noise_model = NoiseModel([list(sds) for sds in problem.sd])
         fit = context.fit((), noise_model, [fit.theta], tolerance=COARSE, warm=fit)
     counted = {c for t in context.trials if np.any(t.time_sd_s) for c in t.measured}
-    # Weights are multiples of the known rounding error.
+    # The noise of a counted channel is a multiple of its known rounding error. Store the rounding error in
+    # units of the noise.
     rounding = {c: 1.0 / factor for c, (factor, _) in previous.items() if c in counted and factor > 0}
     return replace(noise_model, rounding=rounding), fit
 
@@ -117,7 +117,7 @@ def see(
     problem = fit.problem
     plain = replace(noise_model, random_effects=(), long_memory=None)
     if not tells_noise(context):
-        # A few trials do not separate slow noise from a gap.
+        # A few trials do not separate low-frequency noise from a gap, so return short-memory noise.
         whole = coloured(problem, residuals, plain, unknowns=unknowns)
         return replace(brief(whole, problem, residuals, list(whole.colour)), long_memory=whole), []
     # Estimate the autocorrelation from residuals without trim, gain and clock of single trials. The random
@@ -145,7 +145,7 @@ def see(
 
 
 def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> NoiseModel:
-    """Return the noise model with standard deviations that stay when the model is fitted with them.
+    """Increase between-trial standard deviations until they agree with the random effects of a fit.
 
     A standard deviation that is estimated from linearised residuals may be far too small. Between-trial
     variation then distorts the coefficients, and effects seem to correct the coefficients.
@@ -170,8 +170,6 @@ def settled(context: FitContext, leading: Fit, noise_model: NoiseModel) -> Noise
 
 
 def tells_noise(context: FitContext) -> bool:
-    """Return whether the trials are sufficient in number and length to estimate the between-trial
-    variation.
-    """
+    """Return whether there are enough and long enough trials to estimate the between-trial variation."""
     short = all(sum(int(m.sum()) for m in masks) < SHORT for masks in context.shape.masks)
     return context.folds.whole and len(context.trials) >= FEWEST and not short

@@ -1,4 +1,4 @@
-"""Effects between the command and the motion of the actuator."""
+"""Effects of actuators: differences between the command and the motion of the joints."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from swimid.fitting.model import Array, Hooks, Model, Parameter, Stroke, Trial, 
 
 
 class AmplitudeLoss(base.Actuation):
-    """A constant relative loss of amplitude: the joint moves by ``(1 - loss)`` times the command."""
+    """Constant relative loss of amplitude: each joint moves by ``(1 - loss)`` times its command."""
 
     name = "amplitude-loss"
     meaning = "The joints turn by less than their command, by the same share always."
@@ -27,28 +27,27 @@ class AmplitudeLoss(base.Actuation):
     scatters = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the fraction of the amplitude that is lost."""
+        """Return as a parameter the fraction of the joint amplitude that is lost."""
         return (parameter("loss", "1", 0.05, "share of the amplitude lost", -0.5, 0.95),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the reduced command."""
+        """Return the joint angle: the command multiplied by ``1 - loss``."""
         return (1.0 - value) * angle
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the reduced amplitude."""
+        """Return the joint amplitude of a steady beat multiplied by ``1 - loss``."""
         return stroke.amplitude_rad * (1.0 - value)
 
 
-#: Time over which a trim sets in, s. A sudden change of the joint angles would throw the body.
+#: Time over which a trim of the joints sets in, s. A sudden change of the joint angles would throw the body.
 EASE_S = 0.5
 
 
 class AmplitudeOffset(base.Actuation):
-    """A trim that is added to the angle of each driven joint, or a constant that a steady beat loses in
-    amplitude.
+    """Constant angle that is added to each driven joint, or by which the amplitude of a steady beat shrinks.
 
-    The lost amplitude is ``theta_off`` of the recoil law. The effect applies to models that do not estimate
-    the offset.
+    The lost amplitude is ``theta_off`` of the recoil law in the boxfish paper. The effect applies to models
+    that do not estimate the offset.
     """
 
     name = "amplitude-offset"
@@ -58,11 +57,14 @@ class AmplitudeOffset(base.Actuation):
     scatters = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a command drives the model and the model does not estimate the offset."""
+        """Return whether the effect applies.
+
+        A command must drive the joints, and the model must not estimate the offset.
+        """
         return super().applies(model, trials) and not model.estimates("amplitude_offset_deg")
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the angle that is added to each driven joint, in the unit of the command."""
+        """Return as a parameter the angle that is added to each driven joint, in the unit of the command."""
         size = base.typical_amplitude(model, trials)
         most, words = 0.9 * size, "constant angle off"
         return (parameter("offset_rad", "rad", 0.05 * size, words, -most, most),)
@@ -86,13 +88,13 @@ class AmplitudeOffset(base.Actuation):
         return replace(base.on_command(model, trial, command), stroke=(beaten,))
 
 
-#: Ratio of the rate limit to the largest commanded rate below which the limited sine is a triangle: ``1 /
-#: sqrt(1 + pi^2 / 4)``.
+#: Ratio of a rate limit to the largest rate of a sine below which the rate-limited sine is a triangle wave:
+#: ``1 / sqrt(1 + pi^2 / 4)``.
 TRIANGLE = 1.0 / math.hypot(1.0, 0.5 * math.pi)
 
 
 class RateLimit(base.Actuation):
-    """A limit of the rate with which the joint follows its command.
+    """Limit of the rate with which a joint follows its command.
 
     The effect has no influence if the limit is the largest commanded rate. In models of the average over a
     beat, the steady beat has the amplitude of the fundamental of the limited sine (:func:`describing_gain`).
@@ -103,27 +105,27 @@ class RateLimit(base.Actuation):
     sources = ("tendon fish, section IV.A (the speed of the servomotor is limited)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the rate limit, rad/s.
+        """Return the rate limit as a parameter, rad/s.
 
-        Its start value is the largest commanded rate of the trials, which has no influence.
+        Its start value is the largest commanded rate of the trials. A limit of this value has no influence.
         """
         largest = base.largest_rate(model, trials)
         bounds, words = (0.02 * largest, largest), "largest rate of the servos"
         return (Parameter("rate_limit_rad_s", "rad/s", *bounds, largest, 0.2 * largest, meaning=words),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the command with limited rate."""
+        """Return the motion of a joint that follows its command with a limited rate."""
         return np.asarray(limit_rate(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the amplitude of the fundamental of the limited sine."""
+        """Return the amplitude of a steady beat: that of the fundamental of the rate-limited sine."""
         rate = 2.0 * math.pi * np.asarray(stroke.frequency_hz) * stroke.amplitude_rad
         return stroke.amplitude_rad * describing_gain(value / np.maximum(rate, 1e-12))
 
 
 @numba.njit(cache=True, nogil=True)
 def limit_rate(time, signal, limit):  # type: ignore[no-untyped-def]
-    """Follow a signal at no more than a given rate.
+    """Return a signal that follows the given signal with a limited rate of change.
 
     Parameters
     ----------
@@ -192,10 +194,10 @@ def _middle() -> tuple[Array, Array]:
 
 
 class ServoBacklash(base.Actuation):
-    """Play between servo and joint: the joint rests until the servo has crossed the play, and then moves with
-    the servo.
+    """Backlash between servo and joint: the joint rests until the servo has crossed the play.
 
-    In models of the average over a beat, a steady beat loses half the play in amplitude.
+    The joint then moves with the servo. In models of the average over a beat, a steady beat loses half the
+    play in amplitude.
     """
 
     name = "servo-backlash"
@@ -203,21 +205,24 @@ class ServoBacklash(base.Actuation):
     sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the whole width of the play of each joint, in the unit of the command."""
+        """Return as a parameter the whole width of the play of each joint, in the unit of the command."""
         size = base.typical_amplitude(model, trials)
         return (parameter("backlash_rad", "rad", 0.1 * size, "whole width of the play", 0.0, 1.9 * size),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the motion of the joint behind the play."""
+        """Return the motion of a joint that follows its servo with play."""
         return np.asarray(base.hold_back(angle, np.full(len(angle), 0.5 * value)))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the amplitude minus half the play."""
+        """Return the joint amplitude of a steady beat: the commanded amplitude minus half the play."""
         return np.maximum(stroke.amplitude_rad - 0.5 * value, 0.0)
 
 
 class ServoDelay(base.Actuation):
-    """A constant delay of the command. It does not change the average over a steady beat."""
+    """Constant delay of the joints behind their command.
+
+    It does not change the average over a steady beat.
+    """
 
     name = "servo-delay"
     meaning = "The joints move a constant time after their command."
@@ -226,18 +231,19 @@ class ServoDelay(base.Actuation):
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the delay, s."""
+        """Return the delay of the servos as a parameter, s."""
         beat = base.typical_period(model, trials)
         return (parameter("delay_s", "s", 0.04 * beat, "delay of the joints' commands", 0.0, beat),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the delayed command."""
+        """Return the motion of a joint: its command, delayed by a constant time."""
         return apply_delay(time_s, angle, value)
 
 
 def apply_delay(time_s: Array, signal: Array, delay_s: float) -> Array:
-    """Return a signal that is delayed by a constant time. Before the delay has passed, it has its first
-    value.
+    """Return a signal that is delayed by a constant time.
+
+    Until the delay has passed, the result has the first value of the signal.
 
     Parameters
     ----------
@@ -252,7 +258,7 @@ def apply_delay(time_s: Array, signal: Array, delay_s: float) -> Array:
 
 
 class ServoLag(base.Actuation):
-    """A first-order lag ``tau a' = command - a`` of the servo.
+    """First-order lag ``tau a' = command - a`` of the servos, with the joint angle a.
 
     A steady beat of frequency f has ``1 / sqrt(1 + (2 pi f tau)^2)`` of the commanded amplitude.
     """
@@ -266,16 +272,16 @@ class ServoLag(base.Actuation):
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the time constant, s."""
+        """Return the time constant of the servos as a parameter, s."""
         beat = base.typical_period(model, trials)
         return (parameter("time_constant_s", "s", 0.04 * beat, "time constant of the servos", 0.0, beat),)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the joint angle after the lag."""
+        """Return the angle of a joint that follows its command with a first-order lag."""
         return np.asarray(apply_lag(time_s, angle, value))
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
-        """Return the amplitude after the lag at the frequency of the beat."""
+        """Return the joint amplitude of a steady beat after the first-order lag of the servo."""
         gain = 1.0 / np.sqrt(1.0 + (2.0 * math.pi * stroke.frequency_hz * value) ** 2)
         return np.asarray(stroke.amplitude_rad * gain)
 
@@ -309,22 +315,21 @@ def apply_lag(time, signal, tau):  # type: ignore[no-untyped-def]
     return output
 
 
-#: Duration over which the loss sets in, as a fraction of a beat and in samples. The longer duration counts. A
-#: beat shows the time of a change of amplitude only to a quarter of its period. A jump between two samples
-#: would have no derivative.
+#: Duration over which the loss of amplitude by a slip sets in: fraction of a beat (RAMP), or number of
+#: samples (SAMPLES), whichever is longer. The beat shows the time of a change only to a quarter of its
+#: period. With fewer samples, the simulation could not be differentiated with respect to the time of onset.
 RAMP, SAMPLES = 0.25, 4.0
-#: Fractions of a trial at which the loss is tried. A fit finds the time from as far as a quarter of the trial
-#: away.
+#: Times of onset of a slip that are simulated before a fit, as fractions of the trial's duration. A fit
+#: converges to the onset from as far as a quarter of the trial away.
 MOMENTS = (0.125, 0.375, 0.625, 0.875)
 
 
 class Slip(base.Actuation):
-    """A loss of amplitude that sets in during the trial: the joint moves by ``1 - loss s(t)`` times the
-    command.
+    """Slip of a tendon or servo horn: a loss of amplitude that sets in during the trial.
 
-    ``s`` is a quintic step from 0 to 1 about the time of onset. A tendon slips on its pulley, or a horn on
-    its shaft. The onset is counted from the first sample and is the same in every trial. An average over
-    beats does not show when amplitude was lost. Models of steady beats therefore have ``amplitude-loss``
+    The joint moves by ``1 - loss s(t)`` times the command, where ``s`` is a quintic step from 0 to 1 about
+    the time of onset. The onset is counted from the first sample and is the same in every trial. An average
+    over beats does not show when amplitude was lost. Models of steady beats therefore have ``amplitude-loss``
     only.
     """
 
@@ -337,9 +342,9 @@ class Slip(base.Actuation):
     needs = frozenset({"command"})
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the lost fraction of the command, and the time at which half of it is lost, s after the
-        first sample.
+        """Return the parameters: lost fraction of the command, and time of onset, s after the first sample.
 
+        At the time of onset, half of the fraction is lost.
         The scale of the loss is 0.1, twice the smallest visible loss over a whole trial (``amplitude-loss``),
         because the loss lasts for a part of each trial only.
         """
@@ -352,14 +357,15 @@ class Slip(base.Actuation):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points with one size of the loss, to which the change is nearly proportional, at several
-        onset times.
+        """Return the parameter vectors that are simulated before a fit: one loss at several times of onset.
+
+        One size of the loss is enough, because the simulated trials change nearly in proportion to it.
         """
         loss, begin = parameters
         return [np.array([2.0 * loss.scale, 2.0 * share * begin.start]) for share in MOMENTS]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that reduce the commands by the loss."""
+        """Return hooks that reduce the joint commands from the time of onset."""
         loss, begin = (float(v) for v in values)
         ramp = RAMP * base.typical_period(model, [trial])
         ramp = max(ramp, SAMPLES * typical(np.diff(trial.time_s).tolist(), 0.0))

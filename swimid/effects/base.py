@@ -1,4 +1,4 @@
-"""The base class of effects, and a model on which effects act.
+"""Base class of effects (unmodelled physics), and model on which effects act.
 
 An effect has a name, parameters without influence at their start values, and hooks. Hooks are functions that
 change a simulation (:class:`~swimid.fitting.model.Hooks`). The ``stage`` of an effect is the part of the
@@ -44,17 +44,19 @@ Stage = Literal["actuation", "structure", "fluid", "environment", "sensing", "ri
 STAGES: tuple[Stage, ...] = ("actuation", "structure", "fluid", "environment", "sensing", "rig")
 Trials = Sequence[Trial]
 Parameters = tuple[Parameter, ...]
-#: For each parameter name, the bound from which an estimate must keep a distance.
+#: Type of :attr:`Effect.inside`: for each parameter name, the bound from which an estimate must keep a
+#: distance.
 Inside = Mapping[str, Literal["lower", "upper"]]
-#: Sizes at which an effect is tried, in the scales of its parameters.
+#: Parameter values at which an effect is simulated before a fit, in units of the parameters' scales.
 SIZES = (0.5, 1.2, 3.0)
 
-#: Effects whose attributes cannot be compared. They are kept, so that no other object gets the same id.
+#: Effects that are identified by their id, because their attributes cannot be compared. They are kept alive,
+#: so that no other object gets the same id.
 _KEPT: dict[int, Effect] = {}
 
 
 class Effect(ABC):
-    """A cause of differences between model and trials that the model may lack.
+    """Physical effect that a model may lack, and that then causes differences between model and trials.
 
     Attributes
     ----------
@@ -68,14 +70,14 @@ class Effect(ABC):
     sources : tuple of str
         Papers and sections that describe the effect.
     needs : frozenset of str
-        Hooks of which a model must offer at least one, unless the effect has its own :meth:`applies` or
-        :meth:`variants`.
+        Names of hooks, of which a model must offer at least one. Effects with their own :meth:`applies` or
+        :meth:`variants` need none.
     scatters : bool
-        Whether the effect may differ at random between trials (a trim, a clock). It is then a random effect
-        as well.
+        Whether the effect may differ at random between trials, as a trim or a clock does. A diagnosis then
+        also considers it as a random effect.
     smooth : bool
-        Whether the change of the simulation is nearly proportional to the parameters. One size is then enough
-        to try the effect.
+        Whether the change of the simulation is nearly proportional to the parameters. A simulation with one
+        size of the effect is then enough.
     inside : mapping of name to end
         Bounds, ``lower`` or ``upper``, from which an estimate must keep at least the parameter's scale.
         Closer to the bound the effect could imitate others, and is not accepted as a hypothesis.
@@ -102,11 +104,11 @@ class Effect(ABC):
 
     @abstractmethod
     def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
-        """Return the parameters of the effect: no influence at ``start``, typical scale ``scale``."""
+        """Return the parameters of the effect. At their ``start`` values the effect has no influence."""
 
     @abstractmethod
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hooks for one trial at these parameter values.
+        """Return the hooks by which the effect changes the simulation of one trial.
 
         Parameters
         ----------
@@ -115,28 +117,29 @@ class Effect(ABC):
         """
 
     def applies(self, model: Model, trials: Sequence[Trial]) -> bool:
-        """Return whether the effect can act on a model in these trials."""
+        """Return whether the effect can act on the given model in the given trials."""
         return bool(self.needs & model.offers)
 
     def variants(self, model: Model, trials: Sequence[Trial]) -> Sequence[Effect]:
-        """Return the forms in which the effect is tried (which joint, which wall); none if the effect does
-        not apply.
+        """Return the forms of the effect that apply to a model, for example one form for each joint or wall.
+
+        The result is empty if the effect does not apply.
         """
         return [self] if self.applies(model, trials) else []
 
     def joins(self, effects: Sequence[Effect]) -> bool:
-        """Return whether the effect may act together with other effects. No effect acts twice."""
+        """Return whether the effect may act together with the given effects. No effect acts twice."""
         return self.name not in {e.name for e in effects}
 
     def in_place_of(self, model: Model) -> Model:
-        """Return the model on which all effects act: the given model, unless the effect replaces it."""
+        """Return the model on which all effects act. An effect may replace the given model by another one."""
         return model
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the points within the bounds at which the effect is tried before a fit.
+        """Return the parameter vectors, within bounds, at which the effect is simulated before a fit.
 
-        For a smooth effect these are a small and a large size of each parameter. The small size has one sign
-        only.
+        For a smooth effect these are a small and a large value of each parameter. The small value has one
+        sign only.
         """
         null = np.array([p.start for p in parameters])
         points: list[Array] = []
@@ -153,14 +156,16 @@ class Effect(ABC):
         return points
 
     def content(self) -> bytes:
-        """Return the identity of the effect. Effects of one class with equal attributes have the same
-        identity.
+        """Return bytes that identify the effect.
+
+        Effects of one class with equal attributes have the same identity.
         """
         kind = type(self)
         try:
             return pickle.dumps((kind.__module__, kind.__qualname__, sorted(vars(self).items())))
         except (pickle.PicklingError, AttributeError, TypeError):
-            # An effect that contains a function is identical only to itself.
+            # The attributes of an effect that contains a function cannot be compared. It is identified by its
+            # id.
             _KEPT[id(self)] = self
             return f"{kind.__qualname__} {id(self)}".encode()
 
@@ -168,12 +173,12 @@ class Effect(ABC):
         return f"<effect {self.name}>"
 
 
-#: Forms in which an effect is tried.
+#: Type of the result of :meth:`Effect.variants`: the forms of an effect that apply to a model.
 Effects = Sequence[Effect]
 
 
 class Affected(Model):
-    """A model on which effects act.
+    """Model on which effects act.
 
     The parameters are those of the model, followed by those of each effect as ``effect/parameter``. With the
     effect parameters at their start values, the simulation is that of the model. An effect may replace this
@@ -210,7 +215,7 @@ class Affected(Model):
         self.parameters = (*model.parameters, *renamed)
 
     def hooks(self, values: Array, trial: Trial) -> Hooks:
-        """Return the hooks of all effects for one trial at these parameter values."""
+        """Return the combined hooks of all effects for one trial at the given parameter values."""
         at = len(self.model.parameters)
         point = values[at:].tobytes()
         known = self._latest.get(trial.id)
@@ -227,14 +232,14 @@ class Affected(Model):
                 key = content + own.tobytes()
                 acting = replace(acting, key=key, command_key=key if acting.command else b"")
             hooks = acting if hooks is NONE else hooks + acting
-        # Hooks that change model coefficients may store the values that they read. They are created anew for
-        # each run.
+        # Hooks that change model coefficients may store the values that they read. Create them anew for each
+        # simulation.
         if not (hooks.tables or hooks.coefficients):
             self._latest[trial.id] = trial, point, hooks
         return hooks
 
     def shifted(self, values: Array) -> Array:
-        """Return the model parameters after the additions by effects, limited to the bounds.
+        """Return the model parameters with the changes by effects added, limited to the bounds.
 
         Parameters
         ----------
@@ -251,7 +256,7 @@ class Affected(Model):
         return own
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate one trial (see :meth:`Model.simulate`)."""
+        """Simulate one trial with all effects (see :meth:`Model.simulate`)."""
         own = self.shifted(values)
         hooks = self.hooks(values, trial)
         if hooks is NONE:
@@ -260,11 +265,11 @@ class Affected(Model):
 
     @property
     def together(self) -> int:
-        """Return the number of runs that the model simulates in the time of one run."""
+        """Return the number of simulations that the model runs as one batch in the time of one."""
         return self.model.together
 
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
-        """Simulate several runs (see :meth:`Model.simulate_many`)."""
+        """Simulate several trials with all effects (see :meth:`Model.simulate_many`)."""
         hooks = unless_broken(self.hooks, runs)
         asked = zip(runs, hooks, strict=True)
         sound = [(self.shifted(values), trial, h) for (values, trial), h in asked if h is not None]
@@ -275,8 +280,9 @@ class Affected(Model):
         ]
 
     def refined(self) -> Affected | None:
-        """Return the model and its effects with half the integration step; None if the model integrates
-        nothing.
+        """Return the model with its effects and half the integration step.
+
+        Return None if the model does not integrate in time.
         """
         finer = self.nominal.refined()
         return None if finer is None else Affected(finer, self.effects, self._trials)
@@ -284,7 +290,7 @@ class Affected(Model):
 
 # ---------------------------------------------------------------- parts of effects
 
-#: Amplitude of a servo or joint, rad, if the trials state none.
+#: Assumed amplitude of a servo or joint, rad, if the trials state none.
 USUAL_ANGLE = 0.3
 SPEEDS = ("u_m_s", "v_m_s", "w_m_s", MEAN_SPEED)
 #: Channels whose unit contains a length.
@@ -306,7 +312,7 @@ def parameter(
     start: float = 0.0,
     per_trial: bool = False,
 ) -> Parameter:
-    """Return a parameter of an effect. The default start value is 0, without influence."""
+    """Return a parameter of an effect. By default it starts at 0, where the effect has no influence."""
     return Parameter(name, unit, lower, upper, start, scale, per_trial=per_trial, meaning=meaning)
 
 
@@ -314,7 +320,7 @@ def parameter(
 
 
 def pick_by_motion(model: Model, along: Choice, about: Choice) -> Choice:
-    """Return ``about`` for a rig whose only coordinate is an angle, otherwise ``along``."""
+    """Return ``about`` if the model is a rig whose only coordinate is an angle, otherwise ``along``."""
     return about if model.rig is not None and model.rig.rotation else along
 
 
@@ -324,12 +330,12 @@ def is_pulled(model: Model) -> bool:
 
 
 def has_pulley(trials: Trials) -> bool:
-    """Return whether some trial has a pulley."""
+    """Return whether the rig of some trial has a pulley."""
     return any(trial.rig.pulley for trial in trials)
 
 
 def free_body(model: Model) -> Body | None:
-    """Return the links of a swimmer whose base moves; None for other models."""
+    """Return the body of a swimmer whose base moves; None for other models."""
     return model.body if model.body is not None and model.body.free else None
 
 
@@ -339,7 +345,7 @@ def free_body(model: Model) -> Body | None:
 def add_to_coefficient(value: float, *names: str) -> Hooks:
     """Return hooks that add a value to a coefficient of a model's equation of motion.
 
-    The coefficient is the first of the names that the equation has.
+    The coefficient is the first one among ``names`` that the equation has.
     """
 
     def change(coefficients: dict[str, float]) -> None:
@@ -349,13 +355,13 @@ def add_to_coefficient(value: float, *names: str) -> Hooks:
 
 
 def force_at_hull(body: Body, function: Any, constants: Array) -> Force:
-    """Return a force at the centre of mass of the heaviest link."""
+    """Return a force that acts at the centre of mass of the heaviest link of a swimmer."""
     x, y = body.centre(body.hull)
     return Force(function, constants, body.hull, x, y)
 
 
 def force_on_rig(function: Any, constants: Sequence[float] | Array, **places: int) -> Hooks:
-    """Return hooks that add a force on the body of a rig.
+    """Return hooks that add a force to the body of a rig.
 
     Parameters
     ----------
@@ -388,7 +394,7 @@ def change_springs(body: Body, change: Callable[[float], dict[str, float]]) -> H
 
 
 class RigCoefficient(Effect, ABC):
-    """An addition to one coefficient of a rig's equation of motion that the model does not estimate.
+    """Effect that adds to one coefficient of a rig's equation of motion, which the model does not estimate.
 
     Attributes
     ----------
@@ -406,14 +412,15 @@ class RigCoefficient(Effect, ABC):
     pulley: bool = False
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a rig that does not estimate the effect. A pulley effect also needs
-        a pulley.
+        """Return whether the effect applies: the model must be a rig that does not estimate the coefficient.
+
+        An effect of the pulley applies only if some trial has a pulley.
         """
         known = model.rig is None or model.estimates(*self.own)
         return not known and (not self.pulley or has_pulley(trials))
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add the value to the coefficient."""
+        """Return hooks that add the effect's parameter to the coefficient of the rig."""
         if self.pulley and not trial.rig.pulley:
             return Hooks()
         return add_to_coefficient(values[0], self.coefficient)
@@ -423,7 +430,7 @@ class RigCoefficient(Effect, ABC):
 
 
 class Actuation(Effect, ABC):
-    """An effect of the actuator, for models that follow a command and not a measured joint angle.
+    """Effect of the actuator, for models in which joints follow a command and not a measured angle.
 
     A subclass with one parameter for all driven joints defines :meth:`follow`. It also defines
     :meth:`amplitude` if its ``needs`` include the stroke.
@@ -432,11 +439,14 @@ class Actuation(Effect, ABC):
     needs = frozenset({"command", "stroke"})
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a command drives some trial."""
+        """Return whether the effect applies: a command must drive the joints in some trial."""
         return super().applies(model, trials) and any(model.commanded(t) for t in trials)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
-        """Return the motion of a joint that follows a command, shape (n,), without missing samples."""
+        """Return the motion of a joint that follows the command ``angle`` with the effect, shape (n,).
+
+        Neither the command nor the motion has missing samples.
+        """
         raise NotImplementedError
 
     def amplitude(self, value: float, stroke: Stroke) -> Array:
@@ -444,7 +454,7 @@ class Actuation(Effect, ABC):
         raise NotImplementedError
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that change the commands, and the amplitude of a steady beat."""
+        """Return hooks that change the commands of the joints, and the amplitude of a steady beat."""
         value = float(values[0])
 
         def beaten(stroke: Stroke) -> Stroke:
@@ -455,13 +465,14 @@ class Actuation(Effect, ABC):
 
 
 def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
-    """Return hooks that change the commands of a trial; no hooks if no command drives the trial."""
+    """Return hooks that apply ``change`` to the commands of a trial; no hooks without a command."""
     return Hooks(command=(change,)) if model.commanded(trial) else Hooks()
 
 
 def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
-    """Return a hook that changes every joint in the same way. Joints with the same command are computed
-    once.
+    """Return a hook that applies ``change`` to the command of every joint.
+
+    For joints with the same command, the change is computed once.
     """
     last: tuple[Array, Array, Array] | None = None
 
@@ -476,15 +487,13 @@ def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
 
 
 def follow_commands(model: Model, trial: Trial, change: Callable[[Array, Array], Array]) -> Hooks:
-    """Return hooks that change each command in the same way, bridging missing samples."""
+    """Return hooks that apply ``change`` to the command of every joint, across missing samples."""
     return on_command(model, trial, for_every_joint(partial(bridge_missing, change)))
 
 
 @numba.njit(cache=True, nogil=True)
 def hold_back(signal, half):  # type: ignore[no-untyped-def]
-    """Follow a signal with a play operator: the output moves only if its distance from the signal would
-    exceed ``half``.
-
+    """Follow a signal with play (backlash): the output moves only to stay within ``half`` of the signal.
     A position servo of stiffness k with dry friction T stands still while ``k |command - angle| < T``.
 
     Parameters
@@ -505,7 +514,7 @@ def hold_back(signal, half):  # type: ignore[no-untyped-def]
 
 
 def bridge_missing(change: Callable[[Array, Array], Array], time_s: Array, signal: Array) -> Array:
-    """Change a signal that has missing samples.
+    """Apply ``change`` to a signal that has missing samples.
 
     Missing samples are interpolated before the change, and are missing again after the change.
     """
@@ -526,7 +535,7 @@ def _signals(model: Model, trials: Trials) -> Iterator[tuple[Array, Array, float
 
 
 def _strokes(trials: Trials) -> tuple[Array, Array]:
-    """Return frequency (Hz) and amplitude (rad) of every steady beat."""
+    """Return the frequencies (Hz) and amplitudes (rad) of all steady beats of the trials."""
     beats = [np.zeros((2, 0)), *(np.stack(trial.steady) for trial in trials)]
     frequency, amplitude = np.concatenate(beats, axis=1)
     there = np.isfinite(frequency) & np.isfinite(amplitude) & (frequency > 0) & (amplitude > 0)
@@ -534,13 +543,19 @@ def _strokes(trials: Trials) -> tuple[Array, Array]:
 
 
 def typical_amplitude(model: Model, trials: Trials) -> float:
-    """Return the typical amplitude of a driven joint, rad, or the unit of a black-box model's input."""
+    """Return the typical amplitude of a driven joint, rad.
+
+    For a black-box model it is the typical amplitude of the input, in the unit of the input.
+    """
     sizes = [0.5 * float(np.ptp(s)) for _, s, _ in _signals(model, trials) if len(s) and np.ptp(s) > 0]
     return typical(sizes or list(_strokes(trials)[1]), USUAL_ANGLE)
 
 
 def largest_rate(model: Model, trials: Trials) -> float:
-    """Return the largest rate of the commands, rad/s, or the unit of a black-box model's input per second."""
+    """Return the largest rate of change of the joint commands, rad/s.
+
+    For a black-box model it is that of the input, in the unit of the input per second.
+    """
     rates = [r for _, _, r in _signals(model, trials)]
     for time, signal, _ in _signals(model, trials):
         if len(time) > 1:
@@ -551,7 +566,7 @@ def largest_rate(model: Model, trials: Trials) -> float:
 
 
 def typical_period(model: Model, trials: Trials) -> float:
-    """Return the typical period of the beat, s; one second if it is unknown."""
+    """Return the typical period of the beat in the trials, s; one second if it is unknown."""
     return 1.0 / typical([f for f in (*model.beats(trials), *_strokes(trials)[0]) if f > 0], 1.0)
 
 
@@ -559,12 +574,12 @@ def typical_period(model: Model, trials: Trials) -> float:
 
 
 def select_measured(names: Sequence[str], trials: Trials) -> list[str]:
-    """Return the channels that have samples in some trial."""
+    """Return those of the named channels that have samples in some trial."""
     return [n for n in names if any(n in t.measured and np.isfinite(t.measured[n]).any() for t in trials)]
 
 
 class Clock(Effect, ABC):
-    """An error of the clock of a log, or of the clock of the camera alone.
+    """Error of the clock of a log, or only of the clock of the camera.
 
     Parameters
     ----------
@@ -579,7 +594,10 @@ class Clock(Effect, ABC):
         self.camera = camera
 
     def variants(self, model: Model, trials: Trials) -> Sequence[Effect]:
-        """Return the form for the clock of the log, and that for the camera if it has its own clock."""
+        """Return the form for the clock of the whole log, and the form for the clock of the camera.
+
+        The camera may have its own clock if the log has turn rates in addition to poses.
+        """
         forms = [*super().variants(model, trials)]
         measured = {c for t in trials for c in t.measured}
         rates = any(c.endswith("_rate_rad_s") for c in measured)
@@ -589,7 +607,10 @@ class Clock(Effect, ABC):
 
 
 def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
-    """Return hooks for a camera with its own clock: it shows the poses of the times ``happened(time_s)``."""
+    """Return hooks for a camera with its own clock.
+
+    A sample with time stamp ``time_s`` has the pose of the time ``happened(time_s)``.
+    """
 
     def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
         # A cubic spline extrapolates well over two samples, but not further.
@@ -597,7 +618,7 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
         then = np.clip(happened(time_s), time_s[0], end)
         poses = [c for c in POSES if c in channels]
         values = np.column_stack([channels[c] for c in poses])
-        # Only values of a simulation without missing samples can be interpolated.
+        # Interpolate only channels without missing samples. The spline cannot handle missing samples.
         sound = np.isfinite(values).all(axis=0)
         shifted = np.full(values.shape, np.nan)
         shifted[:, sound] = CubicSpline(time_s, values[:, sound])(then)
@@ -607,13 +628,16 @@ def shift_poses(trial: Trial, happened: Callable[[Array], Array]) -> Hooks:
 
 
 class Sensing(Effect, ABC):
-    """An effect that changes log channels one by one. It applies if one of these channels is measured."""
+    """Effect of a sensor that changes each of its log channels independently of the others.
+
+    It applies if one of these channels is measured.
+    """
 
     needs = frozenset({"output"})
     channels: ClassVar[tuple[str, ...]]
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether one of the channels is measured."""
+        """Return whether the effect applies: one of the channels that it changes must be measured."""
         return super().applies(model, trials) and bool(select_measured(self.channels, trials))
 
     def show(self, change: Callable[[str, Array], Array]) -> Hooks:

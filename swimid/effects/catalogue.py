@@ -1,4 +1,4 @@
-"""List the effects: those of the modules of this package, and those of a user's file."""
+"""List all effects that a model may lack: those of this package, and those that a user's file defines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Model, Trial
 
-#: Names of the hooks that an effect may use.
+#: Names of the simulation hooks that an effect may use in :attr:`Effect.needs`.
 PLACES = frozenset({"command", "stroke", "tables", "coefficients", "force", "flow", "output", "clock"})
 
 
@@ -32,7 +32,7 @@ def catalogue() -> tuple[Effect, ...]:
 
 
 def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
-    """Return all forms of the effects that apply to a model and its trials."""
+    """Return those forms of the given effects that apply to a model and its trials."""
     return [variant for effect in effects for variant in effect.variants(model, trials)]
 
 
@@ -72,7 +72,7 @@ def from_file(path: str | Path) -> list[Effect]:
 
 
 def _kinds(module: ModuleType) -> list[type[Effect]]:
-    """Return the public subclasses of Effect that a module defines, in their order in the module."""
+    """Return the public subclasses of Effect that a module defines, in the order of definition."""
     return [
         kind
         for name, kind in vars(module).items()
@@ -84,7 +84,7 @@ def _kinds(module: ModuleType) -> list[type[Effect]]:
 
 
 def _run(path: Path) -> ModuleType:
-    """Run a Python file as a module; raise errors with file and line."""
+    """Run a user's Python file as a module. Errors are raised as InputError with file and line."""
     if not path.is_file():
         raise InputError("there is no such file", file=path)
     name = f"swimid_effects_of_{path.stem}_{abs(hash(path.resolve()))}"
@@ -104,7 +104,7 @@ def _run(path: Path) -> ModuleType:
 
 
 def _raised(error: Exception, path: Path) -> int | None:
-    """Return the last line of the file in the traceback of an error."""
+    """Return the last line number in the given file that the traceback of an error contains, or None."""
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
     return lines[-1] if lines else None
 

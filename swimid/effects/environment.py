@@ -1,4 +1,4 @@
-"""Effects of the water and the pool around the robot."""
+"""Effects of the robot's environment: buoyancy, currents, water surface, tether, walls and waves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Parameter, trace
 
 @traceable(on="hull", constants=2)
 def rise(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add an upward force and a righting moment. Constants: force, and moment per sine of the pitch angle."""
+    """Add an upward force and a righting moment to the wrench.
+
+    The constants are the force, and the moment per sine of the pitch angle.
+    """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] += constants[0] * s
     wrench[1] += constants[0] * c
@@ -34,8 +37,10 @@ class Buoyancy(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a free swimmer in the vertical plane, or a rig along z with a known
-        rest position.
+        """Return whether the effect applies.
+
+        The model must be a free swimmer in the vertical plane, or a rig along z. A rig whose rest position
+        the model estimates is excluded.
         """
         if model.rig is not None:
             return model.axes == ("z",) and not model.estimates("rest_position")
@@ -43,7 +48,7 @@ class Buoyancy(Effect):
         return body is not None and body.vertical
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the upward force, N, and for a swimmer also the righting moment, N m."""
+        """Return the upward force as a parameter, N, and for a swimmer also the righting moment, N m."""
         size = 0.03 * model.scales(trials).force
         force = parameter("force_N", "N", size, "buoyancy beyond weight")
         body = model.body
@@ -53,7 +58,7 @@ class Buoyancy(Effect):
         return force, parameter("righting_N_m", "N m", moment, "righting moment per sine of pitch")
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add the constant force and the moment."""
+        """Return hooks that add the constant upward force, and on a swimmer the righting moment."""
         body = model.body
         if body is not None:
             return Hooks(force=(base.force_at_hull(body, rise, np.array(values, dtype=float)),))
@@ -65,8 +70,9 @@ MOST_CURRENT = 3.0
 
 
 class Current(Effect):
-    """Water that moves with constant velocity relative to the ground. A model with one axis has a current
-    along its track.
+    """Current: water that moves with constant velocity relative to the ground.
+
+    A model with one axis has a current along its track.
     """
 
     name = "current"
@@ -76,11 +82,11 @@ class Current(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model has a body that travels."""
+        """Return whether the effect applies: the model must have a body that travels."""
         return super().applies(model, trials) and bool(model.axes)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the components of the velocity of the water relative to the ground, m/s."""
+        """Return as parameters the velocity components of the water relative to the ground, m/s."""
         size = model.scales(trials).speed
         most, words = MOST_CURRENT * size, "velocity of the water along"
         return tuple(
@@ -89,7 +95,7 @@ class Current(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that move the water."""
+        """Return hooks that move the water with a constant velocity."""
         velocity = np.pad(values, (0, 2 - len(values)))
 
         def flow(time_s: Array) -> tuple[Array, Array]:
@@ -98,16 +104,16 @@ class Current(Effect):
         return Hooks(flow=(flow,))
 
 
-#: Height over which the force increases smoothly from zero, m.
+#: Height above the water level over which the loss of buoyancy increases smoothly from zero, m.
 ROUND = 0.002
 
 
 @traceable(on="hull", constants=5)
 def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the weight of the hull that has left the water.
+    """Add to the wrench the buoyancy that the hull loses above the water surface.
 
-    Constants: force per height, level of the surface, position of the centre of mass relative to the
-    reference point (along, across), and lever arm.
+    The constants are the force per height, the level of the surface, the position of the centre of mass
+    relative to the reference point (along, across), and the lever arm.
     """
     s, c = math.sin(pose[2]), math.cos(pose[2])
     middle = pose[1] + constants[2] * s + constants[3] * c - constants[1]
@@ -120,11 +126,10 @@ def sink(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
 
 
 class SurfaceBreach(Effect):
-    """Loss of buoyancy above a water level: the weight of the water that the hull no longer displaces pulls
-    it down.
+    """Loss of the hull's buoyancy above a water level.
 
-    Half of the force acts a quarter of the hull's length ahead of the hull's centre of mass, and half at the
-    same distance behind it.
+    The weight of the water that the hull no longer displaces pulls it down. Half of the force acts a quarter
+    of the hull's length ahead of the hull's centre of mass, and half at the same distance behind it.
     """
 
     name = "surface-breach"
@@ -132,11 +137,11 @@ class SurfaceBreach(Effect):
     sources = ("dolphin paper, section 4.1",)
 
     def __init__(self, levels_m: tuple[float, ...] = (0.0,)) -> None:
-        """Set the levels at which the effect is tried."""
+        """Create the effect with the water levels, m, that are simulated before a fit."""
         self.levels_m = levels_m
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for free swimmers in the vertical plane with a measured height."""
+        """Return the effect if the model is a free swimmer in the vertical plane with a measured height."""
         heights = [t.measured["z_m"] for t in trials if "z_m" in t.measured]
         body = base.free_body(model)
         if body is None or not body.vertical or not heights:
@@ -145,8 +150,9 @@ class SurfaceBreach(Effect):
         return [SurfaceBreach(tuple(float(q) for q in np.nanquantile(values, (0.85, 0.5, 0.97))))]
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the force per height, N/m, and the level of the reference point above which buoyancy is
-        lost, m.
+        """Return the parameters: lost buoyancy per height, N/m, and level above which it is lost, m.
+
+        The level is a height of the robot's reference point.
         """
         size = 0.2 * model.scales([_heights(t) for t in trials]).span
         slope = 0.1 * model.scales(trials).force / size
@@ -157,11 +163,11 @@ class SurfaceBreach(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return sizes of the force at each level."""
+        """Return the parameter vectors that are simulated before a fit: several forces at each level."""
         return [np.array([s * parameters[0].scale, level]) for level in self.levels_m for s in SIZES[1:]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add the force and its moment to the heaviest link."""
+        """Return hooks that add the lost buoyancy and its moment to the heaviest link."""
         body = model.body
         x, y = body.centre(body.hull)
         a, b = x, y
@@ -172,20 +178,21 @@ class SurfaceBreach(Effect):
 
 
 def _heights(trial: Trial) -> Trial:
-    """Return the trial with the height as its only channel."""
+    """Return a copy of the trial with the height as its only measured channel."""
     measured = {name: value for name, value in trial.measured.items() if name == "z_m"}
     return Trial(trial.id, trial.role, trial.time_s, measured)
 
 
-#: Distance, m, below which the direction to the anchor is undefined. It avoids a division by zero.
+#: Minimum distance from the anchor of a tether, m, in the direction of its pull. It avoids a division by
+#: zero.
 TINY = 1e-30
 
 
 @traceable(on="base", constants=5)
 def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add a spring to a fixed point, the anchor, and the drag of a line.
+    """Add the pull of a tether towards its anchor, and the drag of its line, to the wrench.
 
-    Constants: stiffness, slack, drag of the line, and the two coordinates of the anchor.
+    The constants are the stiffness, the slack, the drag of the line, and the two coordinates of the anchor.
     """
     dx, dy = pose[0] - constants[3], pose[1] - constants[4]
     distance = math.sqrt(dx * dx + dy * dy)
@@ -201,11 +208,11 @@ def pull_back(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-
 
 
 class Tether(Effect):
-    """A pull ``-k (d - slack)`` towards an anchor at distance d, if d exceeds the slack.
+    """Tether: a pull ``-k (d - slack)`` towards an anchor at distance d, if d exceeds the slack.
 
-    The anchor is at the start of the run. For a swimmer it may also be behind the start, so that the line
-    pulls from the beginning. The line in the water has the drag ``-c d v |v|``. In a cruise, the mean of the
-    pull over the run acts.
+    The anchor is at the start of the trial. For a swimmer it may also be behind the start, so that the line
+    pulls from the beginning. The line in the water has the drag ``-c d v |v|``. In timed cruising, the mean
+    of the pull over the course acts.
     """
 
     name = "tether"
@@ -213,14 +220,17 @@ class Tether(Effect):
     sources = ("dolphin paper, section 1",)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a pulled body, a cruise or a free swimmer."""
+        """Return whether the effect applies.
+
+        It applies to a pulled body on a rig, timed cruising or a free swimmer.
+        """
         return base.is_pulled(model) or model.timed_runs or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the stiffness, N/m, the slack, m, and further parameters that the motion can show.
+        """Return the parameters of the tether that the trials can show.
 
-        A motion in time also shows the drag of the line, N s2/m3. A swimmer also shows the distance of the
-        anchor behind the start, m.
+        All trials show the stiffness, N/m, and the slack, m. A motion in time also shows the drag of the
+        line, N s2/m3. A swimmer also shows the distance of the anchor behind the start, m.
         """
         scales, size = model.scales(trials), _reach(model, trials)
         stiffness = 0.3 * scales.force / size
@@ -237,10 +247,10 @@ class Tether(Effect):
         return (*pull, line, parameter("behind_m", "m", 0.2 * size, words, 0.0, size))
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points at which the effect is tried.
+        """Return the parameter vectors of the tether that are simulated before a fit.
 
-        Three points have the same stiffness: without slack, with slack, and with the anchor behind the start.
-        One point has only a drag of the line.
+        Three vectors have the same stiffness: without slack, with slack, and with the anchor behind the
+        start. One vector has only a drag of the line.
         """
         scale = np.array([p.scale for p in parameters])
         steps = [(SIZES[1],), (SIZES[1], 2.0), (0.0, 0.0, SIZES[1]), (SIZES[1], 0.0, 0.0, 2.0)]
@@ -249,7 +259,7 @@ class Tether(Effect):
         ]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add a force on the base, or the mean force of a run."""
+        """Return hooks that add the pull of the tether to the base, or its mean in timed cruising."""
         if model.timed_runs:
             way = np.asarray(trial.inputs["distance_m"], dtype=float)
             mean = float(np.mean(0.5 * values[0] * np.maximum(way - values[1], 0.0) ** 2 / way))
@@ -264,21 +274,23 @@ class Tether(Effect):
 
 
 def _reach(model: Model, trials: Trials) -> float:
-    """Return the typical distance from the start, m."""
+    """Return the typical distance that the robot moves from its start in a trial, m."""
     if model.timed_runs:
         return typical([w for t in trials for w in np.atleast_1d(t.inputs["distance_m"])], 1.0)
     return model.scales(trials).span
 
 
-#: Maximum exponent of the force of a wall, which limits the force beyond the end of the measured tracks.
+#: Maximum exponent of the exponential influence of a wall. It limits the influence beyond the end of the
+#: measured tracks.
 STEEPEST = 2.0
 
 
 @traceable(on="hull", constants=5)
 def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add a force away from a wall.
+    """Add the force by which a wall pushes the swimmer away to the wrench.
 
-    Constants: force, decay length, direction to the wall (x, y), and coordinate of the end of the tracks.
+    The constants are the force at the end of the tracks, the decay length, the direction to the wall (x, y),
+    and the coordinate of the end of the tracks.
     """
     along, across = constants[2], constants[3]
     gap = constants[4] - (along * pose[0] + across * pose[1])
@@ -290,15 +302,17 @@ def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def blockage(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add drag near the end of a run. Constants: quadratic drag, relative increase, decay length, and end
-    coordinate.
+    """Add to the wrench the additional drag of a body on a rig near a wall.
+
+    The constants are the quadratic drag coefficient, its relative increase, the decay length, and the
+    coordinate of the end of the tracks.
     """
     grown = constants[1] * math.exp(min(-(constants[3] - pose[0]) / constants[2], STEEPEST))
     wrench[0] -= constants[0] * grown * velocity[0] * abs(velocity[0])
 
 
 class Wall(Effect):
-    """A wall at one side of the pool.
+    """Wall at one side of the pool, whose influence decays exponentially with distance.
 
     The influence of the wall is ``exp(-d / l)``. Here l is the decay length, and d is the distance from the
     end of the tracks on that side. A swimmer is pushed away from the wall, or drawn to it if the force is
@@ -321,7 +335,7 @@ class Wall(Effect):
         self.extreme_m = extreme_m
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return one form per side for free swimmers, and the form for the far end for pulled bodies."""
+        """Return the possible walls: one per side for a free swimmer, or one at the far end for a rig."""
         walls: list[Effect] = []
         for axis in model.axes:
             series = [t.measured[f"{axis}_m"] for t in trials if f"{axis}_m" in t.measured]
@@ -337,7 +351,7 @@ class Wall(Effect):
         return walls
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the influence at the end of the tracks, and the decay length, m.
+        """Return the parameters: influence of the wall at the end of the tracks, and decay length, m.
 
         The influence is a force, N, on a swimmer, or a relative increase of drag on a rig.
         """
@@ -355,14 +369,15 @@ class Wall(Effect):
         return first, parameter(f"{self.side}_decay_m", "m", size, words, lower, upper, start=start)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points with one size of the force, to which the change is nearly proportional, at two
-        decay lengths.
+        """Return the parameter vectors that are simulated before a fit: one force at two decay lengths.
+
+        One size of the force is enough, because the simulated trials change nearly in proportion to it.
         """
         force, decay = parameters
         return [np.array([SIZES[1] * force.scale, share * decay.start]) for share in (0.5, 1.5)]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add a force at the centre of mass of the heaviest link, or drag on a rig."""
+        """Return hooks that add the wall's force at the hull of a swimmer, or its drag on a rig."""
         body = model.body
         if body is not None:
             axis, end = self.side.split("_")
@@ -373,32 +388,34 @@ class Wall(Effect):
 
 
 class _Push(Wall):
-    """The wall of a free swimmer. With a decay length of three body lengths it could imitate any slow
-    force.
+    """Wall near a free swimmer, with a decay length below three body lengths.
+
+    With a longer decay length, the force of the wall could imitate any slowly varying force.
     """
 
     inside = {f"{axis}_{end}_decay_m": "upper" for axis in "xyz" for end in ("min", "max")}
 
 
-#: Lowest and highest tried frequency of waves, Hz.
+#: Lowest and highest frequency at which waves are searched in the measured tracks, Hz.
 LOWEST, HIGHEST = 0.15, 3.0
-#: Minimum number of periods in a trial. With fewer periods, waves cannot be distinguished from a slow force.
+#: Minimum number of wave periods in a trial. With fewer periods, waves cannot be distinguished from a slowly
+#: varying force.
 PERIODS = 1.5
-#: Maximum number of spectral lines of the tracks that are tried. The second value is the order of the
-#: polynomial in time that is removed from the tracks before.
+#: Search for waves in the measured tracks: maximum number of spectral lines that are tried as waves (LINES),
+#: and order of the polynomial in time that is removed from the tracks before (ORDER).
 LINES, ORDER = 4, 5
-#: Maximum number of frequencies of a spectrum.
+#: Maximum number of frequencies in the spectrum of a track.
 FINEST = 120
-#: Number of spectral lines that are tried with an amplitude that depends on the place.
+#: Number of spectral lines that are also tried as waves whose amplitude depends on the place.
 TRAVELLED = 1
-#: Water depth of a shallow pool, m.
+#: Water depth of a shallow pool for which wavenumbers are computed, m.
 DEPTH = 0.5
-#: Minimum fraction of a track's variance at one frequency. A track with a larger fraction is an oscillation.
+#: Fraction of a track's variance at one frequency above which the track counts as an oscillation.
 MOST = 0.5
 
 
 class Waves(Effect):
-    """Orbital velocity ``a cos(2 pi f t) + b sin(2 pi f t)`` along one axis that is fixed to the ground.
+    """Waves: orbital water velocity ``a cos(2 pi f t) + b sin(2 pi f t)`` along one axis fixed to the ground.
 
     The frequency is common to all trials. Each trial has its own amplitude and phase, with the time counted
     from its start. The cosine sets in with ``1 - exp(-2 pi f t)``, because a body that floats at the start
@@ -423,8 +440,11 @@ class Waves(Effect):
         self.frequency_hz = frequency_hz
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return one form for each axis and spectral line of the track, for a model of the motion in time."""
-        # A model of averages over beats or runs has no motion within the period of a wave.
+        """Return one form of the effect for each axis and each strong spectral line of the tracks.
+
+        The result is empty for a model without motion in time.
+        """
+        # A model of averages over beats or courses has no motion within the period of a wave.
         if "force" not in model.offers:
             return []
         found: list[Waves] = []
@@ -438,11 +458,12 @@ class Waves(Effect):
         return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the frequency, Hz, and the cosine and sine amplitudes of each trial, m/s."""
+        """Return the parameters of the waves: frequency, Hz, and cosine and sine amplitude per trial, m/s."""
         scales, along = model.scales(trials), f"amplitude of the water's velocity along {self.axis}"
         size = 0.1 * scales.speed
         near, words = 0.2 / scales.duration, "frequency of the waves"
-        # An estimate closer to a bound than its scale is not accepted as a hypothesis.
+        # Extend the lower bound by the scale of the frequency. An estimate closer to the bound than the scale
+        # is not accepted as a hypothesis.
         least = max(0.5 * LOWEST, PERIODS / scales.duration - near)
         band = least, max(2.0 * HIGHEST, 2.0 * least)
         return (
@@ -452,12 +473,15 @@ class Waves(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points with one amplitude at its scale. The change is proportional to the amplitude."""
+        """Return the parameter vectors that are simulated before a fit.
+
+        Each has one amplitude at its scale, because the simulated trials change in proportion to it.
+        """
         frequency, size = parameters[0].start, parameters[1].scale
         return [np.array([frequency, *part]) for part in ((size, 0.0), (0.0, size))]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that move the water."""
+        """Return hooks that move the water with the orbital velocity of the waves."""
         frequency, a, b = (float(v) for v in values)
         omega = 2.0 * math.pi * frequency
         column = int(self.axis != "x")
@@ -487,8 +511,10 @@ class _Travelling(Waves):
     meaning = "oscillatory (orbital) flow that differs from place to place: waves or their reflections"
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return frequency (Hz), wavenumber (rad/m), direction in a horizontal plane (rad), and amplitudes
-        (m/s).
+        """Return the parameters of the waves.
+
+        They are the frequency (Hz), the wavenumber (rad/m), the direction in a horizontal plane (rad), and
+        the amplitudes (m/s).
         """
         frequency, cosine, sine = super().parameters(model, trials)
         deep, shallow = wavenumbers(self.frequency_hz)
@@ -506,7 +532,10 @@ class _Travelling(Waves):
         return (*shared, cosine, sine, *quarter)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points with one amplitude at its scale, for the wavenumbers in deep and in shallow water."""
+        """Return the parameter vectors that are simulated before a fit.
+
+        Each has one amplitude at its scale, and the wavenumber in deep or in shallow water.
+        """
         amplitudes = [j for j, p in enumerate(parameters) if p.per_trial]
         found = []
         for wavenumber, j in itertools.product(wavenumbers(self.frequency_hz), amplitudes):
@@ -516,7 +545,7 @@ class _Travelling(Waves):
         return found
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that move the water at the place of the body."""
+        """Return hooks that move the water with the orbital velocity at the place of the body."""
         frequency, wavenumber, *direction = (float(v) for v in values[:-4])
         omega = 2.0 * math.pi * frequency
         first, second = (trial.measured.get(f"{axis}_m") for axis in model.axes)
@@ -556,7 +585,7 @@ def wavenumbers(frequency_hz: float) -> tuple[float, float]:
 
 
 def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
-    """Return the measured coordinate of the body at given times; zeros if it is unknown."""
+    """Return a measured coordinate of the body, interpolated to given times; zeros if it is unknown."""
     if series is None or not np.isfinite(series).any():
         return np.zeros(len(time_s))
     there = np.isfinite(series)
@@ -564,7 +593,7 @@ def _along(trial: Trial, series: Array | None, time_s: Array) -> Array:
 
 
 def _simulated(model: Model, trial: Trial, channel: str) -> Array:
-    """Return a channel of the simulation at the start values; zeros if the simulation fails."""
+    """Return a simulated channel with the parameters at their start values; zeros if the simulation fails."""
     own = [p.name for p in model.parameters if p.per_trial]
     starts = {name: trial.starts[name] for name in own if name in trial.starts}
     values = np.array([starts.get(p.name, p.start) for p in model.parameters])
@@ -620,15 +649,16 @@ def lines(model: Model, trials: Trials, axis: str) -> tuple[float, ...]:
 
 
 def oscillation(time_s: Array, series: Array) -> float:
-    """Return the frequency of the sine with most of the variance of a series, Hz; 0 if it has less than
-    half.
+    """Return the dominant frequency of a series, Hz.
+
+    Return 0 if less than half of the variance is at one frequency.
     """
     from scipy.signal import lombscargle
 
     centred = series - series.mean()
     if len(series) < 2 * ORDER or not centred.any():
         return 0.0
-    # Fewer than two periods could also be slow motion.
+    # Search only frequencies with at least two periods in the series. Fewer periods could be slow motion.
     lasting = float(time_s[-1] - time_s[0])
     highest = 0.5 / float(np.median(np.diff(time_s)))
     grid = np.arange(2.0, max(lasting * min(2.0 * HIGHEST, highest), 2.5), 0.25) / lasting

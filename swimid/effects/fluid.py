@@ -12,15 +12,15 @@ from swimid.effects.base import Effect, Effects, Parameters, Trials, parameter
 from swimid.fitting.model import Array, Hooks, Model, Trial, traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
-#: Minimum inertia that may remain, as a fraction of the rigid body's inertia.
+#: Minimum inertia that must remain if the added mass is negative, as a fraction of the rigid body's inertia.
 LEAST = 0.5
 
 
 class AddedMass(Effect):
-    """Added mass in addition to that of the model: of a rig, or along and across the links of a swimmer.
+    """Added mass in addition to that of the model, for the body on a rig or for the links of a swimmer.
 
-    On a swimmer, the added mass acts at the centres of mass of the links, in proportion to the masses of the
-    links. A further added mass across the last link may act there.
+    On a swimmer, the added mass differs along and across the links. It acts at the centres of mass of the
+    links, in proportion to their masses. A further added mass may act across the last link.
     """
 
     name = "added-mass"
@@ -29,12 +29,14 @@ class AddedMass(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a rig or a free swimmer."""
+        """Return whether the effect applies: the model must be a rig or a free swimmer."""
         return model.rig is not None or base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the added mass along and across all links, kg, or the added mass of a rig (added inertia
-        for an angle).
+        """Return the added mass as parameters, kg.
+
+        A swimmer has one value along the links, one across the links, and one across the last link. A rig has
+        one value, which for a rotation is an added moment of inertia, kg m2.
         """
         body = model.body
         if body is not None:
@@ -53,7 +55,7 @@ class AddedMass(Effect):
         return (parameter(name, unit, 0.05 * size, words, lower=-LEAST * own),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add to the inertia."""
+        """Return hooks that add the added mass to the inertia of the model."""
         body = model.body
         if body is not None:
             masses = body.masses_kg
@@ -75,14 +77,17 @@ TINY = 1e-30
 
 @traceable(on="hull", constants=3)
 def changed_drag(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the change of the drag ``-k u |u|`` by ``C = C_0 (|u| / u_ref)^-n``. Constants: k, n and u_ref."""
+    """Add to the wrench the change of the drag ``-k u |u|`` by ``C = C_0 (|u| / u_ref)^-n``.
+
+    The constants are k, n and u_ref.
+    """
     u = velocity[0]
     speed = max(abs(u), TINY)
     wrench[0] -= constants[0] * u * abs(u) * ((speed / constants[2]) ** -constants[1] - 1.0)
 
 
 class DragReynolds(Effect):
-    """A drag coefficient that depends on speed, ``C = C_0 (|u| / u_ref)^-n``.
+    """Dependence of the drag coefficient on speed (Reynolds number), ``C = C_0 (|u| / u_ref)^-n``.
 
     n is 0.5 for a laminar boundary layer and 0.2 for a turbulent one. In the first form, the effect changes
     the axial drag. The axial drag of all links of a swimmer then acts at the heaviest link. In the second
@@ -106,7 +111,7 @@ class DragReynolds(Effect):
         self.whole = whole
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the forms for rigs and for free swimmers with quadratic drag."""
+        """Return the forms of the effect for rigs, or those for free swimmers with quadratic drag."""
         body, typical = model.body, model.scales(trials).speed
         forms = [DragReynolds(typical)]
         if body is None:
@@ -120,7 +125,7 @@ class DragReynolds(Effect):
         return forms
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the exponent n."""
+        """Return the exponent n of the drag coefficient ``C = C_0 (|u| / u_ref)^-n`` as a parameter."""
         return (
             parameter(
                 f"{self.whole * 'trial_'}exponent",
@@ -133,7 +138,7 @@ class DragReynolds(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that change the model's quadratic drag, or its drag coefficients."""
+        """Return hooks that change the model's axial quadratic drag, or all its drag coefficients."""
         body = model.body
         if self.whole:
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
@@ -150,9 +155,9 @@ class DragReynolds(Effect):
 
 
 class LiftDamping(Effect):
-    """Lift ``-k V w`` of each link, with the speed V of the link through the water and its component w across
-    the link.
+    """Lift ``-k V w`` of each link, which damps the motion across the link.
 
+    V is the speed of the link through the water, and w is its component across the link.
     The normal force is ``rho / 2 S C_N V^2`` with ``C_N = C_Na sin(a)`` for a small angle of attack a. This
     force dissipates energy like a damping. k is distributed over the points at which the model's drag across
     the links acts, in proportion to that drag. Both are proportional to the area seen from the side.
@@ -167,12 +172,12 @@ class LiftDamping(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a free swimmer with drag across a link."""
+        """Return whether the effect applies: the model must be a free swimmer with drag across a link."""
         body = base.free_body(model)
         return body is not None and len(body.normal_drag(body.tables())[0]) > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the sum of k over all links, ``rho / 2 S C_Na``, N s2/m2.
+        """Return as a parameter the lift coefficient k summed over all links, ``rho / 2 S C_Na``, N s2/m2.
 
         The scale is a tenth of the model's drag across all links. The lift slope of a body of low aspect
         ratio is about 1 per rad, as large as a drag coefficient across the body. A tenth of this lift is
@@ -191,9 +196,9 @@ class LiftDamping(Effect):
         return Hooks(tables=(lambda tables: body.lift(tables, links, points),))
 
 
-#: Parameters of models that already describe a linear drag.
+#: Names of model parameters that already describe a linear drag.
 OWN = ("linear_drag", "linear_damping")
-#: Name and unit of the linear drag coefficient, by the unit of the model's force.
+#: Name and unit of the linear drag coefficient, for each unit that a model's force may have.
 UNITS = {
     "N": ("linear_N_s_m", "N s/m"),
     "N m": ("linear_N_m_s_rad", "N m s/rad"),
@@ -214,20 +219,24 @@ class LinearDrag(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the base of the body moves and the model does not estimate a linear drag."""
+        """Return whether the effect applies.
+
+        The base of the body must move, and the model must not estimate a linear drag.
+        """
         held = model.body is not None and not model.body.free
         return super().applies(model, trials) and not held and not model.estimates(*OWN)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the drag per speed: N s/m, N m s/rad for an angle, or 1/s for a model with forces per
-        mass.
+        """Return the linear drag coefficient as a parameter.
+
+        Its unit is N s/m, N m s/rad for a rotation, or 1/s for a model with forces per mass.
         """
         name, unit = UNITS[model.force_unit]
         scales, least = model.scales(trials), -model.start(*OWN)
         return (parameter(name, unit, scales.brake / scales.speed, "drag per speed", lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add to the linear drag."""
+        """Return hooks that add to the linear drag of the model."""
         body = model.body
         if body is not None:
             at = body.centre(body.hull)
@@ -236,8 +245,9 @@ class LinearDrag(Effect):
 
 
 class QuadraticDrag(base.RigCoefficient):
-    """Drag ``-c v |v|`` of separated flow: form drag of a towed body, or vortex damping of a body that
-    swings.
+    """Quadratic drag ``-c v |v|`` of separated flow, for the body on a rig.
+
+    It is the form drag of a towed body, or the vortex damping of a body that swings.
     """
 
     name = "quadratic-drag"
@@ -250,7 +260,7 @@ class QuadraticDrag(base.RigCoefficient):
     own = ("quadratic_drag", "quadratic_damping", "drag_coefficient")
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the drag per squared speed, N s2/m2, or N m s2/rad2 for an angle."""
+        """Return the quadratic drag coefficient as a parameter, N s2/m2, or N m s2/rad2 for a rotation."""
         linear, angular = ("quadratic_N_s2_m2", "N s^2/m^2"), ("quadratic_N_m_s2_rad2", "N m s^2/rad^2")
         name, unit = base.pick_by_motion(model, linear, angular)
         scales = model.scales(trials)
@@ -258,12 +268,12 @@ class QuadraticDrag(base.RigCoefficient):
         return (parameter(name, unit, size, "drag per squared speed", lower=-scales.quadratic),)
 
 
-#: Maximum added mass per length, divided by that of the plate that gives the scale.
+#: Maximum added mass per length at the trailing edge, divided by that of a square plate of the link's length.
 MOST = 10.0
 
 
 class WakeLift(Effect):
-    """Reactive force ``-m u w n + m w^2 t / 2`` at the rear end of the last link.
+    """Reactive force ``-m u w n + m w^2 t / 2`` of the wake at the rear end of the last link.
 
     u and w are the velocities of the trailing edge along and across its link. m is the added mass per length
     at the trailing edge. t and n are the unit vectors along and across the link
@@ -276,12 +286,13 @@ class WakeLift(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer of several links."""
+        """Return whether the effect applies: the model must be a swimmer of several links."""
         return model.body is not None and model.body.last > 0
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the added mass per length at the trailing edge, kg/m. The scale comes from a square plate
-        of the link's length.
+        """Return as a parameter the added mass per length at the trailing edge, kg/m.
+
+        Its scale is a tenth of that of a square plate of the link's length.
         """
         body = model.body
         plate = 0.25 * math.pi * body.density_kg_m3 * body.lengths_m[-1] ** 2
@@ -290,6 +301,6 @@ class WakeLift(Effect):
         return (parameter("added_mass_kg_m", "kg/m", 0.1 * plate, words, 0.0, most),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add a trailing edge."""
+        """Return hooks that add the reactive force at the trailing edge of the last link."""
         body = model.body
         return Hooks(tables=(lambda tables: body.shed(tables, float(values[0])),))

@@ -14,7 +14,7 @@ from swimid.fitting.model import Array, Hooks, Model, Trial
 
 
 class InitialSpeed(base.RigCoefficient):
-    """An initial speed that is equal in every trial."""
+    """Initial speed of the body on a rig at its release, equal in all trials."""
 
     name = "initial-speed"
     meaning = "speed at release"
@@ -23,7 +23,7 @@ class InitialSpeed(base.RigCoefficient):
     scatters = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the speed, m/s or rad/s."""
+        """Return the speed at release as a parameter, m/s or rad/s."""
         name, unit = base.pick_by_motion(model, ("speed_m_s", "m/s"), ("speed_rad_s", "rad/s"))
         return (parameter(name, unit, 0.1 * model.scales(trials).speed, self.meaning),)
 
@@ -45,12 +45,15 @@ class PulleyFriction(base.RigCoefficient):
         self.pulley = not everywhere
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for the pulley or for the slide, if the model does not estimate the friction."""
+        """Return the form for the friction of the pulley, or that for the slide if no trial has a pulley.
+
+        The result is empty if the model estimates the friction.
+        """
         form = PulleyFriction(everywhere=not base.has_pulley(trials))
         return base.RigCoefficient.variants(form, model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the friction in addition to that of the model, N (N m for an angle)."""
+        """Return as a parameter the dry friction in addition to that of the model, N, or N m for an angle."""
         name, unit = base.pick_by_motion(model, ("friction_N", "N"), ("friction_N_m", "N m"))
         words = "dry friction beyond the model's"
         size = model.scales(trials).brake
@@ -58,7 +61,7 @@ class PulleyFriction(base.RigCoefficient):
 
 
 class PulleyInertia(base.RigCoefficient):
-    """The pulley's moment of inertia divided by its squared radius, added to M in Eq 8 of the boxfish paper.
+    """Inertia of the pulley, divided by its squared radius: an addition to M in Eq 8 of the boxfish paper.
 
     Trials of one body in water do not distinguish it from added mass. Trials with and without a pulley do.
     """
@@ -70,7 +73,7 @@ class PulleyInertia(base.RigCoefficient):
     pulley = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the equivalent mass, kg."""
+        """Return the equivalent mass of the pulley as a parameter, kg."""
         size = 0.05 * model.scales(trials).inertia
         words = "inertia of the pulley over its radius squared"
         return (parameter("inertia_kg", "kg", size, words, lower=0.0),)
@@ -87,14 +90,14 @@ class PulleyViscous(base.RigCoefficient):
     pulley = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the friction per speed, N s/m."""
+        """Return the viscous friction of the pulley per speed as a parameter, N s/m."""
         scales, least = model.scales(trials), -model.start(*self.own)
         size = 0.1 * scales.force / scales.speed
         return (parameter("viscous_N_s_m", "N s/m", size, "friction of the pulley per speed", lower=least),)
 
 
 class StartOffset(base.RigCoefficient):
-    """A displacement at release that is equal in every trial."""
+    """Displacement of the body on a rig at its release, equal in all trials."""
 
     name = "start-offset"
     meaning = "displacement at release"
@@ -103,18 +106,18 @@ class StartOffset(base.RigCoefficient):
     scatters = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the displacement, m or rad."""
+        """Return the displacement at release as a parameter, m or rad."""
         unit = base.pick_by_motion(model, "m", "rad")
         return (parameter(f"offset_{unit}", unit, 0.01 * model.scales(trials).span, self.meaning),)
 
 
-#: Gravitational acceleration in the pulling forces of trials, m/s2.
+#: Gravitational acceleration by which a trial's pulling force is converted to the mass of the weight, m/s2.
 GRAVITY = 9.81
 
 
 @numba.njit(cache=True, nogil=True)
 def oscillation(time, pull, omega, damping, start):  # type: ignore[no-untyped-def]
-    """Solve ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from rest at ``start``.
+    """Solve the damped oscillation ``s'' + 2 zeta omega s' + omega^2 s = pull(t)`` from rest at ``start``.
 
     Parameters
     ----------
@@ -167,12 +170,14 @@ class StringStretch(Effect):
     sources = ("boxfish paper, section 3.3",)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a weight pulls over a pulley."""
+        """Return whether the effect applies: a weight must pull the body over a pulley in some trial."""
         return base.is_pulled(model) and base.has_pulley(trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the compliance, m/N, the fraction of the weight that the string takes up only after the
-        release, and the damping ratio.
+        """Return the parameters of the string.
+
+        They are its compliance, m/N, the fraction of the weight that it did not carry before the release, and
+        the damping ratio of the weight on it.
         """
         scales = model.scales(trials)
         scale = 0.01 * scales.span / scales.force
@@ -185,7 +190,10 @@ class StringStretch(Effect):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return sizes of the compliance, for a string that is slack and for one that is taut at release."""
+        """Return the parameter vectors that are simulated before a fit.
+
+        They have several compliances, each for a string that is slack and for one that is taut at release.
+        """
         compliance, _, damping = parameters
         sizes = itertools.product((1.0, 0.0), SIZES)
         return [np.array([size * compliance.scale, unloaded, damping.start]) for unloaded, size in sizes]

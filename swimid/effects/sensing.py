@@ -1,4 +1,4 @@
-"""Effects between the motion of the robot and its log."""
+"""Effects of sensors and clocks: errors between the motion of the robot and its log."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ class CameraRotation(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether both positions are measured and the model does not estimate the rotation of the
-        camera.
+        """Return whether the effect applies.
+
+        Both position coordinates of a swimmer must be measured. A model that estimates the rotation of the
+        camera is excluded.
         """
         known = model.body is None or model.estimates("camera_rotation")
         return not known and super().applies(model, trials) and _both_measured(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the rotation angle, rad."""
+        """Return the rotation angle of the camera as a parameter, rad."""
         words = "axes of the positions against those of the heading"
         return (parameter("angle_rad", "rad", 0.03, words, -math.pi, math.pi),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that rotate the positions."""
+        """Return hooks that rotate the simulated positions about the start of the trial."""
         first, second, _ = model.body.pose
         origin = model.origin(trial)
         # Add the difference to the unrotated position, so that a zero angle changes nothing.
@@ -52,16 +54,16 @@ def _both_measured(model: Model, trials: Trials) -> bool:
     return len(base.select_measured(model.body.pose[:2], trials)) == 2
 
 
-#: Number of Newton steps in the computation of a position from its image.
+#: Number of Newton iterations that compute a position from its image by a distorting lens.
 ITERATIONS = 8
 
 
 class CameraScale(base.Sensing):
-    """Measured displacements from the start of the trial, and speeds, that are multiplied by ``1 +
-    scale_error``.
+    """Scale error of a camera: measured displacements and speeds are multiplied by ``1 + scale_error``.
 
-    On a rig it is an error of the circumference of the encoder's pulley. On a cruising run it is an error of
-    the length of the course, or of the rate of the clock.
+    The displacements are counted from the start of the trial. On a rig the effect is an error of the
+    circumference of the encoder's pulley. In timed cruising it is an error of the length of the course, or of
+    the rate of the clock.
     """
 
     name = "camera-scale"
@@ -75,8 +77,9 @@ class CameraScale(base.Sensing):
     smooth = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form with a constant scale, and for a swimmer in a plane also the form with lens
-        distortion.
+        """Return the form with a constant scale error, and the form with lens distortion.
+
+        The form with lens distortion is for swimmers whose two position coordinates are measured.
         """
         found = super().variants(model, trials)
         if found and base.free_body(model) and _both_measured(model, trials):
@@ -84,18 +87,17 @@ class CameraScale(base.Sensing):
         return found
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the relative error of the scale."""
+        """Return the relative scale error as a parameter."""
         return (parameter("scale_error", "1", 0.03, "relative error of the lengths", -0.5, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that scale positions and speeds."""
+        """Return hooks that multiply the simulated displacements and speeds by ``1 + scale_error``."""
         error, origin = float(values[0]), model.origin(trial)
         return self.show(lambda name, length: length + error * (length - origin.get(name, 0.0)))
 
 
 class _Lens(CameraScale):
-    """A scale that changes towards the edge of the image, because the distortion of the lens was not
-    corrected well.
+    """Camera scale that changes towards the edge of the image because of lens distortion.
 
     A body at *p* is seen at ``c + (1 + e) (p - c) (1 + k |p - c|^2)``: radial distortion of the first order
     about the centre *c* [1]_.
@@ -108,8 +110,10 @@ class _Lens(CameraScale):
     meaning = "The measured lengths are too long or too short, more so far from the centre of the picture."
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the relative scale error at the centre, the distortion (1/m2) and the centre of the image
-        (m).
+        """Return the parameters of the lens.
+
+        They are the relative scale error at the centre of the image, the radial distortion (1/m2) and the
+        coordinates of the centre (m).
         """
         places = np.concatenate([_places(model, t) for t in trials])
         places = places[np.isfinite(places)]
@@ -127,14 +131,17 @@ class _Lens(CameraScale):
         return (scale, bend, *centre)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points with either the scale error or the distortion, with both signs. The centre alone
-        changes nothing.
+        """Return the parameter vectors that are simulated before a fit.
+
+        Either the scale error or the distortion is not zero. A change of only the image centre would have no
+        influence.
         """
         return [point for point in super().tries(parameters) if point[0] or point[1]]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that show positions through the lens, and speeds with the scale at the centre of
-        the image.
+        """Return hooks that distort the simulated positions as the lens does.
+
+        Speeds are multiplied by the scale at the centre of the image.
         """
         error, bent, centre = 1.0 + float(values[0]), float(values[1]), complex(values[2], values[3])
         first, second = model.body.pose[:2]
@@ -167,7 +174,10 @@ class _Lens(CameraScale):
 
 
 def _places(model: Model, trial: Trial) -> Array:
-    """Return the measured positions of the body as complex numbers (two axes); empty if they are unknown."""
+    """Return the measured positions of a swimmer as complex numbers; empty if they are not measured.
+
+    The real and imaginary parts are the two coordinates.
+    """
     first, second = (trial.measured.get(name) for name in model.body.pose[:2])
     if first is None or second is None:
         return np.empty(0, dtype=complex)
@@ -179,12 +189,12 @@ LARGEST = 0.1
 
 
 class ClockRate(base.Clock):
-    """A clock that runs fast: the time stamp ``t`` belongs to the event at ``t_0 + (t - t_0) / (1 + rate)``.
+    """Rate error of a clock: a log whose clock runs fast shows later times than the true ones.
 
-    The clocks of log and drive agree at ``t_0``, where the drive or the run begins (the first sample of a
-    recorded command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn
-    rates in addition to poses, the clock of the camera alone may run at another rate than the clock of the
-    robot.
+    The time stamp ``t`` belongs to the event at the true time ``t_0 + (t - t_0) / (1 + rate)``. The clocks of
+    log and drive agree at ``t_0``, where the drive or the trial begins (the first sample of a recorded
+    command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn rates in
+    addition to poses, only the clock of the camera may run at another rate than the clock of the robot.
     """
 
     name = "clock-rate"
@@ -195,7 +205,7 @@ class ClockRate(base.Clock):
     )
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the fraction by which the clock of the log runs fast.
+        """Return as a parameter the fraction by which the clock of the log runs fast.
 
         The scale of 0.2 % is 20 ms after 10 s, which is a visible offset.
         """
@@ -203,7 +213,7 @@ class ClockRate(base.Clock):
         return (parameter(name, "1", 0.002, words, -LARGEST, LARGEST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that let the clock drift from the beginning of the run."""
+        """Return hooks that let the clock of the log drift from the beginning of the trial."""
         begin = model.onset(trial)
         if not math.isfinite(begin):
             begin = float(trial.time_s[0])
@@ -214,7 +224,7 @@ class ClockRate(base.Clock):
 
 
 class ImuBias(base.Sensing):
-    """A constant that is added to the measured turn rate."""
+    """Bias of a gyroscope: a constant that is added to the measured turn rate."""
 
     name = "imu-bias"
     meaning = "The gyroscope shows a constant turn rate at rest."
@@ -223,11 +233,11 @@ class ImuBias(base.Sensing):
     smooth = True
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the bias, rad/s."""
+        """Return the bias of the gyroscope as a parameter, rad/s."""
         return (parameter("bias_rad_s", "rad/s", 0.02, "turn rate shown at rest", -1.0, 1.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add the bias to the turn rates."""
+        """Return hooks that add the bias to the simulated turn rates."""
         return self.show(lambda name, rate: rate + float(values[0]))
 
 
@@ -240,19 +250,19 @@ class ImuTilt(base.Sensing):
     channels = base.TURN_RATES
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the tilt, rad."""
+        """Return the tilt of the gyroscope's axis as a parameter, rad."""
         return (parameter("tilt_rad", "rad", 0.2, "tilt of the gyroscope's axis", 0.0, 1.4),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that reduce the turn rates."""
+        """Return hooks that multiply the simulated turn rates by the cosine of the tilt."""
         return self.show(lambda name, rate: math.cos(float(values[0])) * rate)
 
 
 class MarkerDropout(Effect):
-    """Intervals in which the tracker stopped, jumped to another object or strayed.
+    """Failure of the marker tracker: intervals in which it stopped, jumped to another object or strayed.
 
-    Simulations do not contain this effect. It is found in the samples, which are constant, displaced or far
-    outside the noise.
+    The effect is not simulated. It is detected in the samples, which are constant, displaced or far outside
+    the noise.
     """
 
     name = "marker-dropout"
@@ -267,16 +277,16 @@ class MarkerDropout(Effect):
         return ()
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return no hooks."""
+        """Return no hooks, because the effect is not simulated."""
         return NONE
 
 
-#: Maximum offset of a marker, m.
+#: Maximum offset of the tracked point from the reference point of the robot, m.
 FARTHEST_M = 0.5
 
 
 class MarkerOffset(Effect):
-    """A tracked point away from the reference point, and a tracked direction that differs from the heading.
+    """Offset of the tracked point from the robot's reference point, and of the tracked direction.
 
     The measured position is ``x + R(yaw) (along, across)``, minus the offset at the first sample. The
     measured heading is ``yaw + misalignment``. The measured velocity is that of the tracked point, in axes
@@ -290,15 +300,20 @@ class MarkerOffset(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a pose or a velocity of the body is measured."""
+        """Return whether the effect applies.
+
+        It applies to a free swimmer whose pose or velocity is measured.
+        """
         body = base.free_body(model)
         if body is None or not super().applies(model, trials):
             return False
         return bool(base.select_measured((*body.pose, *body.velocity[:2]), trials))
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the position of the tracked point ahead of and beside the reference point, m, and its
-        direction, rad.
+        """Return the parameters of the tracked point.
+
+        They are its distances ahead of and beside the reference point, m, and the angle of the tracked
+        direction to the heading, rad.
         """
         ends = -FARTHEST_M, FARTHEST_M
         return (
@@ -308,7 +323,7 @@ class MarkerOffset(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that show pose and velocity of the tracked point."""
+        """Return hooks that replace the simulated pose and velocity by those of the tracked point."""
         body = model.body
         along, across, angle = (float(v) for v in values)
         (first, second, heading), (ahead, beside, rate) = body.pose, body.velocity
@@ -331,14 +346,14 @@ class MarkerOffset(Effect):
         return Hooks(output=(seen,))
 
 
-#: Maximum offset of a clock, s.
+#: Maximum offset of the clock of a log, s.
 LARGEST_S = 2.0
 
 
 class TimeOffset(base.Clock):
-    """A clock with a constant offset, so that the log shows events earlier and a timed run takes longer.
+    """Constant offset of the clock: the log shows events earlier, and a timed course takes longer.
 
-    If a log contains turn rates in addition to poses, the clock of the camera alone may be late relative to
+    If a log contains turn rates in addition to poses, only the clock of the camera may be late relative to
     the clock of the robot.
     """
 
@@ -351,9 +366,9 @@ class TimeOffset(base.Clock):
     scatters = True
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for a clock that the model does not estimate.
+        """Return the form for the clock of the log, unless the model estimates the offset of this clock.
 
-        If the camera has its own clock, there is also a form for the camera alone.
+        If the camera has its own clock, there is also a form for this clock only.
         """
         if model.timed_runs:
             return [self]
@@ -362,12 +377,12 @@ class TimeOffset(base.Clock):
         return super().variants(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the time by which the log is late, s."""
+        """Return as a parameter the time by which the clock of the log is late, s."""
         name, size = f"{self.camera * 'camera_'}offset_s", max(0.03, 0.1 * model.timed_runs)
         return (parameter(name, "s", size, "time by which the log is late", -LARGEST_S, LARGEST_S),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that delay the clock, or lengthen the durations of cruising runs."""
+        """Return hooks that delay the clock of the log, or lengthen the durations of timed cruising."""
         offset = float(values[0])
         if self.camera and offset:
             return base.shift_poses(trial, lambda time_s: time_s - offset)
@@ -378,7 +393,7 @@ class TimeOffset(base.Clock):
         def seen(channels: dict[str, Array], time_s: Array) -> dict[str, Array]:
             speed = channels[MEAN_SPEED]
             with np.errstate(divide="ignore"):
-                # The measured duration is at least a tenth of the true duration.
+                # Limit the measured duration to at least a tenth of the true duration.
                 longer = np.maximum(1.0 + offset * speed / distance, 0.1)
             return {**channels, MEAN_SPEED: speed / longer}
 

@@ -29,7 +29,7 @@ class ComOffset(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a free swimmer."""
+        """Return whether the effect applies: the model must be a free swimmer."""
         return base.free_body(model) is not None
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -45,7 +45,7 @@ class ComOffset(Effect):
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that move the mass and its weight."""
+        """Return hooks that move the centre of mass of the heaviest link, and its weight with it."""
         body = model.body
         by = float(values[0]), float(values[1])
         return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))
@@ -53,12 +53,12 @@ class ComOffset(Effect):
 
 @traceable(on="last", constants=3)
 def bent_fin(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the change of the fin's normal force by bending. Constants: compliance, quadratic drag and lift
-    coefficient.
+    """Add the change of the fin's normal force by bending to the wrench.
 
-    The normal force ``N = -(k |w| + l u) w`` of the straight fin rotates its chord by ``delta = -c N / sqrt(1
-    + (c N)^2)``. The force of the bent fin is normal to the rotated chord, and is computed from the
-    velocities along and across that chord.
+    The constants are the compliance c, the quadratic drag coefficient k and the lift coefficient l. The force
+    ``N = -(k |w| + l u) w`` of the straight fin rotates its chord by ``delta = -c N / sqrt(1 + (c N)^2)``.
+    The force of the bent fin is normal to the rotated chord, and is computed from the velocities along and
+    across that chord.
     """
     compliance, quadratic, lift = constants[0], constants[1], constants[2]
     u, w = velocity[0], velocity[1]
@@ -93,8 +93,9 @@ class FinFlexibility(Effect):
         self.load, self.inertia_kg_m2 = load, inertia_kg_m2
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for swimmers with drag or lift across the last link, or for models of the
-        average over a stroke.
+        """Return the form for a swimmer, or the form for a model of the average over a stroke.
+
+        A swimmer must have drag or lift across its last link, which is the fin.
         """
         body = model.body
         if body is not None and sum(body.fin(body.tables())[:2]) > 0:
@@ -104,7 +105,9 @@ class FinFlexibility(Effect):
         return []
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the angle of the chord per force, rad/N, or the relative loss of thrust at the typical
+        """Return the compliance of the fin as a parameter: rotation of its chord per force, rad/N.
+
+        In models of the average over a beat, the parameter is the relative loss of thrust at the typical
         load.
         """
         body = model.body
@@ -118,7 +121,7 @@ class FinFlexibility(Effect):
         return (parameter("loss", "1", 0.2, "loss of thrust at the typical load", 0.0, 20.0),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add a force on the last link, or reduce the thrust."""
+        """Return hooks that add the force of the bent fin to the last link, or reduce the mean thrust."""
         body = model.body
         if body is not None:
             constants = np.array([values[0], 0.0, 0.0])
@@ -138,14 +141,17 @@ class FinFlexibility(Effect):
 
 
 def _stroke_speed(model: Model, length: float, trials: Trials) -> float:
-    """Return the typical speed across the fin at the end of a fin of this length (m), m/s."""
+    """Return the typical speed with which the end of a fin moves across its chord, m/s.
+
+    The length of the fin is ``length``, m.
+    """
     beats = [t.swim.beat for t in trials if t.swim.beat is not None]
     speeds = [2.0 * math.pi * b.frequency_hz * abs(b.amplitude_rad) * length for b in beats]
     return typical(speeds, 0.0) or model.scales(trials).speed
 
 
 def _typical(trials: Trials) -> tuple[float, float]:
-    """Return the median load and the median inertia of the fins; 1 if unknown."""
+    """Return the median load ``I f^2 theta`` and the median inertia I of the fins; 1 if unknown."""
     known = [t.cruise.inertia_kg_m2 for t in trials]
     middle = typical([own for own in known if own is not None], 1.0)
     loads: list[float] = []
@@ -157,7 +163,10 @@ def _typical(trials: Trials) -> tuple[float, float]:
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def cubic(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add the force ``-h k (x - rest)^3``. Constants: relative growth h, stiffness k and rest position."""
+    """Add the cubic spring force ``-h k (x - rest)^3`` to the wrench.
+
+    The constants are the relative growth h, the stiffness k and the rest position.
+    """
     off = pose[0] - constants[2]
     wrench[0] -= constants[0] * constants[1] * off * off * off
 
@@ -177,14 +186,18 @@ class Hardening(Effect):
     )
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer with a spring in a joint, or a free decay."""
+        """Return whether the effect applies.
+
+        It applies to a swimmer with a spring in a joint, or a free decay.
+        """
         return _has_spring(model)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the relative growth of the stiffness per squared deflection, rad^-2 or m^-2.
+        """Return the hardening h as a parameter: relative growth of stiffness per squared deflection.
 
-        With the scale, the torque at the largest deflection is larger by a fifth. The lower bound keeps the
-        stiffness of a softening spring positive up to the largest deflection, ``1 + 3 h q^2 > 0``.
+        The unit is rad^-2 or m^-2. The scale of the parameter increases the torque at the largest deflection
+        by a fifth. The lower bound keeps the stiffness of a softening spring positive up to the largest
+        deflection, ``1 + 3 h q^2 > 0``.
         """
         largest, unit = _deflection(model, trials), "rad"
         if model.rig is not None:
@@ -194,7 +207,7 @@ class Hardening(Effect):
         return (parameter(f"hardening_{unit}_2", f"{unit}^-2", size, words, least, 30.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add a cubic term to the springs."""
+        """Return hooks that add a cubic term to the springs of the joints or of the rig."""
         body = model.body
         if body is not None:
             return base.change_springs(body, lambda own: {"cubic": max(own, 0.0) * values[0]})
@@ -202,7 +215,7 @@ class Hardening(Effect):
 
 
 def _deflection(model: Model, trials: Trials) -> float:
-    """Return the largest deflection in a typical trial, in the unit of the coordinate."""
+    """Return the largest deflection of a spring in a typical trial, in the unit of the coordinate."""
     if model.body is None:
         return 0.5 * model.scales(trials).span
     columns = [axis.column for axis in model.body.passive]
@@ -228,11 +241,14 @@ class JointDamping(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer with a passive joint."""
+        """Return whether the effect applies: the model must be a swimmer with a passive joint."""
         return model.body is not None and bool(model.body.passive)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the torque per rate, N m s/rad. The scale corresponds to a damping ratio of 0.05."""
+        """Return the additional damping of the joints as a parameter, N m s/rad.
+
+        Its scale corresponds to a damping ratio of 0.05.
+        """
         body = model.body
         tables, joints = body.tables(), range(len(body.passive))
         sizes = [
@@ -243,12 +259,12 @@ class JointDamping(Effect):
         return (parameter("damping_N_m_s_rad", "N m s/rad", size, words, lower=least),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add to the damping."""
+        """Return hooks that add damping to the passive joints."""
         return base.change_springs(model.body, lambda _: {"damping": values[0]})
 
 
-#: Maximum locked fraction of a joint. The second value is the stiffness that a locked fraction of one half
-#: adds, divided by the stiffness of the joint's own spring.
+#: Partly locked joint: maximum locked fraction (MOST), and stiffness that a locked fraction of one half adds
+#: to a passive joint, divided by the stiffness of the joint's own spring (STIFFER).
 MOST, STIFFER = 0.97, 10.0
 #: Maximum product of natural frequency and integration step of a locked joint, well within the limit of
 #: stability.
@@ -256,11 +272,10 @@ STABLE = 1.0
 
 
 class JointLocked(Effect):
-    """A joint that is held in part: a driven joint moves by ``1 - lock`` of its command, a passive joint is
-    stiffer.
+    """Partly locked joint: a driven joint moves less than its command, or a passive joint is stiffer.
 
-    A passive joint gains the stiffness ``K lock / (1 - lock)``. K is ten times its own stiffness, or less if
-    the integration would become unstable.
+    A driven joint moves by ``1 - lock`` times its command. A passive joint gains the stiffness ``K lock / (1
+    - lock)``. K is ten times its own stiffness, or less if the integration would become unstable.
 
     Parameters
     ----------
@@ -276,8 +291,9 @@ class JointLocked(Effect):
         self.column = column
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return one form for each passive joint, and for each driven joint that moves and is not
-        measured.
+        """Return one form of the effect for each joint that may be locked.
+
+        These are the passive joints, and the driven joints that move and whose angle is not measured.
         """
         if model.body is None:
             return []
@@ -294,7 +310,7 @@ class JointLocked(Effect):
         return (parameter(f"locked_{self.column.removesuffix('_rad')}", "1", 0.3, words, 0.0, MOST),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that hold the joint."""
+        """Return hooks that reduce the command of the joint, or increase its stiffness."""
         body = model.body
         lock = float(values[0])
         driven = [axis.column for axis in body.driven]
@@ -319,7 +335,7 @@ class JointLocked(Effect):
 
 
 class JointStiffness(Effect):
-    """Springs of passive joints, or the restoring force of a free decay, that differ from those of the model.
+    """Stiffness of passive joints, or of a free decay, that differs from the stiffness in the model.
 
     With the model's stiffness K at small angles, the additional torque is ``-K (change + hardening phi^2)
     phi``.
@@ -330,14 +346,16 @@ class JointStiffness(Effect):
     sources = ("tendon fish paper, Eqs 3 and 4", "dolphin paper, Eq 5 and section 4.2.1")
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model is a swimmer with a spring, or a free decay whose stiffness is not
-        estimated.
+        """Return whether the effect applies.
+
+        The model must be a swimmer with a spring in a joint, or a free decay. A free decay whose stiffness
+        the model estimates is excluded.
         """
         known = model.body is None and model.estimates("stiffness")
         return _has_spring(model) and not known
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the relative change of stiffness, and for a swimmer's joints also the hardening."""
+        """Return the relative change of stiffness as a parameter, and for a swimmer also the hardening."""
         change = parameter("change", "1", 0.2, "relative change of stiffness", -0.95, 6.0)
         if model.body is None:
             return (change,)
@@ -345,12 +363,15 @@ class JointStiffness(Effect):
         return change, parameter("hardening_rad_2", "rad^-2", 2.0, words, -10.0, 60.0)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points with softer, stiffer (up to several times as stiff) and hardening springs."""
+        """Return parameter vectors with softer, stiffer and hardening springs, for simulation before a fit.
+
+        The stiffest springs are four times as stiff as in the model.
+        """
         changes = [np.array([c, 0.0][: len(parameters)]) for c in (-0.5, 0.3, 0.8, 1.6, 3.0)]
         return changes + [np.array([0.0, h]) for h in (2.0, 8.0) if len(parameters) > 1]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that change the springs."""
+        """Return hooks that change the springs of the joints, or the restoring force of the free decay."""
         body = model.body
         if body is not None:
             stiffer, harder = values
@@ -362,15 +383,16 @@ class JointStiffness(Effect):
         return Hooks(coefficients=(restoring,))
 
 
-#: Speed range around zero over which friction changes sign smoothly, as a fraction of the typical speed.
+#: Speed range around zero over which dry friction changes sign smoothly, as a fraction of the typical speed.
 ROUND = 0.02
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def loaded(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Add ``-mu |load| sgn(v)`` with a smoothed sign. The load is that of a spring and of a measured force.
+    """Add the friction ``-mu |load| sgn(v)`` to the wrench, with a smoothed sign.
 
-    Constants: mu, smoothing speed, stiffness and rest position of the spring, then times and forces.
+    The load is the sum of a spring force and a measured force. The constants are mu, the smoothing speed, the
+    stiffness and the rest position of the spring, and then the times and values of the measured force.
     """
     count = (len(constants) - 4) // 2
     load = -constants[2] * (pose[0] - constants[3])
@@ -391,7 +413,7 @@ def loaded(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def
 
 
 class Friction(Effect, ABC):
-    """Friction of a rig, or of servos that follow a command.
+    """Dry friction of a rig, or of servos that follow a command.
 
     Parameters
     ----------
@@ -403,13 +425,13 @@ class Friction(Effect, ABC):
         self.everywhere = everywhere
 
     def variants(self, model: Model, trials: Trials) -> Effects:
-        """Return the form for rigs, or the form for models that a command drives in some trial."""
+        """Return the form of the friction for rigs, or the form for servos that follow a command."""
         if model.rig is not None:
             return [type(self)(everywhere=not base.has_pulley(trials))]
         return super().variants(model, trials)
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a command drives some trial."""
+        """Return whether the effect applies: a command must drive the joints in some trial."""
         return "command" in model.offers and any(model.commanded(t) for t in trials)
 
 
@@ -434,11 +456,14 @@ class LoadFriction(Friction):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether a command drives a planar robot in some trial."""
+        """Return whether the effect applies.
+
+        It applies to planar robots whose joints follow a command in some trial.
+        """
         return model.body is not None and bool(model.body.driven) and super().applies(model, trials)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the friction as a fraction of the load, or for servos as an angle per torque.
+        """Return the friction per load as a parameter. For servos it is an angle per torque.
 
         Pulleys and slides lose 3 to 10 % of their load. With the scale for servos, a joint is held back by a
         twentieth of its amplitude at the largest torque.
@@ -458,7 +483,7 @@ class LoadFriction(Friction):
         return (parameter("held_rad_N_m", "rad/(N m)", size, words, 0.0, 30.0 * size),)
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add dry friction, or let joints stick under load."""
+        """Return hooks that add dry friction to a rig, or let the joints of a robot stick under load."""
         share = float(values[0])
         if model.rig is None:
             loads = _loads(model)
@@ -490,7 +515,10 @@ def _loads(model: Model) -> list[tuple[float, float]]:
 
 
 def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:
-    """Return the absolute torque of a joint that follows this angle, N m."""
+    """Return the absolute torque of a joint that follows the given angle, N m.
+
+    The load consists of the inertia and the quadratic drag of the links that the joint moves.
+    """
     if len(time_s) < 2:
         return np.zeros(len(time_s))
     rate = np.gradient(angle, time_s)
@@ -499,7 +527,10 @@ def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def relieved(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Reduce the friction of a moving body. Constants: increase of friction at rest, and Stribeck speed."""
+    """Add the Stribeck reduction of dry friction in motion to the wrench.
+
+    The constants are the increase of the friction at rest, and the Stribeck speed.
+    """
     v = velocity[2]
     share = v / constants[1]
     wrench[0] += math.copysign(constants[0] * (1.0 - math.exp(-share * share)), v)
@@ -524,7 +555,7 @@ class Stribeck(Friction):
     )
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the difference ``F_s - F_c``, N or N m, and the Stribeck speed.
+        """Return the parameters: excess of friction at rest ``F_s - F_c``, N or N m, and Stribeck speed.
 
         For servos these are the angle by which the friction at rest holds a joint back, and a rate of the
         command. The Stribeck speed is at most half the typical speed of a rig, or half the largest rate of
@@ -550,7 +581,10 @@ class Stribeck(Friction):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return points with a small and a large difference, each at a low and at a high Stribeck speed."""
+        """Return the parameter vectors that are simulated before a fit.
+
+        They have a small and a large excess of friction at rest, each at a low and a high Stribeck speed.
+        """
         rise, speed = parameters
         sizes = itertools.product((rise.scale, min(3.0 * rise.scale, rise.upper)), (0.4, 1.5))
         return [np.array([size, share * speed.start]) for size, share in sizes]
@@ -578,10 +612,10 @@ PER_MASS = "m/s^2"
 
 
 class WaterIngress(Effect):
-    """Water in the hull: a mass that is added to the heaviest link where the water collects. Its weight is
-    trimmed out.
+    """Water in the hull: a mass that is added to the heaviest link at the place where the water collects.
 
-    On rigs and in averages over a beat, only the mass of the water matters.
+    The weight of the water is trimmed out by buoyancy. On rigs and in averages over a beat, only the mass
+    matters, not its place.
     """
 
     name = "water-ingress"
@@ -591,15 +625,18 @@ class WaterIngress(Effect):
     smooth = True
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the model has an inertia. Models with forces per mass, and models with a held
-        base, have none.
+        """Return whether the effect applies: the model must have an inertia.
+
+        Models with forces per mass, and models with a held base, have none.
         """
         held = model.body is not None and not model.body.free
         return super().applies(model, trials) and not held and model.force_unit != PER_MASS
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the mass (kg; kg m2 for an angle), and for a swimmer its position (m ahead of the centre
-        of mass).
+        """Return the mass of the water as a parameter, kg, and for a swimmer also its position.
+
+        The position is the distance ahead of the centre of mass of the hull, m. For a rotation the mass is
+        replaced by a moment of inertia, kg m2.
         """
         linear, angular = ("mass_kg", "kg", "mass"), ("inertia_kg_m2", "kg m^2", "inertia")
         name, unit, what = base.pick_by_motion(model, linear, angular)
@@ -614,14 +651,17 @@ class WaterIngress(Effect):
         return much, place
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return for a swimmer a mass at the centre of mass, and half way to each end of the hull."""
+        """Return the parameter vectors that are simulated before a fit.
+
+        For a swimmer, the water is at the centre of mass, or half way to either end of the hull.
+        """
         if len(parameters) == 1:
             return super().tries(parameters)
         much, place = parameters
         return [np.array([much.scale, share]) for share in (0.0, 0.5 * place.lower, 0.5 * place.upper)]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that add to the inertia."""
+        """Return hooks that add the mass of the water to the inertia."""
         body = model.body
         if body is not None:
             mass, (x, y) = values[0], body.centre(body.hull)

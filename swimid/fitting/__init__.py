@@ -1,4 +1,4 @@
-"""Identification of any model: the model interface, and output error by maximum likelihood.
+"""Parameter identification of any model: model interface, and output-error fit by maximum likelihood.
 
 The interface of a model is in ``model`` (parameters, channels, trials and their inputs, hooks for effects,
 typical scales, shared parameters). ``drives`` has the motions of tail beats and strokes.

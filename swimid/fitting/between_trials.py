@@ -1,4 +1,4 @@
-"""Differences between trials: random effects with an estimated standard deviation, and outlier trials.
+"""Differences between trials: between-trial standard deviation of a parameter, and outlier trials.
 
 If each trial had its own free value of a parameter, these values would absorb any effect that the model
 lacks. For example, a force that grows with the setting of the trials would look like a friction that grows. A
@@ -25,13 +25,12 @@ from swimid.fitting.model import Array
 from swimid.fitting.output_error import FitResult
 from swimid.fitting.uncertainty import orthogonal_part, sandwich
 
-#: Minimum number of trials for an estimate of the standard deviation between trials, and for a search for an
-#: outlier.
+#: Minimum number of trials for an estimate of the between-trial standard deviation, and for the search for an
+#: outlier trial.
 MIN_TRIALS = 4
-#: Minimum eigenvalue of an information matrix, as a fraction of the largest one. Smaller eigenvalues are
-#: rounding errors.
+#: Minimum eigenvalue of an information matrix that is not a rounding error, as a fraction of the largest one.
 MIN_INFORMATION = 1e-12
-#: Significance level of the test for an outlier, corrected for the number of trials.
+#: Significance level of the test for an outlier trial, corrected for the number of trials.
 OUTLIER_P_VALUE = 1e-2
 #: Minimum ratio of the outlier's prediction error to the median prediction error of the other trials. A trial
 #: with a smaller ratio is not reported, even if its p-value is significant.
@@ -40,10 +39,10 @@ MIN_ERROR_RATIO = 2.0
 
 @dataclass(frozen=True)
 class OwnValues:
-    """Estimates of one parameter from each trial by itself, with all shared parameters free."""
+    """Separate estimates of one parameter for each trial, with all shared parameters free."""
 
     trials: tuple[str, ...]
-    #: Estimates by trial, shape (n,).
+    #: Estimates of the parameter, one for each trial, shape (n,).
     value: Array
     #: Covariance of the errors of these estimates, allowing for coloured residuals, shape (n, n). The
     #: variance is large for a combination of the values that the shared parameters can reproduce.
@@ -52,7 +51,7 @@ class OwnValues:
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviation of a parameter between trials, and p-value of the hypothesis that it is zero."""
+    """Between-trial standard deviation of a parameter, and p-value of the hypothesis that it is zero."""
 
     sd: float
     p_value: float
@@ -80,8 +79,8 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
         return OwnValues((), np.empty(0), np.empty((0, 0)))
     rows = [r[:, seen] for r in rows]
     step = np.linalg.lstsq(np.concatenate(rows), -np.concatenate(residuals), rcond=1e-12)[0]
-    # the noise is estimated after the step, because the residuals before the step contain the differences
-    # between trials
+    # Estimate the noise after the step, because the residuals before the step contain the differences between
+    # trials.
     left = [r + j @ step for r, j in zip(residuals, rows, strict=True)]
     found = sandwich(problem, rows, left, uncertainty.autoregressions(problem, left))
     labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
@@ -100,7 +99,7 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
 
 
 def estimate_spread(own: OwnValues) -> Spread:
-    """Estimate the standard deviation between trials by restricted maximum likelihood.
+    """Estimate the between-trial standard deviation of a parameter by restricted maximum likelihood.
 
     >>> own = OwnValues(tuple("abcdef"), np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), 1e-6 * np.eye(6))
     >>> round(estimate_spread(own).sd, 2)
@@ -110,14 +109,24 @@ def estimate_spread(own: OwnValues) -> Spread:
     between, gain = _reml(variances, values, np.zeros(len(values)))
     if between == 0.0:
         return Spread(0.0, 1.0)
-    # the p-value is half that of a chi-square distribution, because zero is a bound (Self and Liang 1987)
+    # Halve the p-value of the chi-square distribution, because zero is a bound (Self and Liang 1987).
     return Spread(math.sqrt(between), 0.5 * float(special.chdtrc(1, max(gain, 0.0))))
 
 
 def compute_trend_p(own: OwnValues, setting: Array) -> float:
-    """Return the two-sided p-value (Student's t) of a slope of the trials' values over a setting, shape (n,).
+    """Test whether the value of a parameter depends linearly on a setting of the trials.
 
     The test allows for random variation between the trials.
+
+    Parameters
+    ----------
+    setting : ndarray, shape (n,)
+        Value of the setting in each trial.
+
+    Returns
+    -------
+    float
+        Two-sided p-value (Student's t) of a zero slope.
     """
     variances, values, turn = _contrasts(own)
     slope_column = turn @ np.asarray(setting, dtype=float)
@@ -141,7 +150,7 @@ def _contrasts(own: OwnValues) -> tuple[Array, Array, Array]:
 
 
 def _reml(variances: Array, values: Array, column: Array) -> tuple[float, float]:
-    """Estimate the variance between trials by restricted maximum likelihood (REML).
+    """Estimate the between-trial variance of a parameter by restricted maximum likelihood (REML).
 
     The second result is the increase in twice the restricted log-likelihood, compared with zero variance. If
     ``column`` is not zero, the slope of the values over ``column`` is estimated together with the variance.
@@ -172,7 +181,7 @@ def _reml(variances: Array, values: Array, column: Array) -> tuple[float, float]
 
 @dataclass(frozen=True)
 class OutlierTrial:
-    """A trial that a fit of the other trials does not predict."""
+    """Outlier: a trial that a fit of the other trials does not predict."""
 
     trial: str
     #: Prediction error of the trial, divided by the median prediction error of the other trials.
@@ -219,7 +228,7 @@ def find_outlier_trial(result: FitResult) -> OutlierTrial | None:
     if not 0 < sd < math.inf:
         return None
     t = (far - float(np.mean(logs))) / (sd * np.sqrt(1.0 + 1.0 / n))
-    # Bonferroni's correction: the suspect is the most distant of n + 1 trials
+    # Apply Bonferroni's correction, because the suspect is the most distant of n + 1 trials.
     p_value = min(1.0, (n + 1) * float(special.stdtr(n - 1, -t)))
     ratio = float(np.exp(far - np.median(logs)))
     if p_value >= OUTLIER_P_VALUE or ratio < MIN_ERROR_RATIO:
@@ -228,7 +237,7 @@ def find_outlier_trial(result: FitResult) -> OutlierTrial | None:
 
 
 def _error(result: FitResult, trial: str, scale: dict[str, float]) -> float:
-    """Return the root mean square of a trial's residuals, each divided by the noise of its channel."""
+    """Return the prediction error of a trial: root mean square of residuals divided by channel noise."""
     own = [s for s in result.series if s.trial == trial and s.channel in scale]
     values = np.concatenate([s.residual / scale[s.channel] for s in own])
     return float(np.sqrt(np.nanmean(values**2)))

@@ -1,4 +1,4 @@
-"""Motions of joints: tail beats and strokes."""
+"""Motions of driven joints: tail beats and strokes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from swimid.robots.spatial import Stroke
 
 Array = NDArray[np.float64]
-#: Angle (rad), rate (rad/s) and acceleration (rad/s2) of a joint at given times.
+#: Type of a joint motion: angle (rad), rate (rad/s) and acceleration (rad/s2) at given times.
 Motion = tuple[Array, Array, Array]
 
 
@@ -27,7 +27,7 @@ def eased(time_s: Array, ramp_s: float) -> Array:
 
 
 def smoothstep(time_s: Array, ramp_s: float) -> Motion:
-    """Return the function :func:`eased` and its first two derivatives; a step for ``ramp_s`` 0."""
+    """Return the smoothstep :func:`eased` and its first two time derivatives; a step for ``ramp_s`` 0."""
     if ramp_s <= 0:
         on = (time_s >= 0).astype(float)
         return on, np.zeros_like(on), np.zeros_like(on)
@@ -46,7 +46,10 @@ def straight(time_s: Array) -> Motion:
 
 
 def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
-    """Return a motion times the smoothstep that begins at time zero; unchanged if the drive is steady."""
+    """Return a joint motion multiplied by the ramp of the drive, a smoothstep that begins at time zero.
+
+    The motion is unchanged if the drive is steady.
+    """
     if drive.steady:
         return motion
     value, rate, bend = motion
@@ -56,7 +59,7 @@ def _ramped(drive: Beat | Cycle, time_s: Array, motion: Motion) -> Motion:
 
 @dataclass(frozen=True)
 class Beat:
-    """A commanded tail beat in SI units."""
+    """Commanded tail beat of a trial, in SI units."""
 
     #: Waveform: ``sine``, ``hopf`` or ``a-cpg``.
     waveform: str
@@ -68,11 +71,11 @@ class Beat:
     asymmetry: float = 0.0
     #: Duration of the quintic smoothstep with which the command begins, s.
     ramp_s: float = 1.0
-    #: Phase of the beat at time zero.
+    #: Phase of the beat at time zero, rad.
     phase_rad: float = 0.0
     #: Phase lag of each driven joint behind the joint before it, in addition to the lag in the robot file.
     lag_rad: float = 0.0
-    #: The beat has no beginning and no ramp.
+    #: Whether the beat is steady, without a beginning and without a ramp.
     steady: bool = False
 
     def motion(
@@ -116,7 +119,7 @@ class Beat:
 
 
 def cells(time_s: Array) -> Array:
-    """Return the durations around the times of a half-step grid over which an acceleration is averaged.
+    """Return for each time of a half-step grid the duration over which an acceleration is averaged.
 
     The durations follow from the weights of the Runge-Kutta method. They are a third of a step at the ends of
     a step, and two thirds of a step in the middle. With accelerations averaged over them, the integrated rate
@@ -153,7 +156,8 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
     """
     omega = 2.0 * math.pi * frequency_hz
     rising = 0.5 * (1.0 - asymmetry)  # fraction of the period in which alpha rises
-    # elapsed fraction of the period since the last minimum; the drive starts in the middle of the rise
+    # Compute the fraction of the period that has elapsed since the last minimum. The drive starts in the
+    # middle of the rise.
     share = np.mod(frequency_hz * time_s + phase_rad / (2.0 * math.pi) + 0.5 * rising, 1.0)
     up = share < rising
     falls = 0.5 * math.pi + math.pi * (share - rising) / (1.0 - rising)
@@ -164,12 +168,12 @@ def hopf(time_s: Array, frequency_hz: float, asymmetry: float, phase_rad: float 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A stroke as it is commanded in a trial."""
+    """Commanded stroke of a trial, a cyclic motion of several hinges that the robot file defines."""
 
     name: str
-    #: Angles of the hinges over one cycle, from the robot file.
+    #: Stroke in the robot file: angles of the hinges over one cycle.
     law: Stroke
-    #: Cycles per second.
+    #: Frequency of the stroke: cycles per second.
     frequency_hz: float
     #: Factor on the deviation of the angles from their values at the start of the cycle.
     scale: float = 1.0
@@ -180,11 +184,11 @@ class Cycle:
     cycles: float = math.inf
     #: Phase of the cycle at time zero.
     phase_rad: float = 0.0
-    #: The stroke has no beginning, no ramp and no end.
+    #: Whether the stroke is steady, without a beginning, a ramp or an end.
     steady: bool = False
 
     def motion(self, hinge: str, time_s: Array, *, phase_rad: float = 0.0) -> Motion:
-        """Return angle, rate and acceleration of a hinge, rad, rad/s and rad/s2.
+        """Return angle, rate and acceleration of a hinge during the stroke, rad, rad/s and rad/s2.
 
         The stroke begins at time zero. Before that the hinge has its angle at the start of the cycle. A hinge
         that the stroke does not name stays straight.

@@ -1,4 +1,7 @@
-"""Logs of trials, parameter file, checks and figures of every fit, and a fit of a user-defined model."""
+"""Functions that all fits use: reading logs, scoring, parameter file, checks and figures.
+
+The module also fits a user-defined model (:func:`fit_model`).
+"""
 
 from __future__ import annotations
 
@@ -40,17 +43,15 @@ from swimid.robots.file import Robot, locate
 
 #: Minimum absolute correlation of two parameters that are reported as hard to separate.
 STRONG = 0.95
-#: Maximum ratio of the held-out error to the error of the fitted trials. A check warns if the ratio is
-#: larger.
+#: Ratio of the error on validation trials to the error on fitted trials above which a check warns.
 VALIDATION_RATIO = 2.0
 #: Sentence on standard errors for the methods section of a report.
 COVARIANCE = "Standard errors follow from the Jacobian at the optimum and account for coloured residuals."
-#: Maximum residual of a normal sample, in robust standard deviations. A sample with a larger residual is an
-#: outlier.
+#: Residual above which a sample is an outlier, in robust standard deviations.
 OUTLIER = 8.0
-#: Verdicts of a check that does not pass and only warns, and of one that fails.
+#: Verdicts of a check that does not pass, indexed by whether it fails: a warning, or a failure.
 VERDICTS: tuple[Literal["warn"], Literal["fail"]] = ("warn", "fail")
-#: Angles that a camera may measure in addition to a position.
+#: Names of the channels of angles that a camera may measure in addition to a position.
 ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
 
@@ -59,9 +60,9 @@ ANGLES = ("yaw_rad", "pitch_rad", "roll_rad")
 
 @dataclass(frozen=True)
 class Experiment:
-    """A model with the trials from which its parameters are estimated."""
+    """Experiment: a robot, its model, and the trials from which the model's parameters are estimated."""
 
-    #: Value of ``experiment`` in the trials file.
+    #: Name of the kind of experiment: the value of ``experiment`` in the trials file.
     name: str
     robot: Robot
     model: Model
@@ -78,7 +79,7 @@ class Experiment:
 
 
 def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]:
-    """Return the trials file, the robot file and the logs for the provenance."""
+    """Return the input files of an experiment for the provenance: trials file, robot file and logs."""
     files = [locate(entries.robot, path.parent), *logs]
     return files if entries._in_memory else [path, *files]
 
@@ -86,7 +87,7 @@ def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]
 def read_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
-    """Read the log of a trial, cut it to the interval of its entry, and blank repeated positions."""
+    """Read the log of a trial, cut it to the interval in the trials file, and blank repeated positions."""
     if entry._held is not None:
         log = entry._held.chosen(required, optional)
     else:
@@ -107,13 +108,13 @@ def read_log(
 
 
 def _measured_anew(log: Log) -> Log:
-    """Return the log with empty cells where a position only repeats the previous camera picture."""
+    """Return a copy of the log with NaN where a position only repeats that of the previous camera picture."""
     places = [name for name in POSITIONS if name in log]
     held = find_held(log.time_s, [log[name] for name in places])
     repeats = held.repeated.copy()
     for first, end in log_format.runs(repeats):
-        # keep long repetitions: a camera that stopped is a fault of the recording, which must show in the
-        # residuals
+        # Keep long repetitions. A camera that stopped is a fault of the recording, which must show in the
+        # residuals.
         if log.time_s[end - 1] - log.time_s[first] > LONG_HOLD * held.period_s:
             repeats[first:end] = False
     for name, (start, stop) in find_frozen(log.time_s, {name: log[name] for name in places}).items():
@@ -126,7 +127,7 @@ def _measured_anew(log: Log) -> Log:
         f"{log.path.name}: {len(at)} of {len(log)} samples repeat the position before and are left out: the "
         "log is written faster than it is measured",
     )
-    # an angle is repeated if all its values at the repeated positions equal the value before
+    # An angle counts as repeated if all its values at the repeated positions equal the value before.
     angles = [n for n in ANGLES if n in log and (log[n][at] == log[n][at - 1]).all()]
     masked = {n: np.where(repeats, np.nan, log[n]) for n in (*places, *angles)}
     return replace(log, columns={**log.columns, **masked})
@@ -145,16 +146,17 @@ def warn_mass(name: str, value: float, against: float, file: Path) -> None:
 # ---------------------------------------------------------------- errors
 
 
-#: Maximum error for a good and for a usable description of a channel, as fractions of its measured range.
+#: Maximum error of a simulated channel that counts as good (GOOD) and as usable (USABLE), as fractions of the
+#: measured range of the channel.
 GOOD, USABLE = 0.15, 0.30
-#: Maximum error of the mean speed of trials for a good and a usable model, as fractions of the measured
-#: speed.
+#: Maximum error of the simulated mean speed that counts as good (GOOD_SPEED) and as usable (USABLE_SPEED), as
+#: fractions of the measured speed.
 GOOD_SPEED, USABLE_SPEED = 0.10, 0.25
 
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of one channel."""
+    """Errors of the simulation of one channel."""
 
     #: Root-mean-square error, in the unit of the channel.
     rmse: float
@@ -170,12 +172,14 @@ class Score:
     samples: int
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """Return the errors as an entry of the parameter file."""
+        """Return the errors of the channel as an entry of the parameter file."""
         return {**asdict(self), "unit": unit}
 
 
 def score(measured: Array, simulated: Array) -> Score:
-    """Compare two series, shape (n,). Samples missing in either are left out; NaN without samples.
+    """Return the errors of a simulated series compared with a measured one, shape (n,) each.
+
+    Samples missing in either series are left out. Without samples the errors are NaN.
 
     >>> score(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).fit_percent
     100.0
@@ -184,7 +188,7 @@ def score(measured: Array, simulated: Array) -> Score:
 
 
 def _ratio(value: float, size: float) -> float:
-    """Return a value divided by a size; NaN unless the size is positive."""
+    """Return ``value / size``; NaN if ``size`` is not positive."""
     return value / size if size > 0 else math.nan
 
 
@@ -279,7 +283,9 @@ def own_axes(
 
 
 def peak_error(measured: Array, simulated: Array) -> tuple[float, float]:
-    """Compute the difference between the largest magnitudes of two series, and its ratio to the measured one.
+    """Return the peak error: absolute difference between the largest magnitudes of two series.
+
+    The second value is this difference divided by the largest measured magnitude.
 
     This is Eq 14 of the T-Fish paper. Samples missing in either series, shape (n,), are left out.
 
@@ -354,7 +360,7 @@ def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_h
     design = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(t), t - t.mean()))
     both = np.column_stack((measured[there], simulated[there]))
     cosine, sine = np.linalg.lstsq(design, both, rcond=None)[0][:2]
-    # A cos(wt) + B sin(wt) = |A - iB| cos(wt + arg(A - iB))
+    # Compute the phase from A cos(wt) + B sin(wt) = |A - iB| cos(wt + arg(A - iB)).
     phasor = cosine - 1j * sine
     if np.any(np.abs(phasor) <= 1e-12 * np.max(np.abs(both), axis=0)):
         return np.nan
@@ -362,7 +368,7 @@ def phase_error(measured: Array, simulated: Array, time_s: Array, *, frequency_h
 
 
 def _both(measured: Array, simulated: Array) -> tuple[Array, Array]:
-    """Return two series without the samples that are missing in either of them."""
+    """Return the measured and the simulated series without the samples that are missing in either."""
     there = np.isfinite(measured) & np.isfinite(simulated)
     if there.ndim > 1:
         there = np.asarray(there.all(axis=1))
@@ -391,7 +397,7 @@ def warping_cost(a: Array, b: Array, band: int) -> float:
 
 
 def warm_up() -> None:
-    """Compile the numba function of this module before its first use."""
+    """Compile the numba function :func:`warping_cost` before its first use."""
     warping_cost(np.zeros((2, 1)), np.ones((2, 1)), 1)
 
 
@@ -401,7 +407,7 @@ def warm_up() -> None:
 def score_checks(
     scores: Mapping[str, Any], *, fitted: Iterable[str], noise: Iterable[str] = (), held_out: bool = False
 ) -> list[ev.Check]:
-    """Check the errors of channels against the limits :data:`GOOD` and :data:`USABLE`.
+    """Return checks of the errors of channels against the limits :data:`GOOD` and :data:`USABLE`.
 
     Parameters
     ----------
@@ -413,7 +419,7 @@ def score_checks(
     noise : iterable of str
         Channels whose residuals are white. Their errors are noise, and are not judged.
     held_out : bool
-        The trials were held out. The names of the checks then say so.
+        Whether the trials were held out of the fit. The names of the checks then say so.
     """
     where = held_out * "held-out "
     found = []
@@ -435,9 +441,9 @@ def score_checks(
 def share_check(
     name: str, share: float | None, good: float, usable: float, of: str, text: str = ""
 ) -> ev.Check:
-    """Check a fraction against two limits: it passes up to ``good`` and fails above ``usable``."""
+    """Return a check of an error, as a fraction, that passes up to ``good`` and fails above ``usable``."""
     shown = numbers.percent(share)
-    # comparisons with NaN are false
+    # Use NaN for an unknown fraction. Comparisons with NaN are false, so that the check fails.
     value = math.nan if share is None else share
     otherwise = VERDICTS[not value <= usable]
     limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"
@@ -449,7 +455,7 @@ def share_check(
 
 
 def estimates(result: FitResult) -> dict[str, Estimate]:
-    """Return every parameter of the model as an entry of the parameter file.
+    """Return every parameter of a fitted model as an entry of the parameter file.
 
     Estimated parameters of single trials (start offsets, for example) have the name ``name[trial]``. Fixed
     parameters of single trials are left out.
@@ -470,7 +476,10 @@ def estimates(result: FitResult) -> dict[str, Estimate]:
 
 
 def _correlation(result: FitResult) -> Correlation | None:
-    """Return the correlation matrix of shared parameters with a standard error; None for fewer than two."""
+    """Return the correlation matrix of the estimates of shared parameters that have standard errors.
+
+    Return None for fewer than two such parameters.
+    """
     keep = [i for i, label in enumerate(result.labels) if "[" not in label and result.stderr(label)]
     if len(keep) < 2:
         return None
@@ -480,7 +489,7 @@ def _correlation(result: FitResult) -> Correlation | None:
 
 
 def _identifiability(result: FitResult, correlation: Correlation | None) -> list[str]:
-    """Return sentences on parameters that the trials do not determine, and warn of each."""
+    """Return sentences on parameters of a fit that the trials do not determine, and warn of each."""
     said = sentences(result)
     for sentence in said:
         warn("SWM010", sentence)
@@ -499,7 +508,10 @@ def _identifiability(result: FitResult, correlation: Correlation | None) -> list
 
 
 def scores(result: FitResult, role: str, trials: Sequence[str] | None = None) -> dict[str, Score]:
-    """Return the errors of each measured channel over all trials of a role, or over the named trials."""
+    """Return the errors of each measured channel over the trials of one role.
+
+    If ``trials`` are named, only those among them are used.
+    """
     ids = [t.id for t in result.trials if t.role == role and (trials is None or t.id in trials)]
     pose = pose_channels(result.model)
     found: dict[str, list[tuple[Array, Array]]] = {}
@@ -592,7 +604,7 @@ def prepare(
     also: Sequence[Path] = (),
     **choices: Any,
 ) -> tuple[Parameter, ...]:
-    """Return the parameters to fit, with the choices of the user (:func:`swimid.fitting.model.chosen`).
+    """Check the output path of a fit, and return the parameters with the choices of the user.
 
     Parameters
     ----------
@@ -657,7 +669,7 @@ def checks(result: FitResult) -> list[ev.Check]:
 
 
 def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:
-    """Return a check that warns, or fails, with a reason; if it does not pass, also warn of it.
+    """Return a check of a fit. If it does not pass, warn the user of its reason.
 
     Parameters
     ----------
@@ -695,7 +707,7 @@ def _outliers(result: FitResult, channel: str) -> ev.Check | None:
 
 
 def _whiteness(result: FitResult, channel: str) -> ev.Check:
-    """Test whether the residuals of a channel are white."""
+    """Return a check whether the residuals of a channel are white."""
     test = ljung_box(_weighted(result, channel))
     p = ev.p_text(test.p_value)
     name, reason = f"white residuals, {channel}", f"residuals are not white in {channel} ({p})"
@@ -704,7 +716,10 @@ def _whiteness(result: FitResult, channel: str) -> ev.Check:
 
 
 def _validation(result: FitResult, channel: Channel) -> ev.Check:
-    """Compare the error on validation trials with the error on fitted trials and with that of a constant."""
+    """Return a check of the error of a channel on validation trials.
+
+    The error is compared with that on fitted trials, and with that of a constant.
+    """
     held_out = result.series_of(channel.name, "validate")
     fitted = _rms([s.residual for s in result.series_of(channel.name, "fit")])
     error = _rms([s.residual for s in held_out])
@@ -719,7 +734,8 @@ def _validation(result: FitResult, channel: Channel) -> ev.Check:
         f"≤ {VALIDATION_RATIO:g} × fit error ({numbers.number(fitted, 3, channel.unit)})",
         f"root-mean-square error on trials that were not fitted, largest in {worst.trial}",
         f"the held-out error of {channel.name} is {ratio:.1f} times that of fitted trials",
-        # fails if the held-out error is closer to the error of a constant, on a logarithmic scale
+        # The check fails if, on a logarithmic scale, the held-out error is closer to the error of a constant
+        # than to the error on fitted trials.
         failed=error > math.sqrt(fitted * constant),
     )
 
@@ -732,12 +748,12 @@ def _rms(parts: Sequence[Array]) -> float:
 
 
 def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
-    """Return the weighted residuals of a channel, with all trials joined to one series."""
+    """Return the weighted residuals of a channel, with the trials of a role joined to one series."""
     return joined([s.weighted for s in result.series_of(channel, role)], gap=30)
 
 
 def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) -> list[ev.Check]:
-    """Check the errors of fitted and of held-out trials against the limits that ``compare`` uses."""
+    """Return checks of the errors on fitted and on validation trials, with the limits of ``compare``."""
     found = []
     for role in roles:
         known = {name: score for name, score in scores(result, role).items() if name in result.noise}
@@ -747,7 +763,10 @@ def error_checks(result: FitResult, roles: Sequence[str] = ("fit", "validate")) 
 
 
 def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
-    """Check that the beat frequency found in each log is the stated one (:mod:`swimid.logs.beat`)."""
+    """Return a check that the beat frequency found in each log equals the one stated in the trials file.
+
+    The module :mod:`swimid.logs.beat` finds the frequency.
+    """
     known = {name: b for name, b in found.items() if b is not None and b["found_hz"] is not None}
     wrong, shown = [], "yes"
     for name, b in known.items():
@@ -765,7 +784,7 @@ def beat_check(found: Mapping[str, Mapping[str, Any] | None]) -> ev.Check:
 
 
 def figures(result: FitResult) -> list[ev.Figure]:
-    """Return the figures of each channel: measured and simulated series, and residuals."""
+    """Return the figures of a fit for each channel: measured and simulated series, and residuals."""
     found, abscissa = [], result.model.abscissa
     for channel in (c for c in result.model.channels if c.name in result.noise):
         series = result.series_of(channel.name)
@@ -795,7 +814,7 @@ def figures(result: FitResult) -> list[ev.Figure]:
 
 
 def answer(file: ParameterFile) -> str:
-    """Return the first three estimated shared parameters as one sentence."""
+    """Return the answer of a fit: a sentence with the first three estimated shared parameters."""
     parts = [
         f"{spoken(name, e.meaning)} {numbers.measured(e.value, e.stderr, e.unit)}"
         for name, e in file.parameters.items()

@@ -1,4 +1,4 @@
-"""Fits from many starting points, and Pareto fronts by NSGA-II."""
+"""Global search: fits from many starting points, and Pareto fronts of several objectives by NSGA-II."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult
 from swimid.fitting.problem import Problem
 from swimid.notices import Progress, show, silent
 
-#: Maximum relative difference of two costs that belong to the same minimum.
+#: Maximum relative difference between the costs of two fits that count as the same minimum.
 SAME = 1e-3
 
 
 class Start(NamedTuple):
-    """A starting point and the end point of its search, shape (p,) each.
+    """Starting point and end point of one search of a multistart fit, shape (p,) each.
 
     If the search failed, the end point is NaN and the cost is infinite.
     """
@@ -117,7 +117,7 @@ def multistart(
 
 
 def agreeing(ends: Sequence[Start]) -> int:
-    """Return the number of searches that ended at the lowest cost.
+    """Return the number of searches of a multistart fit that ended at the lowest cost.
 
     Only costs are compared. End points of equal cost may differ in directions that the data do not determine.
 
@@ -130,7 +130,10 @@ def agreeing(ends: Sequence[Start]) -> int:
 
 
 def _better(best: FitResult, other: FitResult) -> FitResult:
-    """Return the fit of the lower cost; if both reached the same minimum, prefer a fit that converged."""
+    """Return the better of two fits: the one with the lower cost.
+
+    If their costs belong to the same minimum, a converged fit is preferred.
+    """
     same = max(other.cost, best.cost) <= min(other.cost, best.cost) * (1 + SAME)
     return min(best, other, key=lambda result: (same and not result.converged, result.cost))
 
@@ -138,15 +141,16 @@ def _better(best: FitResult, other: FitResult) -> FitResult:
 # ---------------------------------------------------------------- several objectives
 
 
-#: Population size, number of generations and crossover probability from section II of the sea lion paper.
+#: Settings of NSGA-II from section II of the sea lion paper: population size, number of generations, and
+#: crossover probability.
 POPULATION, GENERATIONS, CROSSOVER = 80, 50, 0.8
-#: Value of the objectives for a simulation that diverged.
+#: Value of all objectives of a genetic search for a point at which the simulation diverges.
 BROKEN_OBJECTIVE = 1e9
 
 
 @dataclass(frozen=True)
 class Front:
-    """The non-dominated points: no point is better than another one in every objective."""
+    """Pareto front: points of which none is better than another one in every objective."""
 
     #: Points, sorted by the first objective, shape (n, d).
     points: Array
@@ -156,7 +160,7 @@ class Front:
 
 
 def knee(objectives: Array) -> int:
-    """Return the index of the point that is nearest to the ideal point.
+    """Return the index of the point of a Pareto front that is nearest to the ideal point.
 
     The objectives have the shape (n, m). Each is divided by its range on the front. The ideal point has the
     lowest value of each objective (Miettinen 1999, Nonlinear Multiobjective Optimization, section 2.2).
@@ -170,7 +174,10 @@ def knee(objectives: Array) -> int:
 
 
 def least_worst(objectives: Array) -> int:
-    """Return the index of the point whose largest ratio of an objective to its lowest value is smallest.
+    """Return the index of the point of a Pareto front whose worst objective is best.
+
+    Each objective, shape (n, m), is divided by its lowest value on the front. The worst objective of a point
+    has the largest ratio.
 
     >>> least_worst(np.array([[1.0, 9.0], [2.0, 4.0], [8.0, 2.0]]))
     1
@@ -193,7 +200,9 @@ def nsga2(
     name: str = "front",
     advance: Callable[[], Any] = lambda: None,
 ) -> Front:
-    """Search for the Pareto front by NSGA-II (Deb et al. 2002, doi:10.1109/4235.996017).
+    """Search for the Pareto front of several objectives by NSGA-II (Deb et al. 2002).
+
+    The method is described in doi:10.1109/4235.996017.
 
     Parameters
     ----------

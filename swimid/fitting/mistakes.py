@@ -1,4 +1,4 @@
-"""Common recording mistakes, and a search for the one that explains why a trial does not fit.
+"""Search for a common recording mistake that explains why a model does not fit a trial.
 
 Examples are a heading of the tail instead of the body, a mirrored axis, a wrong unit and a wrong sign. Such a
 mistake makes every fit bad and looks like a missing effect. Each known mistake is undone in turn by a
@@ -26,10 +26,11 @@ from swimid.notices import recorded
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
-#: Factors between units of length that are often confused.
+#: Factors between units of length that are often confused in recordings.
 FACTORS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 DEGREE = math.pi / 180.0
-#: Factors on the amplitude of a drive, and factors on the motion of all driven joints, by description.
+#: Factors that undo common mistakes in the amplitude of a drive (AMPLITUDES) and in the motion of all driven
+#: joints (JOINTS), by the description of the correction.
 AMPLITUDES = {
     "twice the amplitude of the drive": 2.0,
     "half the amplitude of the drive": 0.5,
@@ -46,15 +47,15 @@ JOINTS = {
 #: Minimum evidence for a mistake: twice the logarithm of a decisive Bayes factor (Kass and Raftery, J. Am.
 #: Stat. Assoc. 90, 1995). The allowance for the number of alternatives is subtracted from the evidence first.
 DECISIVE = 10.0
-#: Maximum number of mistakes that are tested by a new fit.
+#: Maximum number of recording mistakes whose correction is tested by a new fit.
 MAX_REFITS = 4
-#: Relative tolerance of the estimates of start states during the search for mistakes.
+#: Relative tolerance of the cost when initial states are estimated during the search for mistakes.
 START_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """A recording mistake, and the transformation that undoes it.
+    """Recording mistake with the transformation that undoes it.
 
     Attributes
     ----------
@@ -69,9 +70,9 @@ class Mistake:
 
 
 class Misfit(NamedTuple):
-    """Error of one channel of one trial."""
+    """Error of the simulation of one channel in one trial."""
 
-    #: Root-mean-square error, divided by the measured range of the channel.
+    #: Root-mean-square error divided by the measured range of the channel.
     nrmse: float
     #: For a coordinate of a position: root-mean-square error of both coordinates, divided by their joint
     #: range, which does not depend on the direction of the axes. For other channels: ``nrmse``.
@@ -81,7 +82,7 @@ class Misfit(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """A mistake that explains the error.
+    """Recording mistake that explains the error of a model, with the errors before and after correction.
 
     Attributes
     ----------
@@ -109,7 +110,7 @@ class Explanation(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Explanation as a sentence of the report."""
+        """Sentence of the report that describes the correction and the change of the error."""
         where = "all trials" if self.everywhere else f"trial {', '.join(self.trials)}"
         return (
             f"With {self.says} in {where} the error of {self.channel} falls from "
@@ -125,7 +126,7 @@ Evaluate = Callable[[Trial], Errors]
 
 
 def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
-    """List the mistakes that can occur in the trials of a model."""
+    """Return all recording mistakes that can occur in the trials of a model."""
     names = list(dict.fromkeys(c for t in trials for c in (*t.measured, *t.inputs)))
     pose = fit_common.pose_channels(model)
     units = {c.name: c.unit for c in model.channels}
@@ -159,7 +160,10 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
 
 
 def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], trial: Trial) -> Trial | None:
-    """Return the trial with channels and start pose changed to ``factor * value + offset``."""
+    """Return a copy of the trial with channels and initial pose changed to ``factor * value + offset``.
+
+    Return None if the trial has none of these channels.
+    """
     if not any(name in trial.measured for name in change):
         return None
 
@@ -175,13 +179,16 @@ def _changed(pose: Sequence[str], change: Mapping[str, tuple[float, float]], tri
         {name: changed(name, values) for name, values in series.items()}
         for series in (trial.measured, trial.inputs)
     )
-    # discard the initial velocities, which were estimated from the uncorrected channels
+    # Discard the initial velocities, which were estimated from the uncorrected channels.
     starts = {n: v for n, v in trial.starts.items() if not n.startswith("initial_")}
     return replace(trial, measured=measured, inputs=inputs, swim=swim, starts=starts)
 
 
 def _driven(factor: float, trial: Trial) -> Trial | None:
-    """Return the trial with the amplitude of its beat multiplied by a factor; None without a beat."""
+    """Return a copy of the trial with the amplitude of its beat multiplied by a factor.
+
+    Return None if the trial has no beat.
+    """
     beat = trial.swim.beat
     if beat is None or not beat.amplitude_rad:
         return None
@@ -190,7 +197,10 @@ def _driven(factor: float, trial: Trial) -> Trial | None:
 
 
 def _joint(factor: float, numbers: Sequence[int], trial: Trial) -> Trial | None:
-    """Return the trial with the motions of some joints multiplied by a factor; None without joints."""
+    """Return a copy of the trial with the logged motions of some joints multiplied by a factor.
+
+    Return None if the trial has no joint motions from a log.
+    """
     if trial.swim.joints is None:
         return None
     joints = list(trial.swim.joints)
@@ -200,13 +210,16 @@ def _joint(factor: float, numbers: Sequence[int], trial: Trial) -> Trial | None:
 
 
 def _scaled(motion: Callable[[Array], Motion], factor: float, time_s: Array) -> Motion:
-    """Return a motion of a joint at given times, multiplied by a factor."""
+    """Return angle, rate and acceleration of a joint at given times, multiplied by a factor."""
     angle, rate, bend = motion(time_s)
     return factor * angle, factor * rate, factor * bend
 
 
 def _steady(trial: Trial) -> Trial | None:
-    """Return the trial with a start in steady swimming; None if it has such a start or has no drive."""
+    """Return a copy of the trial that starts in steady swimming.
+
+    Return None if the trial already starts so, or if it has no drive.
+    """
     if trial.swim.drive is None or trial.swim.steady:
         return None
     return replace(trial, swim=trial.swim.begun())
@@ -236,7 +249,9 @@ def misfits(trial: Trial, simulated: Mapping[str, Array]) -> dict[str, Misfit]:
 
 
 def _independent(residual: Array) -> float:
-    """Return the number of independent samples in a coloured series, ``n / (1 + 2 sum rho_k^2)``.
+    """Return the number of independent samples in a series of coloured residuals.
+
+    It is ``n / (1 + 2 sum rho_k^2)`` for n samples with the autocorrelation rho_k at lag k.
 
     This is Bartlett's formula for the variance of a sample variance. Lags up to a quarter of the record are
     used.
@@ -245,13 +260,17 @@ def _independent(residual: Array) -> float:
     if count < 8 or not np.nanvar(residual) > 0.0:
         return float(count)
     rho = autocorrelation(residual, max_lag=count // 4).values
-    # for white noise the expected sum of the squared correlations is their number divided by n
+    # Subtract the sum of squared correlations that white noise has on average: their number divided by n.
     excess = float(np.nansum(rho[1:] ** 2)) - (len(rho) - 1) / count
     return count / (1.0 + 2.0 * max(excess, 0.0))
 
 
 def gain(before: Errors, after: Errors) -> float:
-    """Return twice the logarithm of a trial's likelihood ratio, based on its independent samples."""
+    """Return twice the logarithm of the likelihood ratio by which a correction improves a trial.
+
+    The likelihoods are computed from the errors before and after the correction, and from the number of
+    independent samples.
+    """
     pairs = [(before[name], after[name]) for name in after if name in before]
     return float(sum(2.0 * late.independent * math.log(old.relative / late.relative) for old, late in pairs))
 
@@ -259,7 +278,7 @@ def gain(before: Errors, after: Errors) -> float:
 def screened(
     trials: Sequence[Trial], mistakes: Sequence[Mistake], before: Mapping[str, Errors], evaluate: Evaluate
 ) -> list[tuple[Mistake, dict[str, tuple[Trial, Errors, float]]]]:
-    """Undo each mistake in each trial.
+    """Undo each recording mistake in each trial, and compute the errors of the corrected trials.
 
     Returns
     -------
@@ -274,11 +293,11 @@ def screened(
             changed = mistake.undo(trial)
             if changed is None or trial.id not in before:
                 continue
-            # give the corrected trial an id of its own, because models cache simulations by the id of the
-            # trial
+            # Give the corrected trial an id of its own, because models cache simulations by the id of the
+            # trial.
             changed = replace(changed, id=f"{trial.id} ({mistake.says})")
             try:
-                # ignore a correction that cannot be simulated
+                # Ignore a correction with which the trial cannot be simulated.
                 with recorded():
                     after = evaluate(changed)
             except (NoTrustworthyResult, np.linalg.LinAlgError):
@@ -298,7 +317,9 @@ def explained(
     before: Mapping[str, Errors],
     after: Mapping[str, Errors],
 ) -> Explanation | None:
-    """Return the explanation if the errors fall decisively and to those of a good model; None otherwise.
+    """Return the mistake as an explanation if its correction lowers the errors enough; None otherwise.
+
+    The evidence must be decisive, and the errors must fall to those of a good model.
 
     Parameters
     ----------
@@ -323,7 +344,10 @@ def explained(
 
 
 def check(found: Explanation | None, count: int) -> ev.Check:
-    """Report the result of the search for common mistakes; ``count`` is the number of mistakes tested."""
+    """Return a check with the result of the search for recording mistakes.
+
+    The argument ``count`` is the number of mistakes that were tested.
+    """
     if found is None:
         return ev.check("usual mistakes", f"none of {count} found", None)
     text = f"{found.sentence} Check how these data were recorded; nothing was changed"
@@ -332,7 +356,10 @@ def check(found: Explanation | None, count: int) -> ev.Check:
 
 
 def is_suspect(checks: Iterable[ev.Check], errors: Mapping[str, Errors]) -> bool:
-    """Return whether to search for mistakes: a check fails, or the error of a trial exceeds ``USABLE``."""
+    """Return whether to search for recording mistakes.
+
+    A search is worth while if a check fails, or if the error of a trial exceeds ``USABLE``.
+    """
     return any(c.verdict == "fail" for c in checks) or any(
         m.nrmse > USABLE for trial in errors.values() for m in trial.values()
     )

@@ -1,4 +1,4 @@
-"""The interface of every model.
+"""Interface of models: parameters, channels, trials, and the simulation of a trial.
 
 A model describes one robot in one kind of experiment. It has parameters with units and bounds, output
 channels, and a function that simulates a trial from parameter values. Fits, comparisons, diagnoses and
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from swimid.fitting.drives import Beat, Cycle, Motion
 
 Array = NDArray[np.float64]
-#: Channels of the position, by axis.
+#: Names of the position channels along the axes x, y and z.
 POSITIONS = ("x_m", "y_m", "z_m")
-#: Channel of the mean speed of a timed run.
+#: Name of the channel of the mean speed over a timed course.
 MEAN_SPEED = "mean_speed_m_s"
-#: Number of segments into which a track is divided to compute its speed. With longer segments, measurement
-#: noise does not lengthen the path.
+#: Number of segments into which a track is divided to compute the mean speed. Few long segments keep
+#: measurement noise from lengthening the path.
 STRETCHES = 12
 Entry = TypeVar("Entry")
 Outcome = TypeVar("Outcome")
@@ -42,7 +42,7 @@ Outcome = TypeVar("Outcome")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter that a fit may estimate.
+    """Parameter of a model, which a fit may estimate.
 
     Attributes
     ----------
@@ -83,14 +83,14 @@ class Parameter:
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
-        """Bounds as files store them: None for infinity."""
+        """Lower and upper bound as a parameter file stores them; None for an infinite bound."""
         lower, upper = (b if math.isfinite(b) else None for b in (self.lower, self.upper))
         return lower, upper
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A measured and simulated quantity.
+    """Channel of a log: a quantity that is measured and simulated.
 
     Attributes
     ----------
@@ -117,51 +117,53 @@ class Channel:
 
 @dataclass(frozen=True)
 class RigInput:
-    """Known quantities of a body on a test rig."""
+    """Known quantities of a trial with a body on a test rig."""
 
     #: Known inertia, including pulling mass and pulley, kg or kg m2. NaN if unknown.
     inertia: float = math.nan
     #: Known constant force, N.
     force: float | None = None
-    #: The body is pulled over a pulley, whose friction acts on it.
+    #: Whether the body is pulled over a pulley, whose friction acts on it.
     pulley: bool = False
     #: Factor ``rho A / 2`` of the drag coefficient, kg/m. It is 0 if the quadratic coefficient itself is
     #: estimated.
     area_factor: float = 0.0
-    #: Time of release. None means time zero.
+    #: Time of release, s. None means time zero.
     release_s: float | None = None
     #: Displacement at the time of release, m or rad.
     x0: float = 0.0
 
     @property
     def pull(self) -> float:
-        """Known constant force, N; 0 if there is none."""
+        """Known constant force on the body, N; 0 if there is none."""
         return self.force or 0.0
 
     @property
     def begin_s(self) -> float:
-        """Time of release, s; 0 if it is not stated."""
+        """Time at which the body is released, s; 0 if it is not stated."""
         return self.release_s or 0.0
 
 
 @dataclass(frozen=True)
 class SwimInput:
-    """Drive and initial pose of a robot with links."""
+    """Drive, initial pose and own coefficients of a robot with links in one trial."""
 
     beat: Beat | None = None
     stroke: Cycle | None = None
-    #: Functions that return the motion of each driven joint at given times (s). They replace a drive.
+    #: Functions that return the motion of each driven joint at given times (s). They replace a beat or
+    #: stroke.
     joints: Sequence[Callable[[Array], Motion]] | None = None
     #: Whether the motions in ``joints`` are commands to the actuators; otherwise they were measured.
     commanded: bool = False
-    #: Pose of the reference point at the first sample. The start offsets are added to it.
+    #: Pose of the robot's reference point at the first sample. Start offsets that a fit estimates are added
+    #: to it.
     pose: tuple[float, ...] | None = None
     #: Coefficients of the robot whose values differ in this trial, by name.
     coefficients: Mapping[str, float] | None = None
 
     @property
     def drive(self) -> Beat | Cycle | None:
-        """Tail beat or stroke; None if measured joint angles, or nothing, move the robot."""
+        """Tail beat or stroke that drives the robot. None for joint angles from a log, or without a drive."""
         return self.beat or self.stroke
 
     @property
@@ -170,7 +172,7 @@ class SwimInput:
         return self.drive is not None and self.drive.steady
 
     def begun(self) -> SwimInput:
-        """Return the same input for steady swimming, which begins on the limit cycle of the drive."""
+        """Return a copy of the input for steady swimming, which begins on the limit cycle of the drive."""
         if self.stroke is not None:
             return replace(self, stroke=replace(self.stroke, steady=True, ramp_s=0.0, cycles=math.inf))
         if self.beat is None:
@@ -179,30 +181,30 @@ class SwimInput:
 
     @property
     def measured(self) -> bool:
-        """Whether the joint motions are measured, so that they are the output of the actuators."""
+        """Whether the joint motions in the log were measured. Otherwise they are commands to actuators."""
         return self.joints is not None and not self.commanded
 
     def posed(self, count: int = 3) -> tuple[float, ...]:
-        """Return the initial pose; zeros if it is unknown."""
+        """Return the initial pose of the robot; ``count`` zeros if it is unknown."""
         return self.pose or (0.0,) * count
 
 
 @dataclass(frozen=True)
 class CruiseInput:
-    """Known quantities of the timed runs with one fin."""
+    """Known quantities of a trial of timed cruising with one fin."""
 
     fin: str = ""
     #: Hydrodynamic inertia of the fin; None if unknown.
     inertia_kg_m2: float | None = None
-    #: Reference frequency (Hz) and amplitude (rad) of the power law.
+    #: Reference frequency (Hz) and amplitude (rad) of the power law of the thrust.
     middle: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class SurgeInput:
-    """Steady tail beat of a trial of which only averages over beats are used."""
+    """Steady tail beat of a trial for models that simulate only averages over a beat."""
 
-    #: Frequency of the beat; NaN if there is no beat.
+    #: Frequency of the tail beat, Hz; NaN if there is no beat.
     frequency_hz: float = math.nan
     amplitude_rad: float = math.nan
     #: Time of the first sample, s.
@@ -211,7 +213,7 @@ class SurgeInput:
 
 @dataclass(frozen=True)
 class Trial:
-    """A recorded trial as models use it.
+    """Recorded trial with its samples and known quantities, in the form that models use.
 
     Attributes
     ----------
@@ -256,7 +258,11 @@ class Trial:
 
     @property
     def steady(self) -> tuple[Array, Array]:
-        """Frequency (Hz) and amplitude (rad) of the steady beat of each run, shape (runs,); else NaN."""
+        """Frequency (Hz) and amplitude (rad) of the steady beat; NaN without a steady beat.
+
+        A table of steady swimming has one value for each of its n rows, shape (n,). Other trials have one
+        value.
+        """
         frequency = self.inputs.get("frequency_hz", self.surge.frequency_hz)
         amplitude = self.inputs.get("amplitude_rad", self.surge.amplitude_rad)
         found, size = np.broadcast_arrays(np.atleast_1d(frequency), np.atleast_1d(amplitude))
@@ -265,7 +271,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Rig:
-    """The one coordinate of a body on a test rig.
+    """Coordinate of a body on a test rig, which has one degree of freedom.
 
     Attributes
     ----------
@@ -285,26 +291,26 @@ class Rig:
 # ---------------------------------------------------------------- hooks of effects
 
 
-# suppress numba's warning that compiled functions as arguments of compiled functions are experimental
+# Suppress numba's warning that compiled functions as arguments of compiled functions are experimental.
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
-#: Signature ``force(t, pose, velocity, constants, wrench)`` of the function of a :class:`Force`.
+#: Numba signature ``force(t, pose, velocity, constants, wrench)`` of functions in a :class:`Force`.
 FORCE_SIGNATURE = types.void(
     types.float64, types.float64[::1], types.float64[::1], types.float64[::1], types.float64[::1]
 )
-#: Maximum number of forces in a compiled step: one for each of three effects, and one for an effect that is
-#: tested in addition to them.
+#: Maximum number of additional forces in a compiled integration step. Three effects of a hypothesis, and one
+#: that is tested in addition to them, may have one force each.
 MOST_FORCES = 4
 
 
 @cfunc(FORCE_SIGNATURE, cache=True)
 def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
-    """Leave the wrench unchanged."""
+    """Leave the wrench unchanged, in place of a force that does not act."""
 
 
 @dataclass(frozen=True)
 class Traceable:
-    """A function of a :class:`Force` that can also be traced with symbols to simulate batches of trials.
+    """Function of a :class:`Force` that can also be traced with symbols to simulate batches of trials.
 
     Attributes
     ----------
@@ -321,7 +327,7 @@ class Traceable:
     constants: int
 
 
-#: Traceable functions of all imported modules, by module and function name.
+#: Traceable functions of forces in all imported modules, by module and function name.
 TRACEABLE: dict[str, Traceable] = {}
 
 
@@ -342,7 +348,7 @@ def traceable(on: Literal["base", "hull", "last"], constants: int) -> Callable[[
 
 @dataclass(frozen=True)
 class Force:
-    """A force on one link, evaluated inside the compiled integration step."""
+    """Force on one link of a robot, evaluated inside the compiled integration step."""
 
     #: Numba cfunc with :data:`FORCE_SIGNATURE`. If batches of simulations use it, :func:`traceable` must
     #: compile it. It adds a force (fx, fy, N) and a moment (N m) at the point to ``wrench``, in the axes of
@@ -363,7 +369,9 @@ class Force:
 
 @dataclass(frozen=True)
 class Stroke:
-    """A steady tail beat for models that average over a beat; fields are single values or one value per run.
+    """Steady tail beat for models that average over a beat.
+
+    Each field has one value, or one value for each row of a table of steady swimming.
 
     Attributes
     ----------
@@ -378,20 +386,23 @@ class Stroke:
     inertia_kg_m2: float = float("nan")
 
 
-#: Function of time (s), command (angle or signal) and index of the driven joint that returns the output of
-#: the actuator.
+#: Type of a hook that returns the output of an actuator. Its arguments are the time (s), the command (angle
+#: or signal) and the index of the driven joint.
 Command = Callable[[Array, Array, int], Array]
-#: Function of the simulated channels and their times (s) that returns the channels as the sensors measure
-#: them.
+#: Type of a hook that returns the channels as the sensors measure them. Its arguments are the simulated
+#: channels and their times (s).
 Output = Callable[[dict[str, Array], Array], dict[str, Array]]
-#: Function of time (s) that returns displacement (m) and velocity (m/s) of the water in the world, shape (n,
-#: 2) each.
+#: Type of a hook that returns the displacement (m) and the velocity (m/s) of the water in the world at given
+#: times (s), shape (n, 2) each.
 Flow = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class Hooks:
-    """Functions that change a simulation. Several functions of one kind act in the given order."""
+    """Functions (hooks) by which effects change a simulation.
+
+    Several functions for the same part of the simulation act in the given order.
+    """
 
     #: Functions that change the command of each driven joint, or the input column of a black-box model.
     command: tuple[Command, ...] = ()
@@ -403,20 +414,21 @@ class Hooks:
     tables: tuple[Callable[[dict[str, Any]], None], ...] = ()
     #: Functions that change in place the coefficients (dict of name to float) of a model with one equation.
     coefficients: tuple[Callable[[dict[str, float]], None], ...] = ()
-    #: Forces that are added, at most :data:`MOST_FORCES`.
+    #: Forces that are added to those of the model, at most :data:`MOST_FORCES`.
     force: tuple[Force, ...] = ()
     #: Motions of the water. All fluid forces depend on the velocity relative to the water.
     flow: tuple[Flow, ...] = ()
     #: Functions that change the output of the sensors.
     output: tuple[Output, ...] = ()
-    #: Time by which the log shows events too early, s.
+    #: Time by which the clock of the log shows events too early, s.
     clock_s: float = 0.0
-    #: Time by which the log shows events too early, as a fraction of the time in the log. This time is
-    #: added to ``clock_s``.
+    #: Drift of the clock of the log: further time by which it shows events too early, as a fraction of the
+    #: time in the log.
     clock_drift: float = 0.0
-    #: Identifier of the motion: simulations whose hooks have the same key have the same motion.
+    #: Identifier of the simulated motion: simulations whose hooks have the same key have the same motion.
     key: bytes = b""
-    #: Identifier of the commands: simulations whose hooks have the same key have the same commands.
+    #: Identifier of the changed joint commands: simulations whose hooks have the same key have the same
+    #: commands.
     command_key: bytes = b""
 
     def __add__(self, other: Hooks) -> Hooks:
@@ -424,7 +436,7 @@ class Hooks:
 
     @property
     def moves(self) -> bool:
-        """Whether a hook changes the motion itself, and not only its measurement."""
+        """Whether a hook changes the motion of the robot itself, and not only its measurement."""
         return bool(
             self.command or self.stroke or self.tables or self.coefficients or self.force or self.flow
         )
@@ -442,7 +454,7 @@ class Hooks:
         return stroke
 
     def changed(self, values: dict[str, Any], hooks: str) -> dict[str, Any]:
-        """Return ``values`` after all ``tables`` or ``coefficients`` hooks, which change them in place."""
+        """Apply all ``tables`` or all ``coefficients`` hooks to ``values`` in place, and return them."""
         for change in getattr(self, hooks):
             change(values)
         return values
@@ -457,7 +469,7 @@ class Hooks:
         return time_s - (self.clock_s + self.clock_drift * time_s) if self.late else time_s
 
     def seen(self, channels: Mapping[str, Array], time_s: Array) -> dict[str, Array]:
-        """Return the channels after all ``output`` hooks."""
+        """Return the simulated channels as the sensors show them, after all ``output`` hooks."""
         found = dict(channels)
         for change in self.output:
             found = change(found, time_s)
@@ -465,7 +477,7 @@ class Hooks:
 
 
 _FIELDS = tuple(field.name for field in fields(Hooks))
-#: Hooks that change nothing.
+#: Hooks that change nothing in a simulation.
 NONE = Hooks()
 
 
@@ -473,7 +485,7 @@ NONE = Hooks()
 
 
 class Model(ABC):
-    """A model as fits, comparisons and diagnoses use it.
+    """Interface of a model for fits, comparisons and diagnoses.
 
     A user-defined model needs ``name``, ``parameters``, ``channels`` and :meth:`simulate`. Other members
     state properties that only some models have: the coordinate on a :attr:`rig`, the links (:attr:`body`),
@@ -494,8 +506,8 @@ class Model(ABC):
     force_unit : str
         Unit of the forces in the equation of motion: N, N m for an angle, m/s^2 for a force per mass.
     timed_runs : bool
-        Whether trials are tables of runs timed over ``distance_m``. Their only channel is the mean speed of
-        the runs.
+        Whether each trial is a table of cruises that are timed over ``distance_m``. The only channel is the
+        mean speed of each cruise.
     has_gaps : bool
         Whether the output is missing at the samples at which the input is missing.
     in_space : bool
@@ -531,17 +543,17 @@ class Model(ABC):
 
     @property
     def rig(self) -> Rig | None:
-        """Coordinate on a test rig; None for other models."""
+        """Coordinate of the body if the model is a test rig; None for other models."""
         return None
 
     @property
     def body(self) -> Any:
-        """Links of a planar robot (:class:`swimid.swimmer.planar.model.Body`); None for other models."""
+        """Body of a planar robot with links (:class:`swimid.swimmer.planar.model.Body`); None otherwise."""
         return None
 
     @property
     def swimmer(self) -> Any:
-        """The model itself if it has links (:class:`swimid.swimmer.model.Swimmer`); None for other models."""
+        """Model itself if it is a robot with links (:class:`swimid.swimmer.model.Swimmer`); else None."""
         return None
 
     @property
@@ -550,15 +562,15 @@ class Model(ABC):
         return ("x",)
 
     def scales(self, trials: Sequence[Trial]) -> Scales:
-        """Return the typical scales of the quantities in trials."""
+        """Return the typical scales of speed, force and other quantities in the given trials."""
         return Scales(self, trials)
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the initial position of a trial by channel; channels that are not named start at zero."""
+        """Return the initial position in a trial, by channel. Channels that it does not name start at 0."""
         return {}
 
     def stated(self) -> dict[str, float]:
-        """Return the parameter values that the robot file states, if a fit starts from other values."""
+        """Return the parameter values of the robot file, if a fit may start from other values."""
         return {}
 
     # -------------------------------------------------------- drive
@@ -568,7 +580,7 @@ class Model(ABC):
         return True
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield the time (s), the command and its maximum known rate (per s) for each commanded actuator."""
+        """Yield for each commanded actuator the times (s), the command, and its known maximum rate (1/s)."""
         return iter(())
 
     def onset(self, trial: Trial) -> float:
@@ -582,13 +594,16 @@ class Model(ABC):
         return [float(t.swim.drive.frequency_hz) for t in trials if t.swim.drive is not None]
 
     def given(self, trial: Trial) -> list[str]:
-        """Return the measured channels that the model takes as inputs, and does not predict, in a trial."""
+        """Return the measured channels of a trial that are inputs of the model, which it does not predict."""
         return []
 
     # -------------------------------------------------------- simulation
 
     def at_own_level(self, values: Array, trial: Trial) -> tuple[Model, dict[str, float]]:
-        """Return the model with a trial's own output offset, and this offset; unchanged if it has none."""
+        """Return the model with the output offset of one trial, and this offset by parameter name.
+
+        A model whose output has no offset for each trial is returned unchanged.
+        """
         return self, {}
 
     def prepare(  # noqa: B027
@@ -643,7 +658,10 @@ class Model(ABC):
         return hooks.seen(self.simulate(values, late), trial.time_s)
 
     def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
-        """Simulate several trials as :meth:`simulate` does; all values are NaN if a simulation diverges."""
+        """Simulate several trials as :meth:`simulate` does.
+
+        If a simulation diverges, all values of this trial are NaN.
+        """
         return self.hooked_many([(values, trial, NONE) for values, trial in runs])
 
     @property
@@ -668,7 +686,7 @@ class Model(ABC):
         return {c.name: np.full(len(trial.time_s), np.nan) for c in self.channels}
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the time derivative of each channel, for trials with uncertain time stamps."""
+        """Return the time derivative of each simulated channel, for trials with uncertain time stamps."""
         step = 1e-4
         late = self.simulate(values, replace(trial, time_s=trial.time_s + step))
         early = self.simulate(values, replace(trial, time_s=np.maximum(trial.time_s - step, 0)))
@@ -684,20 +702,21 @@ class Model(ABC):
         return None
 
     def apart(self, trial: Trial) -> list[Trial]:
-        """Return one trial for each run of a cruise table; other trials are returned unchanged."""
+        """Return one trial for each row of a table of timed cruising; other trials are returned unchanged."""
         return [trial]
 
     # -------------------------------------------------------- parameters
 
     def start(self, *names: str) -> float:
-        """Return the start value of the first named parameter that the model has; 0 without any of them."""
+        """Return the start value of the first named parameter that the model has; 0 if it has none."""
         found = {p.name: p.start for p in self.parameters}
         return next((found[name] for name in names if name in found), 0.0)
 
     def expanded(self, entries: Mapping[str, Entry]) -> dict[str, Entry]:
-        """Return entries by parameter name or ``name[trial]``, with shared parameters replaced by members.
+        """Return entries by parameter, with each shared parameter replaced by the members of its group.
 
-        Each member has the standard error of the shared parameter. The members are fully correlated.
+        The keys are parameter names or ``name[trial]``. Each member has the entry of the shared parameter,
+        and so its standard error. The members are fully correlated.
         """
         found: dict[str, Entry] = {}
         for label, entry in entries.items():
@@ -707,7 +726,7 @@ class Model(ABC):
         return found
 
     def estimates(self, *names: str) -> bool:
-        """Return whether one of the named parameters is free."""
+        """Return whether the model estimates one of the named parameters."""
         return any(p.name in names and p.free for p in self.parameters)
 
     def index(self, name: str) -> int:
@@ -726,7 +745,7 @@ class Model(ABC):
 
 
 def unless_broken(compute: Callable[..., Outcome], runs: Iterable[tuple[Any, ...]]) -> list[Outcome | None]:
-    """Call a function with the arguments of each run, and return None where the computation fails.
+    """Call a function with each tuple of arguments, and return None where the computation fails.
 
     Warnings of numpy are suppressed.
     """
@@ -748,7 +767,7 @@ def chosen(
     freed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[Parameter, ...]:
-    """Return the parameters with the choices of the user: fixed values, freed parameters, and bounds.
+    """Return model parameters with the choices of the user: fixed values, freed parameters, and bounds.
 
     Raises
     ------
@@ -791,7 +810,7 @@ class Scales:
     trials : sequence of Trial
     """
 
-    #: Channels whose range is the extent of the motion.
+    #: Names of the channels whose measured range is the extent of the motion.
     places: tuple[str, ...] = POSITIONS
 
     def __init__(self, model: Model, trials: Sequence[Trial]) -> None:
@@ -800,23 +819,23 @@ class Scales:
 
     @property
     def duration(self) -> float:
-        """Median duration of a trial, s; 1 if unknown."""
+        """Median duration of the trials, s; 1 if unknown."""
         return typical([float(t.time_s[-1] - t.time_s[0]) for t in self.trials if len(t.time_s) > 1], 1.0)
 
     @property
     def speed(self) -> float:
-        """Typical speed, m/s (rad/s for an angle); 0.1 if unknown."""
+        """Typical speed of the robot, m/s (rad/s for a rotation); 0.1 if unknown."""
         return typical([v for t in self.trials if (v := _speed(t)) is not None], 0.1)
 
     @property
     def span(self) -> float:
-        """Typical extent of the motion, m (rad for an angle); 1 if unknown."""
+        """Typical extent of the motion in a trial, m (rad for a rotation); 1 if unknown."""
         series = [t.measured[name] for t in self.trials for name in self.places if name in t.measured]
         return typical([float(np.nanmax(s) - np.nanmin(s)) for s in series if np.isfinite(s).any()], 1.0)
 
     @property
     def inertia(self) -> float:
-        """Inertia that the forces accelerate, kg (kg m2 for an angle); 1 if unknown."""
+        """Typical inertia of the robot with added mass, kg (kg m2 for a rotation); 1 if unknown."""
         return 1.0
 
     @property
@@ -826,17 +845,17 @@ class Scales:
 
     @property
     def brake(self) -> float:
-        """Minimum drag or friction that is worth a test: a tenth of the force that moves the robot."""
+        """Scale of a drag or friction that is tested: a tenth of the force that moves the robot."""
         return 0.1 * self.force
 
     @property
     def quadratic(self) -> float:
-        """Minimum quadratic drag coefficient over all trials; 0 if the model has no such coefficient."""
+        """Smallest quadratic drag coefficient of the model among the trials; 0 if it has none."""
         return 0.0
 
 
 def typical(values: Sequence[float], otherwise: float) -> float:
-    """Return the median of values; ``otherwise`` if there is no value or the median is zero."""
+    """Return the median of ``values``. If there is no value or the median is 0, return ``otherwise``."""
     if not len(values):
         return otherwise
     return float(np.median(values)) or otherwise
@@ -861,7 +880,7 @@ def _speed(trial: Trial) -> float | None:
 
 
 class Tied(Model):
-    """A model in which each group of parameters is replaced by one shared parameter.
+    """Model in which each group of parameters is replaced by one shared parameter.
 
     The shared parameter has the index of the first member of its group. Its start value is the mean of the
     members' start values. Its bounds are the intersection of the members' bounds. Its scale is the largest
@@ -908,16 +927,16 @@ class Tied(Model):
 
     @property
     def body(self) -> Any:
-        """Links of the model without shared parameters."""
+        """Body of the original model, whose parameters are not shared."""
         return self.model.body
 
     @property
     def swimmer(self) -> Any:
-        """The model without shared parameters, if it is a robot with links."""
+        """Original model without shared parameters, if it is a robot with links; None otherwise."""
         return self.model.swimmer
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Simulate with the group's value for every member (see :meth:`Model.simulate`)."""
+        """Simulate one trial, with the value of the shared parameter for every member of a group."""
         return self.model.simulate(self.members(values), trial)
 
     @property
@@ -926,7 +945,7 @@ class Tied(Model):
         return self.model.together
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
-        """Simulate several trials (see :meth:`Model.hooked_many`)."""
+        """Simulate several trials, each with its effects (see :meth:`Model.hooked_many`)."""
         return self.model.hooked_many([(self.members(values), trial, hooks) for values, trial, hooks in runs])
 
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
@@ -934,7 +953,7 @@ class Tied(Model):
         self.model.prepare(progress, **how)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the derivative of each channel by time (see :meth:`Model.sensitivity_to_time`)."""
+        """Return the time derivative of each channel (see :meth:`Model.sensitivity_to_time`)."""
         return self.model.sensitivity_to_time(self.members(values), trial)
 
     def refined(self) -> Tied | None:
@@ -943,11 +962,11 @@ class Tied(Model):
         return None if finer is None else Tied(finer, self.groups)
 
     def members(self, values: Array) -> Array:
-        """Return the parameter values of the model without shared parameters."""
+        """Return the parameter values of the original model: each member has the shared value."""
         return np.asarray(values, dtype=float)[self._places]
 
     def _shared(self, name: str) -> Parameter:
-        """Return the shared parameter of a group."""
+        """Return the shared parameter that replaces the members of the named group."""
         members = [self.model.parameters[self.model.index(m)] for m in self.groups[name]]
         first = members[0]
         for other in members[1:]:

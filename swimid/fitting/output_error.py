@@ -25,29 +25,31 @@ from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patien
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import Progress, show, silent, warn
 
-#: Maximum number of noise iterations, and the maximum relative change of a weight at which they have
-#: converged.
+#: Iterations of a fit that re-estimate the noise: their maximum number, and the relative change of the sample
+#: weights at which they have converged.
 MAX_NOISE_ITERATIONS = 12
 WEIGHT_RTOL = 0.01
-#: Relative tolerances of the cost: while the weights still change, and in the last search.
+#: Relative tolerances of the cost of a search: while the sample weights still change (COARSE_RTOL), and in
+#: the last search (FINE_RTOL).
 COARSE_RTOL, FINE_RTOL = 1e-3, 1e-10
-#: Maximum change of an estimate, in standard errors, that is negligible.
+#: Maximum change of an estimate, in standard errors, that is negligible at the end of a search.
 NEGLIGIBLE_MOVE = 0.03
-#: Maximum number of iterations of a fit that must converge, and of a fit that may be returned unfinished. The
-#: second is three times the number that fits of correct models need (6 to 25; 52 if simulations diverge at
-#: the start).
+#: Maximum number of iterations of a fit that must converge (MAX_ITERATIONS), and of a fit that may be
+#: returned unfinished (UNFINISHED_ITERATIONS). The second is three times the number that fits of correct
+#: models need (6 to 25; 52 if simulations diverge at the start).
 MAX_ITERATIONS, UNFINISHED_ITERATIONS = 200, 75
-#: Maximum change of a simulated sample if the integration step is halved, in noise standard deviations.
+#: Maximum change of a simulated sample when the integration step is halved, in noise standard deviations, for
+#: which the step counts as small enough.
 STEP_ERROR = 0.1
-#: Maximum number of times that the integration step is halved.
+#: Maximum number of times that a fit halves the integration step.
 MAX_REFINEMENTS = 6
-#: Relative tolerance of the estimated start state of a trial.
+#: Relative tolerance of the cost when the initial state of a held-out trial is estimated.
 START_TOLERANCE = 1e-8
-#: Maximum number of restarts near the estimates.
+#: Maximum number of restarts of a search near the estimates.
 MAX_RESTARTS = 6
-#: Minimum increase of twice the log-likelihood by restarts that is reported (it moves an estimate by one
-#: standard error). Minimum increase after which a further restart follows if the cost is smooth (a third of a
-#: standard error).
+#: Minimum increases of twice the log-likelihood by restarts of a search. Above NEEDED_GAIN (an estimate moves
+#: by one standard error) the restart is reported. Above SMALL_GAIN (a third of a standard error) a further
+#: restart follows.
 NEEDED_GAIN, SMALL_GAIN = 1.0, 0.1
 
 
@@ -56,7 +58,7 @@ NEEDED_GAIN, SMALL_GAIN = 1.0, 0.1
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one channel, as estimated by a fit."""
+    """Measurement noise of one channel, as estimated by a fit."""
 
     #: Standard deviation of the measured values, in the unit of the channel. If it differs between samples,
     #: the root mean square over the samples.
@@ -95,7 +97,7 @@ class Series:
 
 @dataclass(frozen=True)
 class FitResult:
-    """Result of a fit: estimates, covariance, and the series and numbers that support them."""
+    """Result of a fit: estimates and their covariance, simulated series, noise, and convergence."""
 
     model: Model
     #: Parameters of the fit, with the choices of the user.
@@ -111,14 +113,14 @@ class FitResult:
     covariance: Array
     #: Status of each label: ``estimated``, ``at-bound`` or ``unidentifiable``.
     status: dict[str, str]
-    #: Series of the fitted and of the validation trials.
+    #: Measured and simulated series of the fitted and of the validation trials.
     series: list[Series]
-    #: Noise of each channel.
+    #: Estimated measurement noise of each channel.
     noise: dict[str, Noise]
-    #: Factor by which trials differ more than their noise explains; 1 if the trials agree. The covariance
-    #: includes it.
+    #: Ratio of the differences between trials to those that their noise explains; 1 if the trials agree. The
+    #: covariance of the estimates is enlarged by its square.
     scatter: float
-    #: p-value of the test that the trials agree.
+    #: p-value of the test that all trials have the same parameters, to within their noise.
     scatter_p: float
     samples: int
     converged: bool
@@ -129,21 +131,22 @@ class FitResult:
     #: Largest change of a simulated sample if the integration step is halved, in standard deviations of the
     #: noise.
     step_error: float = 0.0
-    #: The user stopped the search. The estimates are then the best ones so far.
+    #: Whether the user stopped the search. The estimates are then the best ones found so far.
     interrupted: bool = False
-    #: Mean squared residual, as a geometric mean over channels of different units. It is the exponential of
-    #: (twice the negative log-likelihood per sample, minus one). It compares fits of the same samples, even
-    #: if their weights differ.
+    #: Cost of the fit: mean squared residual, as a geometric mean over channels of different units. It is the
+    #: exponential of (twice the negative log-likelihood per sample, minus one). It compares fits of the same
+    #: samples, even if their weights differ.
     cost: float = math.nan
     #: Square root of the information matrix, shape (q, p): ``information_root' information_root`` is the
     #: inverse of the covariance. It is accurate even if the covariance is infinite. Columns of parameters
     #: held at a bound are NaN.
     information_root: Array = field(default_factory=lambda: np.empty((0, 0)))
-    #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held.
+    #: Estimates of the per-trial parameters of validation trials, by label. The shared parameters are held at
+    #: the estimates of the fit.
     start_states: Mapping[str, float] = field(default_factory=dict)
     #: Number of restarts near the estimates that led to a better fit; None if no restart was tested.
     restarts: int | None = None
-    #: The last restart led to no better fit.
+    #: Whether the estimates are final: the last restart led to no better fit.
     settled: bool = True
 
     @property
@@ -152,15 +155,15 @@ class FitResult:
         return [label for label in self.labels if "[" not in label]
 
     def parameter(self, label: str) -> Parameter:
-        """Return the parameter to which the label of an unknown belongs."""
+        """Return the parameter to which a label of the fit belongs (``name`` or ``name[trial]``)."""
         return next(p for p in self.parameters if p.name == label.split("[")[0])
 
     def series_of(self, channel: str, role: str | None = None) -> list[Series]:
-        """Return the series of a channel, by default of all trials; otherwise of the trials of one role."""
+        """Return the series of a channel in all trials, or in the trials with the given role."""
         return [s for s in self.series if s.channel == channel and role in (None, s.role)]
 
     def at_estimates(self) -> tuple[Parameter, ...]:
-        """Return the parameters with the estimates of shared parameters as start values."""
+        """Return the model parameters with the estimates of shared parameters as their start values."""
         return tuple(replace(p, start=self.value(p.name)) for p in self.parameters)
 
     def stderr(self, label: str) -> float | None:
@@ -172,7 +175,7 @@ class FitResult:
         return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
 
     def value(self, name: str, trial: str | None = None) -> float:
-        """Return the value of a parameter, estimated or fixed; in one trial for a per-trial parameter."""
+        """Return the estimated or fixed value of a parameter, in the given trial if it is per-trial."""
         for label in (f"{name}[{trial}]", name):
             if label in self.labels:
                 return float(self.estimate[self.labels.index(label)])
@@ -190,7 +193,7 @@ class FitResult:
 
 @dataclass(frozen=True)
 class _Task:
-    """Model, trials and settings of one fit.
+    """Model, trials and search settings of one fit.
 
     The search begins at ``begin`` with the weights of the fit ``near``, if they are given. Without a
     ``budget`` of iterations, the fit is evaluated at its start.
@@ -280,9 +283,10 @@ def fit(
 
 
 def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
-    """Return a fit, or a better fit that a restart near its estimates finds; warn of a better fit.
+    """Restart the search of a fit near its estimates, and return the best fit.
 
-    The result has :attr:`FitResult.restarts` and :attr:`FitResult.settled`.
+    The user is warned if a restart finds a better fit. The result has :attr:`FitResult.restarts` and
+    :attr:`FitResult.settled`.
     """
     first, count, settled = result, 0, True
     spent, gain = result.evaluations, 0.0
@@ -290,8 +294,8 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
         return result
     try:
         while True:
-            # restarts need at most twice the simulations of the first fit in total, unless the cost is not
-            # smooth
+            # Limit all restarts together to twice the simulations of the first fit, unless the cost is not
+            # smooth.
             if spent > 2 * first.evaluations and not kinked(result):
                 settled = gain <= NEEDED_GAIN
                 break
@@ -324,12 +328,12 @@ def check_by_restarts(result: FitResult, *, jobs: int) -> FitResult:
 
 
 def _objective(result: FitResult) -> float:
-    """Return twice the negative log-likelihood, without its constant."""
+    """Return twice the negative log-likelihood of a fit, without its constant."""
     return result.samples * math.log(max(result.cost, 1e-300))
 
 
 def _refined(task: _Task) -> FitResult:
-    """Fit, and halve the integration step until the simulated samples no longer change."""
+    """Fit a model, and repeat the fit with half the integration step until the samples no longer change."""
     spent = 0
     for _ in range(MAX_REFINEMENTS):
         result = _fit_once(task)
@@ -379,16 +383,19 @@ def at(
 
 
 def _step_error(result: FitResult, finer: Model) -> float:
-    """Return the largest change of a simulated sample if the step is halved, in noise deviations."""
+    """Return the largest change of a simulated sample when the integration step is halved.
+
+    The unit is the noise standard deviation.
+    """
     fine = {t.id: finer.simulate(result.values(t.id), t) for t in result.trials}
     changes = [np.abs(fine[s.trial][s.channel] - s.simulated) / s.sd for s in result.series]
     return max((float(np.max(c[np.isfinite(c)], initial=0.0)) for c in changes), default=0.0)
 
 
-# the matrices are small, so that threads of BLAS would only slow down the simulations
+# Use one thread of BLAS. The matrices are small, so that more threads would only slow down the simulations.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _fit_once(task: _Task) -> FitResult:
-    """Fit with one integration step."""
+    """Fit the model of a task with the integration step that the model has."""
     search = _Search(task)
     search.run()
     search.insist_unbroken()
@@ -410,7 +417,7 @@ def _fit_once(task: _Task) -> FitResult:
 
 
 class _Search:
-    """A search for the minimum, repeated with the weights of the estimated noise until they converge."""
+    """Search for the minimum cost, repeated with re-estimated noise weights until the weights converge."""
 
     def __init__(self, task: _Task) -> None:
         fitted = [t for t in task.trials if t.role == "fit"]
@@ -432,13 +439,13 @@ class _Search:
         self.converged = self.interrupted = False
         self.message = ""
         self.iterations = 0
-        # with one channel of constant error all weights stay equal, so that one search is enough
+        # With one channel of constant error all weights are equal, so that one search is enough.
         self.equal = len({c for names in problem.channels for c in names}) == 1 and not any(
             t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in fitted
         )
 
     def run(self) -> None:
-        """Search until the weights converge or the user interrupts the search."""
+        """Search until the noise weights converge, or until the user interrupts the search."""
         rounds, first = MAX_NOISE_ITERATIONS, 1
         if self.equal:
             rounds = 1
@@ -462,7 +469,7 @@ class _Search:
             self.message = f"interrupted after {self.iterations} iterations"
 
     def insist_unbroken(self) -> None:
-        """Raise an error if a trial cannot be simulated at the current point."""
+        """Raise an error if a trial cannot be simulated at the current point of the search."""
         broken = self.problem.broken(self.theta)
         if broken:
             raise NoTrustworthyResult(
@@ -483,23 +490,23 @@ class _Search:
         return float(np.max(np.abs(change / np.median(change) - 1.0), initial=0.0))
 
     def estimate_noise(self) -> None:
-        """Estimate the noise at the current point, and set the weights that follow from it."""
+        """Estimate the noise at the current point of the search, and set the weights of the samples."""
         self.noise = uncertainty.estimate(self.problem, self.theta, self.noise)
 
     def _noise_limits(self) -> Patience:
-        """Return the rule that ends a search if noise is larger than the effect of its steps."""
+        """Return the rule that ends a search when its steps change less than noise does."""
         problem, theta = self.problem, self.theta
         self.insist_unbroken()
         residuals, rows = _linearised(problem, theta)
         found = sandwich(problem, rows, residuals, uncertainty.autoregressions(problem, residuals))
         errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) * problem.scale
         shared = np.array([owner is None for _, owner in problem.slots])
-        # unknowns of single trials (start states) are no result of the fit and may still change
+        # Unknowns of single trials (initial states) are no result of the fit, so they may still change.
         known = shared & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
         return Patience(found.gain, np.where(known, NEGLIGIBLE_MOVE * errors, math.inf))
 
     def _solve(self, last: bool, tell: Callable[[str], None]) -> None:
-        """Search with the current weights."""
+        """Search for the minimum cost with the current noise weights."""
         if self.task.budget is None:
             self.converged, self.message = True, "no search: the point was given"
             return
@@ -522,7 +529,10 @@ class _Search:
 
 
 def _unfinished(search: _Search, result: FitResult) -> str | None:
-    """Return the reason why a search did not end at a minimum to within noise; None if it did."""
+    """Return the reason why a search did not end at a minimum, to within noise.
+
+    Return None if the search ended at a minimum.
+    """
     if search.converged and search.message != STALLED:
         return None
     lowered, moved = search.patience.last(STRIDE)
@@ -550,13 +560,13 @@ def _unfinished(search: _Search, result: FitResult) -> str | None:
 
 
 def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], list[Array]]:
-    """Return the weighted residuals of each trial, and their derivatives by the scaled unknowns."""
+    """Return the weighted residuals of each trial, and their derivatives with respect to scaled unknowns."""
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     return residuals, [j * problem.scale for j in problem.trial_jacobians(theta, central=central)]
 
 
 def _result(search: _Search) -> FitResult:
-    """Return the estimates, their covariance and their status at the end of a search."""
+    """Return the result of a fit from the end of a search: estimates, covariance and status."""
     problem, theta, samples, task = search.problem, search.theta, search.samples, search.task
     residuals, rows = _linearised(problem, theta, central=samples * len(theta) <= 50_000)
     autoregressions = uncertainty.autoregressions(problem, residuals)
@@ -569,13 +579,13 @@ def _result(search: _Search) -> FitResult:
     scatter, scatter_p = 1.0, 1.0
     if found is not None:
         scale = problem.scale[free]
-        # for few samples use Student's t: 1.96 of these standard errors then cover 95 %
+        # For few samples use Student's t, so that 1.96 of these standard errors cover 95 %.
         few = float(special.stdtrit(max(samples - int(free.sum()), 1), 0.975) / special.ndtri(0.975))
         covariance[np.ix_(free, free)] = few**2 * found.covariance * np.outer(scale, scale)
         root[:, free] = found.root / few / scale
         null[free] = found.null
         scatter, scatter_p = found.scatter, found.scatter_p
-    # an unknown (NaN) standard error makes the comparison false
+    # An unknown (NaN) standard error makes the comparison false.
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = ~null & (errors <= UNIDENTIFIABLE * np.maximum(np.abs(theta), problem.scale))
     held = (outward != 0) & (known | ~free)
@@ -614,7 +624,7 @@ def _free_in_noise(
     autoregressions: dict[str, Array],
     outward: Array,
 ) -> tuple[NDArray[np.bool_], Sandwich | None]:
-    """Return a mask of the unknowns that count as free, and their covariance.
+    """Return a mask of the unknowns that no bound holds, and the covariance of these unknowns.
 
     An unknown is held by its bound if the minimum without bounds is more than two standard errors beyond the
     bound. Noise alone can explain why other unknowns are at a bound, so that they count as free. If they were
@@ -633,14 +643,14 @@ def _free_in_noise(
 
 
 def _cost(problem: Problem, residuals: list[Array]) -> float:
-    """Return :attr:`FitResult.cost` of residuals, with the weights of the final noise model."""
+    """Return the cost (:attr:`FitResult.cost`) of residuals weighted by the final noise model."""
     logs = [2 * np.log(problem.at_samples(k, problem.sd[k])) for k in range(len(residuals))]
     mean = float(np.mean(np.concatenate(logs) + np.concatenate(residuals) ** 2))
     return float(np.exp(min(mean - 1.0, 700.0)))
 
 
 def _series(problem: Problem, result: FitResult) -> list[Series]:
-    """Return the measured and simulated series of every trial and channel."""
+    """Return the measured and simulated series of every trial and channel of a fit."""
     series = []
     fitted = dict(zip((t.id for t in problem.trials), problem.simulations(result.estimate), strict=True))
     sds = {
@@ -664,24 +674,25 @@ def _series(problem: Problem, result: FitResult) -> list[Series]:
 
 
 # A search ends where its local model of the cost predicts no decrease. Such a point need not be a minimum if
-# the cost is not smooth, as with dry friction, or if a bound holds a parameter. Therefore no point near the
-# estimates, and no short search from such a point, may reach a lower cost than the estimates.
+# the cost is not smooth, as with dry friction, or if a bound holds a parameter. Therefore test whether a
+# point near the estimates, or a short search from such a point, reaches a lower cost than the estimates.
 
-#: Number of pairs of points around the estimates, and their distance from the estimates in standard errors
-#: under white noise.
+#: Pairs of opposite points around the estimates at which the cost is tested: number of pairs, and distance
+#: from the estimates in standard errors under white noise.
 N_PAIRS, PAIR_DISTANCE = 3, 2.0
-#: Minimum deviation of the mean cost of a pair from its quadratic prediction, as a fraction of the
-#: prediction, that shows a non-smooth cost.
+#: Minimum deviation of the mean cost of two opposite points from its quadratic prediction, as a fraction of
+#: the prediction, that shows a non-smooth cost.
 KINK_SHARE = 0.5
 #: Distances from the estimates at which short searches start, in standard errors under white noise. The key
 #: is whether the cost is non-smooth.
 DISTANCES = {False: (10.0,), True: (3.0, 10.0, 30.0, 100.0, 3.0, 10.0, 30.0, 100.0)}
-#: Number of iterations of a short search. If the cost is non-smooth, a second search starts from the two best
-#: end points with the second number.
+#: Number of iterations of a short search around the estimates (SHORT_ITERATIONS). If the cost is non-smooth,
+#: a second search with LONG_ITERATIONS starts from the two best end points.
 SHORT_ITERATIONS, LONG_ITERATIONS = 3, 10
-#: Values at which a parameter with a non-smooth effect is tested: multiples of its typical scale, and
-#: multiples of its estimate. Multiples of the scale help if the estimate is far from the best value. A free
-#: decay with dry friction has a local minimum for every number of half swings before the body sticks.
+#: Values at which a parameter with a non-smooth effect is tested: multiples of its typical scale (SCALES),
+#: and multiples of its estimate (FACTORS). Multiples of the scale help if the estimate is far from the best
+#: value. A free decay with dry friction has a local minimum for every number of half swings before the body
+#: sticks.
 SCALES, FACTORS = (0.25, 1.0, 3.0), (0.6, 0.8, 0.9, 1.1, 1.25, 1.6)
 #: Distance from the bound at which a parameter at a bound is tested, in typical scales of the parameter.
 INSIDE = 1.0
@@ -698,10 +709,10 @@ class Surroundings:
 
     #: Point with a lower cost than the estimates, shape (p,); None if there is none.
     point: Array | None
-    #: Number of simulations of single trials.
+    #: Number of simulations of single trials that the search needed.
     evaluations: int
-    #: The cost is not smooth: :attr:`Parameter.kinked` of a parameter is set, or the cost deviates from its
-    #: quadratic prediction.
+    #: Whether the cost is not smooth: :attr:`Parameter.kinked` of a parameter is set, or the cost deviates
+    #: from its quadratic prediction.
     rough: bool
 
 
@@ -756,7 +767,10 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
 
 
 def weighted(result: FitResult, parameters: tuple[Parameter, ...] | None = None, *, jobs: int = 1) -> Problem:
-    """Return the least-squares problem of a fit with its final weights; its parameters can be replaced."""
+    """Return the least-squares problem of a fit with its final weights.
+
+    If ``parameters`` are given, they replace those of the fit.
+    """
     fitted = [t for t in result.trials if t.role == "fit"]
     problem = Problem(result.model, parameters or result.parameters, fitted, jobs=jobs)
     set_weights(problem, result)
@@ -783,7 +797,8 @@ def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, allowed: f
         ends = [_squares(problem, theta + sign * step / nearer) for sign in (1.0, -1.0)]
         predicted = float(np.sum((rows @ (step / nearer)) ** 2))
         off = abs(0.5 * sum(ends) - _squares(problem, theta) - predicted)
-        # at a quarter of the distance, 1/256 of the deviation remains if smooth, 1/16 if piecewise constant
+        # At a quarter of the distance, 1/256 of the deviation remains if the cost is smooth, and 1/16 if it
+        # is piecewise constant.
         if off < before / 32.0 or (nearer == 1.0 and off <= max(KINK_SHARE * predicted, allowed)):
             return True
         before = off
@@ -809,13 +824,16 @@ def _squares(problem: Problem, theta: Array) -> float:
 
 
 def _unit(rng: np.random.Generator, size: int) -> Array:
-    """Return a random unit vector."""
+    """Return a random unit vector with ``size`` components."""
     direction = rng.normal(size=size)
     return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _standard_steps(problem: Problem, theta: Array, rows: Array, variance: float) -> Array:
-    """Return independent steps of one standard error under white noise, as columns, shape (p, p)."""
+    """Return steps of one standard error in independent directions, as columns, shape (p, p).
+
+    The standard errors are those under white noise.
+    """
     rows = rows * problem.scale
     at_bound = (theta <= problem.lower) | (theta >= problem.upper)
     rows[:, at_bound] = 0.0
@@ -828,7 +846,7 @@ def _standard_steps(problem: Problem, theta: Array, rows: Array, variance: float
 
 
 def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> list[Array]:
-    """Return starting points in which one parameter has another value.
+    """Return starting points that differ from the estimates in one parameter.
 
     A parameter at a bound is moved away from the bound. A parameter with a non-smooth effect is set to
     several values. Parameters of single trials are included only if the cost is not smooth.
@@ -852,7 +870,7 @@ def _inside(problem: Problem, result: FitResult, theta: Array, rough: bool) -> l
     return found
 
 
-# ---------------------------------------------------------------- start states of held-out trials
+# ---------------------------------------------------------------- initial states of held-out trials
 
 
 def estimate_start(
@@ -865,8 +883,8 @@ def estimate_start(
 ) -> dict[str, float]:
     """Estimate the per-trial parameters of one trial, with the shared parameters held.
 
-    A held-out trial has its own start pose, initial speed and clock offset. They are estimated, because they
-    are not part of the test.
+    A held-out trial has its own initial pose, initial speed and clock offset. They are estimated, because
+    they are not part of the test.
 
     Parameters
     ----------
@@ -889,14 +907,18 @@ def estimate_start(
     problem.sd[0] = [np.full(len(trial.time_s), sd[channel]) for channel in problem.channels[0]]
     begin = problem.start
     if problem.broken(begin):
-        # the simulation may diverge because the start was estimated with other coefficients
+        # The simulation may diverge because the initial state was estimated with other coefficients. Start
+        # from the default values then.
         begin = np.clip([held[i].start for i, _ in problem.slots], problem.lower, problem.upper)
     solution = problem.solve(begin, tolerance=tolerance, watch=Patience())
     return {label: float(v) for label, v in zip(problem.labels, solution.x, strict=True)}
 
 
 def with_held_out(result: FitResult) -> FitResult:
-    """Return the result with each validation trial simulated from its own estimated start state."""
+    """Return the result of a fit with each validation trial simulated from its own initial state.
+
+    The initial state is estimated from the validation trial, with the shared parameters held.
+    """
     waiting = [t for t in result.trials if t.role == "validate"]
     sd = {name: noise.value_sd for name, noise in result.noise.items()}
     found: dict[str, float] = {}

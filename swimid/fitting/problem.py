@@ -1,4 +1,4 @@
-"""The least-squares problem of an output-error fit, and a Levenberg-Marquardt search inside bounds.
+"""Least-squares problem of an output-error fit, and Levenberg-Marquardt search within bounds.
 
 :class:`Problem` computes the residuals of all trials and their derivatives. :func:`minimise` searches for
 their minimum. SciPy's trust-region method decomposes the whole Jacobian in every iteration. With thousands of
@@ -24,19 +24,19 @@ from numpy.typing import NDArray
 
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
-#: Minimum duration of one simulation, s, for which simulations are divided among threads.
+#: Minimum duration of one simulation, s, above which several simulations are divided among threads.
 WORTH_A_THREAD = 3e-4
-#: Maximum step, in standard errors, after which derivatives are used again. The error of the optimum is much
-#: smaller than this step.
+#: Maximum step of a search, in standard errors, after which the earlier derivatives are used again. The
+#: resulting error of the optimum is much smaller than this step.
 NEAR = 0.01
 #: Value of the weighted residual of a sample that the model cannot simulate.
 BROKEN = 1e6
-#: Number of points whose simulations are cached.
+#: Number of latest points of a search whose simulations are cached.
 KEPT = 5
 
 
 class Box(NamedTuple):
-    """Bounds and typical scales of the unknowns, shape (p,) each."""
+    """Bounds and typical scales of the unknowns of a least-squares problem, shape (p,) each."""
 
     lower: Array
     upper: Array
@@ -44,7 +44,7 @@ class Box(NamedTuple):
 
 
 class Problem:
-    """Weighted residuals of trials, and their derivatives, as functions of the unknowns.
+    """Least-squares problem: weighted residuals of trials and their derivatives, for given unknowns.
 
     Simulations and derivatives are cached without weights, so that new weights need no new simulation.
 
@@ -101,7 +101,7 @@ class Problem:
                 unknowns.append((index, None, p.name, p.start))
             for k, t in enumerate(self.trials):
                 if p.free and p.per_trial and p.name not in t.held:
-                    # the log of a trial may suggest a better start value than that of the parameter
+                    # Prefer the start value that the log of the trial suggests to that of the parameter.
                     unknowns.append((index, k, f"{p.name}[{t.id}]", t.starts.get(p.name, p.start)))
         self.slots = [(index, k) for index, k, _, _ in unknowns]
         self.labels = [label for _, _, label, _ in unknowns]
@@ -127,7 +127,7 @@ class Problem:
         self.start = np.clip(starts, self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
         ends = np.cumsum([len(values) for values in self._measured])
-        # for each trial the rows of its residuals, and the columns of its unknowns
+        # Store for each trial the rows of its residuals and the columns of its unknowns in the Jacobian.
         self._blocks = [
             (slice(end - len(values), end), numbers)
             for end, values, (_, numbers) in zip(ends, self._measured, self.taken, strict=True)
@@ -166,7 +166,7 @@ class Problem:
         return values
 
     def simulations(self, theta: Array) -> list[dict[str, Array]]:
-        """Simulate every trial, and cache the channels of the last :data:`KEPT` points."""
+        """Return the simulated channels of every trial. Those of the last :data:`KEPT` points are cached."""
         key = np.asarray(theta, dtype=float).tobytes()
         if key not in self._simulated:
             found = self.simulated([(theta, k) for k in range(len(self.trials))])
@@ -207,7 +207,7 @@ class Problem:
         return found
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
-        """Return the derivatives of each trial's residuals by all unknowns, shape (n_k, p) each.
+        """Return the derivatives of each trial's residuals with respect to all unknowns, shape (n_k, p).
 
         Forward differences have a relative accuracy of about 1e-6. Central differences are more accurate and
         cost twice as much. Derivatives at an earlier point are used again if the point is within :attr:`near`
@@ -220,12 +220,18 @@ class Problem:
         return found
 
     def own_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
-        """Return the derivatives of each trial's residuals by its own unknowns, shape (n_k, m_k) each."""
+        """Return the derivatives of each trial's residuals with respect to the unknowns that affect it.
+
+        The derivatives of a trial have the shape (n_k, m_k). The unknowns are the shared ones, and those of
+        the trial.
+        """
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
     def hold_derivatives(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
-        """Hold the derivatives by some unknowns at given values; without labels, hold none.
+        """Use given derivatives with respect to some unknowns in place of computed ones.
+
+        Without labels, all derivatives are computed again.
 
         Parameters
         ----------
@@ -264,14 +270,17 @@ class Problem:
     def sample_weights(self, k: int) -> Array:
         """Return the factors from errors to weighted residuals of the samples of a trial, shape (n_k,)."""
         known = self._weights.get(k)
-        # compute the weights again only if an array of standard deviations was replaced
+        # Compute the weights again only if an array of standard deviations was replaced.
         if known is None or any(a is not b for a, b in zip(known[0], self.sd[k], strict=True)):
             each = [1.0 / sd for sd in self.sd[k]]
             known = self._weights[k] = list(self.sd[k]), self.at_samples(k, each)
         return known[1]
 
     def stacked(self, k: int, series: Mapping[str, Array]) -> Array:
-        """Return the existing samples of channels of a trial, in the order of its residuals, shape (n_k,)."""
+        """Return the samples of all channels of a trial as one array, shape (n_k,).
+
+        Missing samples are left out, so that the order is that of the residuals.
+        """
         return self.at_samples(k, [series[c] for c in self.channels[k]])
 
     def at_samples(self, k: int, parts: Sequence[Array]) -> Array:
@@ -279,12 +288,18 @@ class Problem:
         return np.concatenate([np.empty(0), *parts])[self._kept[k]]
 
     def by_channel(self, k: int, rows: Array) -> list[tuple[str, NDArray[np.bool_], Array]]:
-        """Split rows of a trial by channel, and return name, mask of samples and rows of each channel."""
+        """Split the rows of a trial's residuals or derivatives by channel.
+
+        The result has the name, the mask of the samples and the rows of each channel.
+        """
         ends = np.cumsum([int(mask.sum()) for mask in self.masks[k]])
         return list(zip(self.channels[k], self.masks[k], np.split(rows, ends)[:-1], strict=True))
 
     def series(self, residuals: Sequence[Array]) -> dict[str, list[Array]]:
-        """Return the residuals by channel, one series for each trial that has it; NaN for missing samples."""
+        """Return the residuals by channel, with one series for each trial that measures the channel.
+
+        Missing samples are NaN.
+        """
         found: dict[str, list[Array]] = {}
         for k, values in enumerate(residuals):
             for channel, mask, part in self.by_channel(k, values):
@@ -294,7 +309,10 @@ class Problem:
         return found
 
     def _derivatives(self, theta: Array, central: bool) -> list[Array]:
-        """Return the derivatives of each trial's simulated samples by its unknowns, shape (n_k, m_k) each."""
+        """Return the derivatives of each trial's simulated samples with respect to its unknowns.
+
+        The derivatives of a trial have the shape (n_k, m_k).
+        """
         if self._slopes is not None:
             where, was_central, known = self._slopes
             if (was_central or not central) and self._near(theta, where, known):
@@ -302,13 +320,13 @@ class Problem:
         size = np.maximum(np.abs(theta), self.scale)
         here = [self.stacked(k, simulated) for k, simulated in enumerate(self.simulations(theta))]
         steps = (1e-6, 1e-5)[central] * size
-        # use a backward difference if a forward step would exceed the upper bound
+        # Use a backward difference if a forward step would exceed the upper bound.
         steps = np.where(theta + steps > self.upper, -steps, steps)
         both = central & (theta - steps >= self.lower) & (theta - steps <= self.upper)
         ahead, back = (theta + sign * np.diag(steps) for sign in (1, -1))
         points: list[tuple[Array, int]] = []
-        # order the simulations by trial, so that simulations of one trial can share the computed motion of
-        # its drive
+        # Order the simulations by trial, so that simulations of one trial can share the computed motion of
+        # its drive.
         for k, (_, numbers) in enumerate(self.taken):
             for j in (j for j in numbers if self.labels[j] not in self._held):
                 points += [(moved[j], k) for moved in (ahead, back)[: 1 + both[j]]]
@@ -338,18 +356,21 @@ class Problem:
             residuals = self.trial_residuals(theta, k)
             moved += float(change @ change)
             left += float(residuals @ residuals)
-        # a step of one standard error in any direction changes the cost by the variance of the residuals
+        # Compare with a step of one standard error, which changes the cost by the variance of the residuals.
         return moved * sum(map(len, slopes)) <= self.near**2 * left
 
     def simulated(self, points: list[tuple[Array, int]]) -> list[dict[str, Array]]:
-        """Simulate pairs of unknowns and trial index, and return the measured channels of each."""
+        """Simulate trials at given points, and return the measured channels of each simulation.
+
+        Each item of ``points`` has the values of the unknowns and the index of the trial.
+        """
         self.evaluations += len(points)
         runs = [(self.vector(theta, k), self.trials[k]) for theta, k in points]
         begun, threads = time.perf_counter(), 1
-        # use the shortest duration of a simulation so far, because the first one may have compiled the model
+        # Use the shortest duration of a simulation so far, because the first one may have compiled the model.
         if self.jobs > 1 and len(runs) > 1 and WORTH_A_THREAD < self._typical_s < math.inf:
             threads = self.jobs
-            # give each thread whole batches of the size that the model simulates together
+            # Give each thread whole batches of the size that the model simulates at once.
             together = self.model.together
             share = math.ceil(len(runs) / threads / together) * together
             parts = [runs[i : i + share] for i in range(0, len(runs), share)]
@@ -368,10 +389,10 @@ class Problem:
 # ---------------------------------------------------------------- Levenberg-Marquardt search
 
 
-#: Minimum decrease of the cost by a step, as a fraction of the predicted decrease. A step with a smaller
-#: decrease is corrected for curvature.
+#: Decrease of the cost by a step of a search, as a fraction of the predicted decrease, below which the step
+#: is corrected for curvature.
 MIN_AGREEMENT = 0.9
-#: Maximum length of the correction for curvature, as a fraction of the length of the step.
+#: Maximum length of the correction of a step for curvature, as a fraction of the length of the step.
 MAX_CORRECTION = 0.75
 #: Minimum decrease of the cost by a step, as a fraction of the predicted decrease, that allows a secant
 #: update instead of new derivatives.
@@ -384,12 +405,12 @@ MAX_SECANT_STEPS = 5
 STILL = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 KINKED = "no step lowers the cost though the gradient does not vanish"
-#: Maximum number of columns of a Jacobian that is multiplied without BLAS. For few columns, waking the
-#: threads of BLAS takes longer than the multiplication.
+#: Maximum number of columns of a Jacobian whose products are computed without BLAS. For few columns, waking
+#: the threads of BLAS takes longer than the multiplication.
 FEW_COLUMNS = 16
 
-#: A function of parameters, cost and iteration, called at the start and after each step that lowers the cost.
-#: It returns a reason to end the search, or None.
+#: Type of a function that watches a search. It is called with parameters, cost and iteration at the start and
+#: after each step that lowers the cost. It returns a reason to end the search, or None.
 Watch = Callable[[Array, float, int], "str | None"]
 
 
@@ -405,7 +426,10 @@ class Solution:
 
 
 class _Tried(NamedTuple):
-    """A step in typical scales, and the point, residuals and cost (infinite if NaN) to which it leads."""
+    """Tried step of a search, in typical scales, with its end point and the residuals and cost there.
+
+    The cost is infinite if it is not a number.
+    """
 
     step: Array
     x: Array
@@ -413,7 +437,7 @@ class _Tried(NamedTuple):
     cost: float
 
 
-# the cost of a very bad step may overflow: the cost is then infinite, and the step is rejected
+# Ignore overflows: the cost of a very bad step may overflow, is then infinite, and the step is rejected.
 @np.errstate(over="ignore", invalid="ignore")
 def minimise(
     residuals: Callable[[Array], Array],
@@ -475,7 +499,7 @@ def minimise(
         blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
         free = ~blocked
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        # cosine of the angle between the residuals and each column of the Jacobian
+        # Compute the cosine of the angle between the residuals and each column of the Jacobian.
         slope = np.abs(gradient[free]) / (size[free] * np.sqrt(max(cost, 1e-300)))
         if not free.any() or cost <= 1e-300 or np.max(slope, initial=0.0) < 1e-12:
             return Solution(x, cost, True, "the gradient vanishes", iteration)
@@ -487,7 +511,7 @@ def minimise(
             tried = attempt(x, taken)
             short = cost - tried.cost < MIN_AGREEMENT * predicted and np.isfinite(tried.cost)
             if secant is not None and short:
-                # correct the step for curvature if the correction is short and lowers the cost
+                # Correct the step for curvature if the correction is short and lowers the cost.
                 bend = rows.T @ (tried.residuals - r - rows @ taken)
                 bent = solve(bend, low=low - taken, high=high - taken)
                 if np.linalg.norm(bent * size) <= MAX_CORRECTION * np.linalg.norm(taken * size):
@@ -501,7 +525,7 @@ def minimise(
                 still = small or (lowered <= tolerance * cost and predicted <= 10 * tolerance * cost)
                 x, r, cost = tried.x, tried.residuals, tried.cost
                 reason = tell(x, cost, iteration)
-                # end only with new derivatives: a secant update may be the reason for a small step
+                # End only with new derivatives, because a secant update may be the reason for a small step.
                 if still and not age:
                     reason = STILL
                 if reason is not None:
@@ -510,7 +534,8 @@ def minimise(
                     rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
                 break
             if age:
-                # compute new derivatives: the secant updates may be the reason why the cost does not fall
+                # Compute new derivatives, because the secant updates may be the reason why the cost does not
+                # fall.
                 break
             if small or abs(predicted) <= 1e-3 * tolerance * cost:
                 return Solution(x, cost, True, STUCK, iteration)
@@ -537,7 +562,11 @@ def _products(rows: Array, r: Array) -> tuple[Array, Array]:
 def _step(
     normal: Array, gradient: Array, damping: Array, low: Array, high: Array, blocked: NDArray[np.bool_]
 ) -> Array:
-    """Return the damped Gauss-Newton step; parameters that would leave the limits are set to them."""
+    """Return the damped Gauss-Newton step within limits.
+
+    Parameters whose step would leave the limits ``low`` and ``high`` are set to the limits. Blocked
+    parameters do not move.
+    """
     step = np.zeros(len(gradient))
     fixed = blocked.copy()
     while not fixed.all():
@@ -557,12 +586,12 @@ def _step(
 # ---------------------------------------------------------------- ends of a search that noise justifies
 
 
-#: Number of successive steps whose total effect is compared with the noise.
+#: Number of successive steps of a search whose total effect is compared with the noise.
 BRIEF = 5
-#: Number of successive steps whose total progress is judged, and number of iterations before that.
+#: Test for a search that is too slow: number of successive steps whose total progress is judged (STRIDE), and
+#: number of iterations before the first test (CREEPING).
 STRIDE, CREEPING = 10, 40
-#: Minimum relative decrease of the cost by the last :data:`STRIDE` steps. A search with less progress is
-#: ended.
+#: Relative decrease of the cost by the last :data:`STRIDE` steps below which a search is ended as too slow.
 MIN_DECREASE = 2e-4
 #: Messages of a search that ended because its steps are below the noise, or because its progress is slow.
 HIDDEN = "cost and estimates change by less than noise shows"
@@ -588,7 +617,7 @@ class Patience:
     path: list[tuple[Array, float]] = field(default_factory=list)
 
     def __call__(self, x: Array, cost: float, iteration: int) -> str | None:
-        """Return the reason to end the search after this step; None to continue the search."""
+        """Return the reason to end the search after the latest step, or None to continue it."""
         self.path.append((x, cost))
         lowered, moved = self.last(BRIEF)
         if lowered <= self.cost and np.all(np.abs(moved) <= self.move):
@@ -598,7 +627,10 @@ class Patience:
         return None
 
     def last(self, steps: int) -> tuple[float, Array]:
-        """Return the changes of cost and parameters over the last steps; infinite for fewer steps."""
+        """Return the decrease of the cost and the change of the parameters over the last ``steps`` steps.
+
+        Both are infinite if the search has made fewer steps.
+        """
         if not self.path:
             return math.inf, np.empty(0)
         x, cost = self.path[-1]
@@ -614,12 +646,12 @@ class Patience:
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
-#: Function and items of the running process pool. Forked processes inherit them.
+#: Function and items that the process pool works on. Forked processes inherit them.
 _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
 
 def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jobs: int) -> Iterator[Made]:
-    """Yield the results of a function in the order of the items, each as soon as it is available.
+    """Call a function for many items in parallel processes, and yield the results in order.
 
     On Linux the items are divided among forked processes. Threads would not help, because most of a
     simulation is Python code, which threads do not run simultaneously. A forked process starts with
@@ -650,7 +682,7 @@ def _one(index: int) -> Any:
 def map_in_threads(
     work: Callable[[Item], Made], items: Iterable[Item], jobs: int
 ) -> Iterator[Iterator[Made]]:
-    """Evaluate a function for many items in threads.
+    """Call a function for many items in several threads.
 
     Parameters
     ----------
@@ -670,7 +702,8 @@ def map_in_threads(
     failures: list[BaseException] = []
 
     def one(item: Item) -> Made:
-        # the caller may notice an exception late, and the threads would process further items until then
+        # Stop all threads after the first exception. The caller may notice it late, and the threads would
+        # process further items until then.
         if failures:
             raise failures[0]
         try:

@@ -1,4 +1,4 @@
-"""Noise model of the residuals, estimated by a fit, and tests of residuals for whiteness and independence.
+"""Noise model and uncertainty of a fit: residual tests, covariance of estimates, and identifiability.
 
 The error of a measured value has one of three forms. It is constant, it has a known shape times an unknown
 factor, or (with uncertain time stamps) it includes the speed times the error of the time stamp. The residuals
@@ -43,7 +43,10 @@ if TYPE_CHECKING:
 
 
 def weigh_first(problem: Problem) -> None:
-    """Set the first weights: 1 % of the standard deviation of a channel, or the known shape of its error."""
+    """Set the sample weights of a problem before the noise is estimated.
+
+    The assumed noise of a channel is 1 % of its standard deviation, or the known shape of its error.
+    """
     for k, trial in enumerate(problem.trials):
         for i, channel in enumerate(problem.channels[k]):
             values = trial.measured[channel]
@@ -56,7 +59,7 @@ def weigh_first(problem: Problem) -> None:
 def estimate(
     problem: Problem, theta: Array, previous: dict[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
-    """Estimate the standard deviations of the errors of values and time stamps, and set the weights.
+    """Estimate the errors of measured values and of time stamps, and set the sample weights of a problem.
 
     Parameters
     ----------
@@ -97,7 +100,7 @@ def estimate(
 
 
 def _owners(problem: Problem) -> dict[str, list[int]]:
-    """Return the indices of the trials that have samples of each channel, by channel."""
+    """Return for each channel the indices of the trials that have samples of it."""
     names = sorted({c for channels in problem.channels for c in channels})
     return {c: [k for k, channels in enumerate(problem.channels) if c in channels] for c in names}
 
@@ -130,16 +133,15 @@ def _components(
     norm = np.linalg.norm(design, axis=0)
     norm[norm == 0] = 1.0
     value, stamp = optimize.nnls(design / norm, square / variance)[0] / norm
-    # the variance of the values must stay above zero, because a sample without error would outweigh all
-    # others
+    # Keep the variance of the values above zero, because a sample without error would outweigh all others.
     return math.sqrt(max(float(value), 1e-4 * mean)), math.sqrt(max(float(stamp), 0.0))
 
 
 def value_sd(problem: Problem, channel: str, constant: float) -> float:
-    """Return the root mean square of the standard deviations of a channel's samples.
+    """Return the noise level of a channel: root mean square of the standard deviations of its samples.
 
-    With uncertain time stamps, return ``constant``, the standard deviation of the values without the time
-    stamps.
+    With uncertain time stamps, return ``constant``, the standard deviation of the measured values without the
+    error of the time stamps.
     """
     owners = _owners(problem)[channel]
     if any(problem.trials[k].stamps_uncertain for k in owners):
@@ -152,7 +154,10 @@ def value_sd(problem: Problem, channel: str, constant: float) -> float:
 
 
 def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array]:
-    """Fit an autoregression to the weighted residuals of each channel over all trials; empty if white."""
+    """Fit an autoregression to the weighted residuals of each channel over all trials.
+
+    The result has the coefficients by channel. They are empty for white residuals.
+    """
     found = {}
     for channel, series in problem.series(residuals).items():
         x, found[channel] = joined(series, gap=30), np.empty(0)
@@ -165,17 +170,20 @@ def autoregressions(problem: Problem, residuals: list[Array]) -> dict[str, Array
 # ---------------------------------------------------------------- tests of residuals
 
 
-#: Minimum p-value of a residual series that counts as white or as independent of an input.
+#: Minimum p-value at which a residual series counts as white, or as independent of an input.
 SIGNIFICANCE = 0.01
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """A correlation function with its confidence band under the null hypothesis; fields of shape (m,)."""
+    """Autocorrelation function of a series, with the confidence band of white noise.
+
+    Each field has the shape (m,) for m lags.
+    """
 
     #: Lags in samples.
     lags: np.ndarray
-    #: Correlation coefficients; NaN if no pair of samples exists.
+    #: Correlation coefficient of the series with itself at each lag; NaN if no pair of samples exists.
     values: np.ndarray
     #: Half-width of the 95 % confidence band around zero.
     bound: np.ndarray
@@ -185,7 +193,7 @@ class Correlation:
 
 @dataclass(frozen=True)
 class TestResult:
-    """Result of a chi-square test."""
+    """Result of a chi-square test of residuals."""
 
     __test__ = False  # not a pytest class
 
@@ -203,7 +211,7 @@ class TestResult:
 
 @dataclass(frozen=True)
 class AutoregressiveFit:
-    """An autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)``."""
+    """Autoregression ``x(k) + a1 x(k-1) + ... + ap x(k-p) = e(k)`` that was fitted to a series."""
 
     #: Coefficients a1 to ap, shape (p,); empty for a white series.
     coefficients: np.ndarray
@@ -212,7 +220,10 @@ class AutoregressiveFit:
 
     @property
     def long_run_variance(self) -> float:
-        """Spectral density at frequency zero: variance of a sum of n samples divided by n, for large n."""
+        """Long-run variance: variance of a sum of n samples, divided by n, for large n.
+
+        It is the spectral density at frequency zero.
+        """
         return self.variance / (1.0 + float(np.sum(self.coefficients))) ** 2
 
 
@@ -229,12 +240,12 @@ def joined(parts: Sequence[np.ndarray], *, gap: int) -> np.ndarray:
 
 
 def default_lags(samples: int) -> int:
-    """Return the number of lags to test: a fifth of the number of samples, but at most 25."""
+    """Return the number of lags for a residual test: a fifth of the number of samples, but at most 25."""
     return max(1, min(25, samples // 5))
 
 
 def _centred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x without its mean and with zeros for NaN, and a mask of its finite samples."""
+    """Return a copy of x without its mean and with zeros for NaN, and a mask of the finite samples."""
     x = np.asarray(x, dtype=float)
     there = np.isfinite(x)
     return np.where(there, x - np.sum(x[there]) / max(np.count_nonzero(there), 1), 0.0), there
@@ -318,7 +329,7 @@ def ljung_box(x: np.ndarray, *, lags: int | None = None, fitted: int = 0) -> Tes
 def independence(
     residuals: np.ndarray, source: np.ndarray, *, lags: int | None = None, first: int = 0
 ) -> TestResult:
-    """Test the independence of residuals from the past of a source with a chi-square statistic.
+    """Test the independence of residuals from the past of an input (source), with a chi-square statistic.
 
     Parameters
     ----------
@@ -456,7 +467,7 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
     """Return the autocorrelation of an autoregression at lags 0 .. lags, shape (lags + 1,)."""
     from scipy.signal import lfilter
 
-    # autocorrelation of the impulse response of 1 / A, which is computed until it has decayed
+    # Compute the autocorrelation of the impulse response of 1 / A. The response must be long enough to decay.
     length = lags + 1 + min(20000, max(2000, 10 * lags))
     response = lfilter([1.0], np.concatenate(([1.0], coefficients)), np.eye(1, length)[0])
     spectrum = np.fft.rfft(response, 2 * length)
@@ -465,7 +476,7 @@ def _autocorrelation(coefficients: Array, lags: int) -> Array:
 
 
 def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, Array]) -> list[Array]:
-    """Multiply the rows of each trial by the correlation matrix of the residuals.
+    """Return the rows of each trial multiplied by the correlation matrix of the trial's residuals.
 
     The correlation follows from the autoregression of each channel. Rows after the samples of a trial belong
     to random effects. They are uncorrelated, and stay unchanged.
@@ -486,9 +497,9 @@ def _correlated(problem: Problem, rows: list[Array], autoregressions: dict[str, 
 
 
 def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
-    """Return the part of columns that is orthogonal to all combinations of other columns.
+    """Return the component of ``columns`` that is orthogonal to all combinations of ``others``.
 
-    Directions of the other columns with a singular value below ``floor`` times the largest one are ignored.
+    Directions of ``others`` with a singular value below ``floor`` times the largest one are ignored.
     """
     u, singular, _ = np.linalg.svd(others, full_matrices=False)
     seen = u[:, singular > floor * singular.max(initial=0.0)]
@@ -497,17 +508,17 @@ def orthogonal_part(others: Array, columns: Array, floor: float) -> Array:
 
 @dataclass(frozen=True)
 class Sandwich:
-    """Covariance of least-squares estimates by the sandwich formula, and the quantities that lead to it."""
+    """Covariance of least-squares estimates by the sandwich formula, with intermediate quantities."""
 
     #: Covariance ``H^-1 M H^-1`` times the square of ``scatter``, shape (p, p). Rows and columns of
     #: parameters that do not affect the residuals are NaN.
     covariance: Array
-    #: True for parameters that do not affect the residuals, shape (p,).
+    #: Mask of the parameters that do not affect the residuals, shape (p,).
     null: NDArray[np.bool_]
     #: Square root of the information matrix, shape (p, p): ``root' root`` is the inverse of the covariance.
     #: It is accurate even if the covariance is infinite.
     root: Array
-    #: Gauss-Newton step to the minimum without bounds, shape (p,).
+    #: Gauss-Newton step from the estimates to the minimum without bounds, shape (p,).
     step: Array
     #: Mean decrease of the sum of squared residuals for each parameter that is fitted to noise alone. It is 1
     #: for white noise of unit variance, and larger for coloured noise and for trials that disagree.
@@ -544,7 +555,7 @@ def sandwich(
     size = np.where(null, 1.0, size)
     u, singular, vt = np.linalg.svd(j / size, full_matrices=False)
     good = (singular > 1e-8 * singular[0]) & (singular[0] > 0)
-    # a parameter that takes part in an undetermined direction is not identifiable
+    # A parameter that takes part in an undetermined direction is not identifiable.
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
     ends = np.cumsum([0, *(len(r) for r in residuals)])
     directions = [u[a:b] for a, b in itertools.pairwise(ends)]
@@ -568,7 +579,8 @@ def sandwich(
         null=null,
         root=(vectors / np.sqrt(values)).T @ back / max(spread, 1e-30),
         step=-outer @ (u[:, good].T @ r),
-        # mean of r' U U' r for noise r with the correlation R, divided by the number of columns of U
+        # The gain is the mean of r' U U' r for noise r with the correlation R, divided by the number of
+        # columns of U.
         gain=spread**2 * float(np.trace(middle[np.ix_(good, good)])) / max(int(good.sum()), 1),
         scatter=scatter,
         scatter_p=p_value,
@@ -578,12 +590,16 @@ def sandwich(
 def _scatter(
     jacobians: list[Array], correlated: list[Array], residuals: list[Array], variance: float, degrees: int
 ) -> tuple[float, float]:
-    """Return the factor by which trials differ more than noise explains, and the p-value of the test."""
+    """Test whether the trials agree to within their noise.
+
+    Return the ratio of their differences to those that noise explains (at least 1), and the p-value of the
+    test.
+    """
     if len(jacobians) < 3:
         return 1.0, 1.0
     statistic = 0.0
     for whole, whole_b, r in zip(jacobians, correlated, residuals, strict=True):
-        # leave out the unknowns of other trials: only their rounding errors would enter this score
+        # Leave out the unknowns of other trials, because only their rounding errors would enter this score.
         own = np.linalg.norm(whole, axis=0) > 0
         a, b = whole[:, own], whole_b[:, own]
         score = a.T @ r
@@ -608,18 +624,19 @@ def _scatter(
 #: Maximum standard error of an identifiable parameter, as a fraction of its magnitude. The magnitude is the
 #: absolute value of the estimate, or the typical scale of the parameter if that is larger.
 UNIDENTIFIABLE = 0.5
-#: Minimum singular value of a direction that the data determine, as a fraction of the largest singular value.
+#: Minimum singular value of a direction in parameter space that the data determine, as a fraction of the
+#: largest singular value.
 UNSEEN = 1e-7
-#: Minimum standard error of a parameter in a confounded group, as a fraction of its magnitude.
+#: Minimum standard error of a parameter in a group of confounded parameters, as a fraction of its magnitude.
 VAGUE = 0.5 * UNIDENTIFIABLE
-#: Minimum weight of a parameter in a combination, as a fraction of the largest weight. Smaller weights are
-#: left out.
+#: Minimum weight of a parameter in a known weighted sum of parameters, as a fraction of the largest weight.
+#: Parameters with smaller weights are left out.
 NEGLIGIBLE = 0.01
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of parameters that is known although the parameters themselves are not."""
+    """Weighted sum of parameters that the trials determine, although they do not determine each parameter."""
 
     #: Weight of each label, divided by the largest weight. If the units of the parameters differ, these are
     #: weights of the parameters divided by their :attr:`divisors`.
@@ -648,7 +665,7 @@ class Combination:
 
 
 def unidentifiable(result: FitResult) -> list[str]:
-    """Return the labels of the unknowns that the trials do not determine."""
+    """Return the labels of the parameters of a fit that the trials do not determine."""
     return [label for label in result.labels if result.status[label] == "unidentifiable"]
 
 
@@ -694,8 +711,8 @@ def combinations(result: FitResult) -> list[Combination]:
         units = [result.parameter(g).unit for g in group]
         unit, counted, divisors = units[0], np.ones(len(group)), {}
         if len(set(units)) > 1:
-            # each parameter is divided by its rounded magnitude, so that a reader can compute the sum from
-            # the text
+            # Divide each parameter by its rounded magnitude, so that a reader can compute the sum from the
+            # text.
             unit, short = "1", [f"{s:.2g}" for s in size]
             words = [f"{t} {u}".removesuffix(" 1") for t, u in zip(short, units, strict=True)]
             counted, divisors = np.array([float(t) for t in short]), dict(zip(group, words, strict=True))
@@ -732,19 +749,25 @@ def sentences(result: FitResult) -> list[str]:
 
 
 def _sizes(result: FitResult) -> Array:
-    """Return the magnitude of each unknown: its absolute value, or its typical scale if that is larger."""
+    """Return the magnitude of each parameter: absolute estimate, or typical scale if that is larger."""
     return np.maximum(np.abs(result.estimate), [result.parameter(label).scale for label in result.labels])
 
 
 def _usable(result: FitResult) -> list[int]:
-    """Return the indices of unknowns that no bound holds; empty if there is no information matrix."""
+    """Return the indices of the parameters of a fit that no bound holds.
+
+    The result is empty if the fit has no information matrix.
+    """
     if result.information_root.shape[1] != len(result.labels):
         return []
     return [int(i) for i in np.flatnonzero(np.isfinite(result.information_root).all(axis=0))]
 
 
 def _marginal(result: FitResult, index: Sequence[int]) -> Array:
-    """Return a root of the information matrix of some unknowns, scaled by magnitude; all others are free."""
+    """Return a square root of the information matrix of some parameters of a fit, with all others free.
+
+    The parameters are divided by their magnitudes.
+    """
     scaled = result.information_root * _sizes(result)
     others = [i for i in _usable(result) if i not in index]
     chosen = scaled[:, list(index)]
@@ -752,7 +775,10 @@ def _marginal(result: FitResult, index: Sequence[int]) -> Array:
 
 
 def _sd(direction: Array, singular: Array, vt: Array) -> float:
-    """Return the standard error of a weighted sum of scaled parameters; the information is ``vt' s^2 vt``."""
+    """Return the standard error of a weighted sum of scaled parameters with weights ``direction``.
+
+    The information matrix of the parameters is ``vt' s^2 vt`` with the singular values s.
+    """
     parts = vt @ direction
     floor = np.maximum(singular, UNSEEN * singular[0])
     return float(np.linalg.norm(parts / floor))
