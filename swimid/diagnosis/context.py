@@ -400,7 +400,7 @@ class FitContext:
             size = max(abs(mean), p.scale)
             if p.known is not None and sd > LOOSE * size:
                 # The prior was estimated from these trials, so a missing effect biases the prior too. Use the
-                # published value in its place.
+                # published value of the coefficient instead of this prior.
                 mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd

@@ -119,7 +119,7 @@ class Shrinkage(yamlio.Document):
     """
 
     channel: str
-    #: Errors of the refitted model without and with the causes.
+    #: Root-mean-square errors of the model without the causes of the gap, and with them.
     before: Number
     after: Number
     floor: Number
@@ -154,7 +154,7 @@ class Step(yamlio.Document):
 
 
 class Absorbed(yamlio.Document):
-    """Values of a coefficient of the model: as given, refitted without the causes, refitted with them."""
+    """Values of one model coefficient: as given, refitted without the causes, and with them."""
 
     coefficient: str
     given: Value | None = None

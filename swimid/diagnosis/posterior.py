@@ -191,9 +191,9 @@ class Posterior:
         return min(sum(p for found, p in self.known.items() if found & set(names)), 1.0)
 
     def instead(self, name: str, among: frozenset[str], *, exact: bool = False) -> dict[str, float]:
-        """Return the probability of each effect that could replace ``name`` in the set ``among``.
+        """Return the probability of each effect that could replace ``name`` in the hypothesis ``among``.
 
-        The other effects of the set are assumed to act. The probabilities sum to one.
+        The other effects of the hypothesis are assumed to act. The probabilities sum to one.
 
         Parameters
         ----------

@@ -439,7 +439,8 @@ class _Search:
         self.converged = self.interrupted = False
         self.message = ""
         self.iterations = 0
-        # With one channel of constant error all weights are equal, so that one search is enough.
+        # If there is one channel only and all its samples have the same noise, all residuals have one weight.
+        # One search without reweighting is then enough.
         self.equal = len({c for names in problem.channels for c in names}) == 1 and not any(
             t.stamps_uncertain or np.any(t.time_sd_s) or t.value_sd for t in fitted
         )

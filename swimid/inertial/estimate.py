@@ -496,8 +496,8 @@ def _fused(setup: Setup, poses: Poses) -> Estimate:
     try:
         offsets = alignment.align(setup.record, setup.source, poses, setup.options.clock_offset_s)
     except NoTrustworthyResult as error:
-        # The alignment may fail although held-out fixes show that the logs move together with synchronised
-        # clocks.
+        # The clock offset may be impossible to estimate although the clocks are synchronised. Held-out fixes
+        # can then show that both logs record the same motion.
         refusal, offsets = error, alignment.align(setup.record, setup.source, poses, 0.0)
     if offsets[0].handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"

@@ -15,7 +15,7 @@ class TrackImuOptions(
     output="The log, CSV or Parquet by its ending.",
     required=True,
 ):
-    """Compute velocity, position and attitude from an inertial recording, with their bands.
+    """Compute velocity, position and attitude from an inertial recording, each with its uncertainty band.
 
     Faults of the recording are found, and repaired or refused. Without --with the summary states after how
     many seconds the integrated path cannot be trusted. Writes the log and its evidence.

@@ -368,7 +368,7 @@ GRADES: dict[str, tuple[Literal["info", "warn", "fail"], str]] = {
     "handled": ("warn", "SWM080"),
     "refuted": ("fail", "SWM090"),
 }
-#: Names of the checks that fail if they do not pass. All other checks give a warning.
+#: Names of the checks whose violation makes the result bad. The violation of any other check is a warning.
 FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
 
 #: Type of a check in a list: code of the warning, name, value, limit, whether the check passes, and the

@@ -695,8 +695,8 @@ def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
     measured = np.append(measured[0] - period, measured)
     # A repeated sample holds the measurement of the last new sample before it.
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
-    # The time of the last measurement is uniformly distributed over the slack. Half of its variance belongs
-    # to each end of the record.
+    # The time of the last measurement is uniformly distributed over the interval ``slack`` in which it can
+    # lie. Half of the variance of this time is assigned to each end of the record.
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
 
 

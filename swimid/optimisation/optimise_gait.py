@@ -271,7 +271,7 @@ def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress
 def _set_intervals(
     problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
 ) -> None:
-    """Set the intervals of the best gait and of its goal, from random samples of the coefficients."""
+    """Set the 95 % intervals of the parameters of the best gait and of its objective."""
     vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
     file.draws = len(vectors)
     nominal = np.tile(problem.place(file.at), (len(vectors), 1))
@@ -292,7 +292,7 @@ def _set_intervals(
 
 
 def evidence_of(file: GaitFile, notices: Sequence[Notice], origin: dict[str, Any]) -> ev.Evidence:
-    """Return the evidence of a best gait, with checks, tables and figures."""
+    """Return the checks, tables and figures of the best gait that a search has found."""
     limits = [
         f"{name} {numbers.number(limit.at_most or limit.at_least, 4, limit.unit)}"
         for name, limit in file.limits.items()

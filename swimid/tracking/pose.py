@@ -810,7 +810,7 @@ def _picture_times(times: Array, held: Held) -> tuple[Array, float]:
 def _at_stamps(
     values: Smoothed, clock: Array, times: Array, segments: list[tuple[int, int]], clock_sd: float
 ) -> Smoothed:
-    """Return smoothed coordinates at the time stamps of the frames, from those at the times of the pictures.
+    """Return smoothed coordinates at the time stamps of the frames, from those at the times of exposure.
 
     ``clock_sd`` is half of the interval of the offset common to all pictures, so that the 95 % band contains
     every offset.

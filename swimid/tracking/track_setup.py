@@ -267,7 +267,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
 def _from_picks(
     video: Path, options: TrackSetupOptions, common: dict[str, Any], progress: Progress
 ) -> tuple[Run, list[Candidate]]:
-    """Return the track of the markers that the user picked, and no rejected colours."""
+    """Return the track of the markers that the user picked, and an empty list of rejected colours."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for pick in options.picks:
         kinds.setdefault(pick.name, []).append((pick.x, pick.y))
