@@ -235,7 +235,7 @@ def shrinkages(
     *,
     rng: np.random.Generator,
 ) -> list[Shrinkage]:
-    """Return, for each channel, held-out errors, noise floor, and how much of the squared gap the causes close.
+    """Return the held-out errors, the noise floor and the closed share of the squared gap of each channel.
 
     The closed share has a bootstrap interval over trials [1]_.
 

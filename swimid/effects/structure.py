@@ -633,7 +633,7 @@ class WaterIngress(Effect):
         return super().applies(model, trials) and not held and model.force_unit != PER_MASS
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the mass of the water in the hull as a parameter, kg. For a swimmer, add the position of this water.
+        """Return the mass of the water in the hull (kg), and for a swimmer also the position of this water.
 
         The position is the distance ahead of the centre of mass of the hull, m. For a rotation the mass is
         replaced by a moment of inertia, kg m2.
