@@ -82,8 +82,8 @@ POINT_SHARES = (0.255, 0.51)
 #: Half-width of the interval around a displacement of the two-point method in which the speed is fitted, as a
 #: fraction of the first displacement.
 HALF_WIDTH = 1 / 6
-#: Minimum number of samples around each of the two displacements of the two-point method (`MIN_SAMPLES`). With
-#: more than `MIN_SCATTER_SAMPLES` samples, the noise of these samples is estimated.
+#: Minimum number of samples around each of the two displacements of the two-point method. If there are more
+#: than `MIN_SCATTER_SAMPLES` samples, their noise is estimated.
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
