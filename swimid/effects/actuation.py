@@ -357,7 +357,7 @@ class Slip(base.Actuation):
         )
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the parameter vectors that are simulated before a fit: one loss at several times of onset.
+        """Return the parameter vectors to simulate before a fit: one loss of amplitude, several onset times.
 
         One size of the loss is enough, because the simulated trials change nearly in proportion to it.
         """
@@ -365,7 +365,7 @@ class Slip(base.Actuation):
         return [np.array([2.0 * loss.scale, 2.0 * share * begin.start]) for share in MOMENTS]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return hooks that reduce the joint commands from the time of onset."""
+        """Return hooks that reduce the joint commands after the time at which the loss begins."""
         loss, begin = (float(v) for v in values)
         ramp = RAMP * base.typical_period(model, [trial])
         ramp = max(ramp, SAMPLES * typical(np.diff(trial.time_s).tolist(), 0.0))

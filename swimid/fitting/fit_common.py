@@ -748,7 +748,7 @@ def _rms(parts: Sequence[Array]) -> float:
 
 
 def _weighted(result: FitResult, channel: str, role: str = "fit") -> Array:
-    """Return the weighted residuals of a channel, with the trials of a role joined to one series."""
+    """Return the weighted residuals of a channel. The trials of a role are joined to one series."""
     return joined([s.weighted for s in result.series_of(channel, role)], gap=30)
 
 

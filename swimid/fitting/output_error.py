@@ -625,7 +625,7 @@ def _free_in_noise(
     autoregressions: dict[str, Array],
     outward: Array,
 ) -> tuple[NDArray[np.bool_], Sandwich | None]:
-    """Return a mask of the unknowns that no bound holds, and the covariance of these unknowns.
+    """Return a mask of the unknowns that are not at a bound, and the covariance of these unknowns.
 
     An unknown is held by its bound if the minimum without bounds is more than two standard errors beyond the
     bound. Noise alone can explain why other unknowns are at a bound, so that they count as free. If they were

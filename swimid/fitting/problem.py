@@ -583,7 +583,7 @@ def _step(
     return step
 
 
-# ---------------------------------------------------------------- ends of a search that noise justifies
+# ---------------------------------------------------------------- stopping criteria based on the noise
 
 
 #: Number of successive steps of a search whose total effect is compared with the noise.

@@ -588,7 +588,7 @@ class Setup:
         return np.asarray(self.mount.rotation.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
 
     def without(self, rests: list[Rest]) -> Setup:
-        """Return a copy of the setup without the given rests of the robot.
+        """Return a copy of the setup without the given intervals in which the robot is at rest.
 
         An attitude from a filter is estimated again without these rests.
         """

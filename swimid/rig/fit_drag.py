@@ -523,7 +523,7 @@ def _measured(fit: FitResult, label: str) -> str:
 
 
 def _friction_check(plain: FitResult) -> list[ev.Check]:
-    """Return a check that fails if the friction follows the pulling force, and warns if it differs at random.
+    """Return a check: bad if the friction depends on the pulling force, a warning if it varies otherwise.
 
     The friction of each trial is estimated by linearisation about the fit. It shows whether trials differ,
     but not by how much.

@@ -450,7 +450,7 @@ def read(path: Path, profiles: Profiles) -> pd.DataFrame:
 
 
 def _chosen(pick: str, rules: Mapping[str, int], count: int) -> int:
-    """Return the index of the point of the front that a rule or the user chooses."""
+    """Return the index of the point of the Pareto front that the selection rule or the user chooses."""
     if pick in rules:
         return rules[pick]
     if not pick.isdigit():

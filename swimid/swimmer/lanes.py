@@ -90,7 +90,7 @@ class Tracer:
         self._known: dict[tuple[Any, ...], Symbol] = {}
 
     def symbol(self, kind: str, *of: Symbol | float | int) -> Symbol:
-        """Return the symbol for the result of an operation."""
+        """Return the symbolic variable for the result of an arithmetic operation in the generated code."""
         key = (kind, *(a.number if isinstance(a, Symbol) else (repr(a),) for a in of))
         if key not in self._known:
             self._known[key] = Symbol(self, kind, of, len(self.operations))

@@ -529,7 +529,7 @@ def smooth(
     min_sd: float = 0.0,
     trusted: NDArray[np.bool_] | None = None,
 ) -> Smoothed:
-    """Smooth the coordinates of a path, which share their noise, segment by segment.
+    """Smooth each segment of a path. All coordinates have the same noise variance.
 
     Parameters
     ----------
