@@ -124,6 +124,12 @@ def test_the_summary_says_that_little_of_the_gap_closes() -> None:
     assert "Caution: 40 % of the squared gap closes" in summary(replace(cases.EXPLAINED, closed=LITTLE))
 
 
+def test_a_cause_without_a_held_out_gap_is_no_good_answer() -> None:
+    gap = replace(cases.EXPLAINED, closed=Closed(before=1.0, after=0.9, share=None))
+    assert cases.evidence(gap).verdict.level == "caution"
+    assert "held-out data show no gap that a cause could close" in summary(gap)
+
+
 def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
     text = said("ambiguous")
     assert "Caution: these trials cannot tell current from tether or linear-drag" in text

@@ -32,6 +32,7 @@ from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
 from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
+from swimid.diagnosis.gap_file import Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
@@ -956,6 +957,18 @@ def test_a_channel_of_held_out_trials_only_has_no_closed_share(rng: np.random.Ge
     lowered, gap = shrinkage.gained([piece(5.0, 1.0)], {})
     assert (lowered.sum(), gap.sum()) == (0.0, 0.0)
     assert shrinkage.overall([piece(5.0, 1.0)], {}, rng=rng).share is None
+
+
+def test_channels_have_equal_weights_in_a_share_without_trials() -> None:
+    rows = [
+        Shrinkage(channel="x_m", before=5.0, after=1.0, floor=1.0, closed=1.0),
+        Shrinkage(channel="y_m", before=0.3, after=0.2, floor=0.1, closed=5 / 8),
+        Shrinkage(channel="z_m", before=1.0, after=1.0, floor=None, closed=None),
+    ]
+    found = shrinkage.over_channels(rows)
+    assert (found.before, found.after) == (pytest.approx(17.0), pytest.approx(2.5))
+    assert found.share == pytest.approx(14.5 / 16.0)
+    assert shrinkage.over_channels(rows[2:]).share is None
 
 
 def test_the_closed_share_of_all_channels_is_that_of_the_squared_errors(rng: np.random.Generator) -> None:

@@ -160,6 +160,7 @@ def answer(
     causes = _causes(state, told, begun.given, closing)
     if failed:
         causes = dropouts.among(state, causes, raw, floor, failed, ranges)
+        closed = shrinkage.over_channels(causes[0].shrinkage)
         if causes[0].effect == MarkerDropout.name:
             stages = {k: float(k == "sensing") for k in stages}
     cells = places.Map(context, nominal, gap, floor)

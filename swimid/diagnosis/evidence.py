@@ -221,13 +221,17 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         if name != "held-out data":  # the prediction of a single setting need not improve
             passed = after <= before
         yield ev.check(f"prediction of {name}", said, passed, "smaller with them", text, reason=reason)
-    closed = file.closed
-    if closed is not None and closed.share is not None:
-        share, low = percent(closed.share, 2), closed.ci95[0]
-        passed = closed.share >= HALF and (low is None or low > 0)
-        limit, reason = f"≥ {percent(HALF)}, interval above 0", f"{share} of the squared gap closes"
-        said = " ".join([share, interval_text(closed)]).strip()
-        yield ev.check("squared gap closed", said, passed, limit, HELD_OUT[file.held_out], reason=reason)
+    closed, name, limit = file.closed, "squared gap closed", f"≥ {percent(HALF)}, interval above 0"
+    if closed is None:
+        return
+    if closed.share is None:
+        reason = "held-out data show no gap that a cause could close"
+        yield ev.check(name, "unknown", False, limit, HELD_OUT[file.held_out], reason=reason)
+        return
+    share, low = percent(closed.share, 2), closed.ci95[0]
+    passed = closed.share >= HALF and (low is None or low > 0)
+    said, reason = " ".join([share, interval_text(closed)]).strip(), f"{share} of the squared gap closes"
+    yield ev.check(name, said, passed, limit, HELD_OUT[file.held_out], reason=reason)
 
 
 def interval_text(s: Closed | Shrinkage) -> str:

@@ -309,6 +309,16 @@ def overall(found: Sequence[Piece], floors: Mapping[str, float], *, rng: np.rand
     return Closed(before=before, after=after, share=share, ci95=_interval(share, known, len(gap)))
 
 
+def over_channels(found: Sequence[Shrinkage]) -> Closed:
+    """Return the closed share of the squared gap over channels from their errors, with equal weights."""
+    known = [s for s in found if s.floor and s.before is not None and s.after is not None]
+    if not known:
+        return Closed(before=None, after=None, share=None)
+    errors = np.array([[s.before, s.after] for s in known]) / np.array([[s.floor] for s in known])
+    before, after = np.mean(errors**2, axis=0).tolist()
+    return Closed(before=before, after=after, share=closed(math.sqrt(before), math.sqrt(after), 1.0))
+
+
 def _interval(share: float, drawn: Sequence[float], count: int) -> tuple[float | None, float | None]:
     """Return the 95 % interval of a closed share from bootstrap resamples; unknown from too few of them.
 
