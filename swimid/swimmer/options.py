@@ -92,8 +92,8 @@ class FitGrayboxOptions(
     max_iterations: int = option(
         75,
         ge=1,
-        help="Iterations after which an unconverged search ends (at least one for each noise estimate). Its result "
-        "is written and marked.",
+        help="Iterations after which an unconverged search ends (at least one for each noise estimate). "
+        "Its result is written and marked.",
     )
     seed: int = option(0, help="Seed of the random starts and of the front.")
     readings: Mapping[str, str] = readings()
