@@ -247,8 +247,8 @@ def _waterfall(
     """Return the held-out errors as given, refitted, after each cause in turn, and of the noise alone."""
     causes = [found.ranked[0].tried.effect.name for found in state.rounds]
     labels = ["as given", "refitted", *(f"+ {name}" for name in causes)]
-    if told.base is not state.base:
-        # Held-out data or an outlier trial contradict the causes.
+    if not told.causes or told.base is not state.base:
+        # The answer names no effect, or held-out data or an outlier trial contradict the effects.
         labels = labels[:2]
     steps = shrinkage.waterfall(held, floor, labels)
     if state.changed:
