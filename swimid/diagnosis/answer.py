@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -15,14 +15,16 @@ from swimid.diagnosis import (
     crossval,
     dropouts,
     evidence,
-    judgement,
+    facts,
     places,
     remainder,
     settings,
     shrinkage,
+    verdict,
 )
 from swimid.diagnosis.candidates import Refitted, Tried
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
+from swimid.diagnosis.facts import Found, Named
 from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
 from swimid.diagnosis.gap_file import (
     Absorbed,
@@ -32,16 +34,18 @@ from swimid.diagnosis.gap_file import (
     ChannelGap,
     Closed,
     Distance,
+    Facts,
     GapFile,
     HeldOut,
     Hypothesis,
+    Remaining,
     Score,
     Shrinkage,
     Step,
     Value,
+    Verdict,
     Where,
 )
-from swimid.diagnosis.judgement import Judgement, Named
 from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.search import State
@@ -53,6 +57,7 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting.model import Array, Parameter, Trial
 from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Progress, silent
+from swimid.results.numbers import listed
 from swimid.results.parameters import Estimate
 
 #: Significance level of the two-sided test that reports parameters as changed by a refit. It applies to all
@@ -120,15 +125,15 @@ def answer(
     failed = dropouts.misfit(state, raw, floor)
     every = _predictions(state, alike, floor, validation, progress)
     held = every
-    if state.changed or judgement.by_coefficients(state):
+    imitated = facts.by_coefficients(state) and not state.changed
+    if state.changed or imitated:
         held = [replace(piece, before=piece.shipped) for piece in every]
-    predicted = distance = None
+    distance = None
     chance: Mapping[str, float] = {}
     if state.base.effects:
         without, with_causes = (
             shrinkage.misfit(context, fit, state.noise_model, validation) for fit in (nominal, state.base)
         )
-        predicted = without, with_causes
         distance = Distance(before=without.times, after=with_causes.times)
         # The expected between-trial variation of the held-out trials is used only if the model with the
         # causes predicts these trials. Otherwise a gap could be taken for between-trial variation.
@@ -143,29 +148,30 @@ def answer(
     outside = shrinkage.capped(reached, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
-    closed: Closed | None = shrinkage.overall(held, outside, rng=rng)
-    told, gap, left = judgement.judge(
-        state, held, noise, predicted, dropout=failed > 0, validation=validation
+    found = facts.find(
+        state, held, noise, outside, imitated=imitated, dropout=failed > 0, validation=validation
     )
+    told = Told.of(state, found, noise.inside)
+    closed: Closed | None = verdict.closed_share(found.facts)
     if not told.causes:
         distance = closed = None
     how = noise.how
     if told.verdict == "none":
         # The residuals are indistinguishable from noise and between-trial variation, so all of them count as
         # noise.
-        floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
+        floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, told.gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
     rows = _scores(state)
     stages = _stages(rows, gap=bool(told.causes))
     causes = _causes(state, told, begun.given, closing)
     if failed:
         causes = dropouts.among(state, causes, raw, floor, failed, ranges)
-        closed = shrinkage.over_channels(causes[0].shrinkage)
+        closed = verdict.over_channels(causes[0].shrinkage)
         if causes[0].effect == MarkerDropout.name:
             stages = {k: float(k == "sensing") for k in stages}
-    cells = places.Map(context, nominal, gap, floor)
+    cells = places.Map(context, nominal, told.gap, floor)
     where = Where(
-        channels=_channels(state, gap, floor, ranges),
+        channels=_channels(state, told.gap, floor, ranges),
         stage=stages,
         regime=places.regimes(cells),
         time=places.times(cells),
@@ -178,17 +184,12 @@ def answer(
         waterfall=_waterfall(state, told, every, outside),
         closed=closed,
         causes=causes,
-        remaining=left,
-        advice=_advice(state, told, left.where, floor),
-        odd_trial=told.odd_trial,
-        refuted=list(told.refuted),
-        unpredicted=dict(told.unpredicted),
+        remaining=told.left,
+        advice=_advice(state, told, floor),
+        facts=found.facts,
         setting_count=settings.count([*context.trials, *validation]),
-        no_gap=state.posterior.none,
-        outside=state.posterior.outside,
         at_bound=_at_bounds(nominal),
         moved=_moved(state, told.base, begun.unweighed),
-        unreproduced=told.unreproduced,
         hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
@@ -197,8 +198,7 @@ def answer(
         floor_from=how,
         repeats=bool(repeats(context)),
         scores=rows,
-        reasons=[*told.reasons, *_reasons(state)],
-        unsure=list(told.unsure),
+        reasons=_reasons(state),
         left_out=dict(state.screen.left_out),
     )
     if file.verdict == "none" and any(check.verdict == "warn" for check in evidence.checks(file)):
@@ -206,6 +206,54 @@ def answer(
         if file.setting_count == 1:
             file.advice = [Advice(text=ANOTHER)]
     return file, shrinkage.worst(held, levels, with_causes=bool(causes))
+
+
+@dataclass(frozen=True)
+class Told:
+    """Answer of a diagnosis: its verdict, its causes, and the model with these causes.
+
+    Attributes
+    ----------
+    causes : tuple of Named
+        Causes that the answer states.
+    base : Fit
+        The model with these causes; without causes, the model without effects.
+    gap : list of ndarray, shape (n_k,)
+        The gap of each trial (:func:`swimid.diagnosis.facts.gap_of`).
+    left : Remaining
+        Part of the gap that the causes do not close.
+    """
+
+    verdict: Verdict
+    facts: Facts
+    causes: tuple[Named, ...]
+    base: Fit
+    gap: list[Array]
+    left: Remaining
+
+    @classmethod
+    def of(cls, state: State, found: Found, floor: Mapping[str, float]) -> Told:
+        """Return the answer that follows from the facts."""
+        decided = verdict.decide(found.facts)
+        causes = tuple(c for c in found.causes if c.name in decided.causes)
+        base = state.nominal
+        if causes:
+            base = state.base
+        gap = facts.gap_of(state, base)
+        left = facts.remaining(state, base, gap, floor)
+        if left.share is not None and left.share > verdict.MOST:
+            # The remaining gap shows that a cause outside the catalogue acts, so compute the probabilities of
+            # the causes under this condition.
+            beside = state.posterior.beside_outside
+            causes = tuple(replace(c, probability=beside(*c.alike)) for c in causes)
+        known = found.facts
+        if decided.verdict == "unexplained" and not found.causes and known.unpredicted:
+            where = f"validation trials {', '.join(known.unpredicted)}"
+            left = Remaining(share=1.0, where=where, white=False)
+        if known.unreproduced:
+            where = f"all of {', '.join(known.unreproduced)} but its mean"
+            left = Remaining(share=1.0, where=where, white=False)
+        return cls(decided.verdict, known, causes, base, gap, left)
 
 
 def _predictions(
@@ -241,9 +289,7 @@ def _predictions(
     return shrinkage.better(found, floor)
 
 
-def _waterfall(
-    state: State, told: Judgement, held: Sequence[Piece], floor: Mapping[str, float]
-) -> list[Step]:
+def _waterfall(state: State, told: Told, held: Sequence[Piece], floor: Mapping[str, float]) -> list[Step]:
     """Return the held-out errors as given, refitted, after each cause in turn, and of the noise alone."""
     causes = [found.ranked[0].tried.effect.name for found in state.rounds]
     labels = ["as given", "refitted", *(f"+ {name}" for name in causes)]
@@ -301,7 +347,7 @@ def _reasons(state: State) -> list[str]:
         differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
     if not differing:
         return []
-    return [f"trials differ in {evidence.listed(differing)}, which is part of the noise"]
+    return [f"trials differ in {listed(differing)}, which is part of the noise"]
 
 
 def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
@@ -333,9 +379,7 @@ def _channels(
     ]
 
 
-def _causes(
-    state: State, told: Judgement, given: Mapping[str, Estimate], closing: list[Shrinkage]
-) -> list[Cause]:
+def _causes(state: State, told: Told, given: Mapping[str, Estimate], closing: list[Shrinkage]) -> list[Cause]:
     if not told.causes:
         return []
     sd = parameter_errors(state, told.base)
@@ -485,13 +529,13 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
     return found
 
 
-def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]) -> list[Advice]:
-    repeat = [Advice(text=f"{REPEAT} (now left: {left})")]
-    if told.odd is not None:
-        text = f"check the entry of {told.odd.trial}; diagnose without it (role: validate)"
+def _advice(state: State, told: Told, floor: Mapping[str, float]) -> list[Advice]:
+    repeat = [Advice(text=f"{REPEAT} (now left: {told.left.where})")]
+    for trial in told.facts.odd_trial:
+        text = f"check the entry of {trial}; diagnose without it (role: validate)"
         return [Advice(text=text), *repeat]
-    if told.verdict == "unexplained" and told.unpredicted:
-        trials = ", ".join(told.unpredicted)
+    if told.verdict == "unexplained" and told.facts.unpredicted:
+        trials = ", ".join(told.facts.unpredicted)
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
     rivals = []
     if told.causes:

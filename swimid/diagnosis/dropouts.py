@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label, median_filter
 
-from swimid.diagnosis import shrinkage
+from swimid.diagnosis import verdict
 from swimid.diagnosis.floor import by_channel, rms
 from swimid.diagnosis.gap_file import Cause, Shrinkage, Value
 from swimid.effects.sensing import MarkerDropout
@@ -237,7 +237,7 @@ def among(
         after = closing[channel].after if channel in closing else None
         after = rms(own) / span if after is None else after
         level = min(floor[channel] / span, before, after)
-        closed = shrinkage.closed(before, after, level)
+        closed = verdict.share_closed(before, after, level)
         closing[channel] = Shrinkage(
             channel=channel, before=before, after=after, shipped=before, floor=level, closed=closed
         )

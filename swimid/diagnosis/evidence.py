@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from swimid.diagnosis import verdict
 from swimid.diagnosis.gap_file import (
     HELD_OUT,
     READING,
@@ -14,15 +15,14 @@ from swimid.diagnosis.gap_file import (
     Cause,
     Cell,
     ChangedValue,
-    Closed,
     GapFile,
-    Shrinkage,
     Step,
     Value,
 )
+from swimid.diagnosis.verdict import interval_text
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.results.numbers import number, percent
+from swimid.results.numbers import listed, number, percent, probability_text
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 
 Rows = list[list[Any]]
-#: Minimum fraction of the gap of a channel that the causes must close to pass the check of the closed gap.
-HALF = 0.5
 #: Codes of the warnings that a log contradicts the beat frequency stated for its trial, and that the course
 #: and the heading of a track contradict each other.
 CONTRADICTING = ("SWM032", "SWM063")
@@ -104,7 +102,7 @@ def evidence(
 def _facts(file: GapFile) -> dict[str, str]:
     facts = {"Trials": f"{len(file.trials)} against {file.params}", "Model": file.model}
     facts["Effects tried"] = str(len({s.effect for s in file.scores}) or "")
-    if file.no_gap is not None:
+    if file.facts.no_gap is not None:
         facts["Probability"] = otherwise_text(file)
     return {name: value for name, value in facts.items() if value}
 
@@ -114,46 +112,13 @@ def _facts(file: GapFile) -> dict[str, str]:
 
 def checks(file: GapFile) -> Iterable[ev.Check]:
     """Yield the checks of a diagnosis, which decide whether its verdict is a pass, a caution or a failure."""
-    yield from _of_trials(file)
-    if file.verdict == "none":
-        yield from _of_no_gap(file)
-    else:
-        yield from _of_causes(file)
-    failed: Literal["warn", "fail"] = "warn"
-    if file.verdict == "unexplained":
-        failed = "fail"
-    off = listed([f"{trial} is off by {number(t, 2)} times" for trial, t in file.unpredicted.items()])
-    said = f"{off} the expected error"
-    if file.held_out == "validation" and off:
-        yield ev.check("validation trials", said, False, otherwise=failed, reason=said)
-    elif file.held_out == "validation":
-        yield ev.check("validation trials", "predicted", True)
-    if file.setting_count is not None and file.setting_count < 2:
-        said = "all trials have one setting, and nothing is tested at another"
-        yield ev.check("settings", "1", False, "≥ 2", reason=said)
-    passed: bool | None = file.remaining.white
-    if file.verdict == "unexplained":
-        passed = False  # unexplained, even if smooth terms find no structure
-        if file.remaining.share is not None and file.remaining.share <= HALF:
-            failed = "warn"
-    elif file.verdict != "none":
-        passed = passed or None
-    said = remaining_text(file)
-    text = "whether a description without any physics still gains on held-out trials"
-    yield ev.check("remaining gap", said, passed, "no structure", text, otherwise=failed, reason=said)
-
-
-def _of_trials(file: GapFile) -> Iterable[ev.Check]:
-    for trial, times in file.odd_trial.items():
-        said = f"{trial} contradicts the other trials, with {number(times, 2)} times their error"
-        yield ev.check("trials agree", said, False, "all", otherwise="fail", reason=said)
-    if file.unreproduced:
-        said = listed([f"{percent(v, 2)} of {c}" for c, v in file.unreproduced.items()])
-        reason = f"the model reproduces {said}"
-        yield ev.check("output reproduced", said, False, "≥ 50 %", otherwise="fail", reason=reason)
-    if file.refuted:
-        said = f"held-out errors grow with {listed(file.refuted)}, the likeliest cause by the fits"
-        yield ev.check("likeliest cause", "refuted", False, otherwise="fail", reason=said)
+    for row in verdict.rows(file.facts):
+        otherwise: Literal["warn", "fail"] = "warn"
+        if row.otherwise == "unexplained":
+            otherwise = "fail"
+        yield ev.check(
+            row.question, row.found, row.passed, row.needed, otherwise=otherwise, reason=row.reason
+        )
     if file.moved:
         said = changes_text(file.moved)
         reason = f"the parameters as given are others than those refitted: {said}"
@@ -166,38 +131,34 @@ def _of_trials(file: GapFile) -> Iterable[ev.Check]:
             passed = False
         reason = f"bounds are hit: {said}"
         yield ev.check("bounds without effects", said, passed, "inside", text, reason=reason)
+    if file.setting_count is not None and file.setting_count < 2:
+        said = "all trials have one setting, and nothing is tested at another"
+        yield ev.check("settings", "1", False, "≥ 2", reason=said)
+    if file.verdict == "none":
+        yield from _of_no_gap(file)
+    if file.causes:
+        yield from _of_causes(file)
+    passed = file.remaining.white
+    if file.verdict != "none":
+        passed = passed or None
+    said = remaining_text(file)
+    text = "whether a description without any physics still gains on held-out trials"
+    yield ev.check("structure that remains", said, passed, "none", text, reason=said)
 
 
 def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:
-    known = [s for s in file.scores if s.gain is not None and s.probability is not None]
-    best = max(known, key=lambda s: s.probability or 0.0, default=None)
+    none = file.facts.no_gap
     said = otherwise_text(file)
-    if best is not None:
-        said += f", {best.effect} {probability_text(best.probability)}"
-    yield ev.check(
-        "probabilities", said, file.no_gap is None or file.no_gap > 0.5, "no gap > 50 %", reason=said
-    )
+    yield ev.check("probability of no gap", said, none is None or none > 0.5, "> 50 %", reason=said)
     apart = listed([c.channel for c in file.where.channels if c.differs])
     if apart:
         said = f"trials differ in {apart} by more than the noise within them"
         reason = f"{said}, and without repeats of a setting nothing tells whether that is chance"
-        yield ev.check("differences between trials", said, file.repeats, "as between repeats", reason=reason)
+        yield ev.check("repeats of a setting", said, file.repeats, "some", reason=reason)
 
 
 def _of_causes(file: GapFile) -> Iterable[ev.Check]:
-    if not file.causes:
-        return
     first, *_ = file.causes
-    rivals = [
-        f"these trials cannot tell {c.effect} from {listed(c.equivalent, 'or')}"
-        for c in file.causes
-        if c.equivalent
-    ]
-    passed = None
-    if file.verdict == "ambiguous":
-        passed = False
-    why = "; ".join(rivals + file.unsure) or "its probability is too low to name it"
-    yield ev.check("rivals of the cause", "; ".join(rivals) or "none", passed, "none", reason=why)
     for c in (c for c in file.causes if c.gain is not None):
         gain, passed = numbers.measured(c.gain, c.gain_stderr), (c.gain or 0.0) > 2.0 * (c.gain_stderr or 0.0)
         reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
@@ -209,37 +170,17 @@ def _of_causes(file: GapFile) -> Iterable[ev.Check]:
         if found:
             said = f"{listed(found)} at a bound"
         yield ev.check(name, said, not found, "inside their bounds", reason=said)
-    distances = {**first.extrapolation}
-    if file.predicted is not None:
-        distances["held-out data"] = file.predicted
     text = "distance from the prediction without and with the causes; 1 where the model is right"
-    for name, distance in distances.items():
-        before, after = distance.before or 0.0, distance.after or 0.0
-        said = f"{number(before, 2)} without, {number(after, 2)} with the causes"
+    for name, distance in first.extrapolation.items():
+        said = f"{number(distance.before, 2)} without, {number(distance.after, 2)} with the causes"
         reason = f"{name} left out of the fit is predicted worse with the causes"
-        passed = after < before
-        if name != "held-out data":  # the prediction of a single setting need not improve
-            passed = after <= before
+        passed = (distance.after or 0.0) <= (distance.before or 0.0)
         yield ev.check(f"prediction of {name}", said, passed, "smaller with them", text, reason=reason)
-    closed, name, limit = file.closed, "squared gap closed", f"≥ {percent(HALF)}, interval above 0"
-    if closed is None:
-        return
-    if closed.share is None:
-        reason = "held-out data show no gap that a cause could close"
-        yield ev.check(name, "unknown", False, limit, HELD_OUT[file.held_out], reason=reason)
-        return
-    share, low = percent(closed.share, 2), closed.ci95[0]
-    passed = closed.share >= HALF and (low is None or low > 0)
-    said, reason = " ".join([share, interval_text(closed)]).strip(), f"{share} of the squared gap closes"
-    yield ev.check(name, said, passed, limit, HELD_OUT[file.held_out], reason=reason)
-
-
-def interval_text(s: Closed | Shrinkage) -> str:
-    """Return the 95 % interval of a closed share as text, for example ``(81 … 94 %)``."""
-    low, high = s.ci95
-    if low is None or high is None:
-        return ""
-    return f"({number(100.0 * low, 2)} … {percent(high, 2)})"
+    if file.facts.failed_samples and file.closed is not None:
+        passed, said = verdict.closes_most(file.closed)
+        name = "squared gap closed with the failed samples"
+        reason = f"{said} of the squared gap closes with the failed samples"
+        yield ev.check(name, said, passed, f"≥ {percent(verdict.MOST)}", reason=reason)
 
 
 # ---------------------------------------------------------------- tables
@@ -438,13 +379,6 @@ MOVED_STDERR, MOVED_SHARE = 2.0, 0.10
 MAX_NOTES, MAX_PARTS = 5, 3
 
 
-def listed(names: Sequence[str], last: str = "and") -> str:
-    """Return names joined as in a sentence: ``a, b and c``."""
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} {last} {names[-1]}"
-
-
 def answer_text(file: GapFile) -> str:
     """Return the answer of a diagnosis as sentences.
 
@@ -462,9 +396,9 @@ def answer_text(file: GapFile) -> str:
         said = (
             f"The model has a gap whose likeliest {plural('cause is', 'causes are', names)} {listed(names)}."
         )
-    elif file.unreproduced:
+    elif file.facts.unreproduced:
         said = "The model does not describe these trials, so that their gap cannot be separated from noise."
-    elif file.unpredicted:
+    elif file.facts.unpredicted:
         said = "The model follows the trials it is fitted to, but not the validation trials."
     elif names:
         closing = f"{listed(names)} {plural('closes', 'close', names)} part of it"
@@ -482,7 +416,7 @@ def answer_text(file: GapFile) -> str:
 
 
 def _no_gap(file: GapFile) -> str:
-    if file.no_gap is not None and file.no_gap <= 0.5:
+    if file.facts.no_gap is not None and file.facts.no_gap <= 0.5:
         return "These trials do not tell whether the model has a gap."
     if file.moved or file.params == ROBOT_FILE:
         return "The refitted model describes these trials as well as their noise allows."
@@ -533,15 +467,8 @@ def value_text(value: Value) -> str:
 
 def otherwise_text(file: GapFile) -> str:
     """Return text with the probabilities of no gap and of a cause outside the catalogue, in percent."""
-    none, outside = probability_text(file.no_gap), probability_text(file.outside)
+    none, outside = probability_text(file.facts.no_gap), probability_text(file.facts.outside)
     return f"no gap {none}, a cause outside the catalogue {outside}"
-
-
-def probability_text(probability: float | None) -> str:
-    """Return text for a probability in percent; ``< 0.1 %`` for values below a thousandth."""
-    if probability is not None and probability < 1e-3:
-        return "< 0.1 %"
-    return numbers.percent(probability, 2)
 
 
 def remaining_text(file: GapFile) -> str:

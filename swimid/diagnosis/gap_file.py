@@ -153,6 +153,68 @@ class Step(yamlio.Document):
     rmse: dict[str, Number]
 
 
+class HeldOutTrial(yamlio.Document):
+    """Squared errors of one held-out trial, summed over its samples, in units of the noise variance."""
+
+    #: Number of samples in channels with a known noise.
+    samples: int
+    #: Squared errors of the model with the parameters as given, without the causes, and with them.
+    as_given: float
+    before: float
+    after: float
+
+
+class Proposed(yamlio.Document):
+    """Effect that the fits propose as a cause, before the other facts are considered."""
+
+    equivalent: list[str] = []
+    #: Probability that the effect or an equivalent one belongs to the set that closes the gap best. It may
+    #: act itself, or only imitate a cause outside the catalogue.
+    closing: float
+    #: Probability of the effect, and of effects that change the trials in the same way, relative to all its
+    #: alternatives, given the other causes.
+    alone: float
+    #: Whether more effects cannot be distinguished from the effect than are listed.
+    crowded: bool = False
+
+
+class Facts(yamlio.Document):
+    """Facts from which the verdict follows (:mod:`swimid.diagnosis.verdict`)."""
+
+    #: Probabilities of no gap, of causes of the catalogue, and of a cause outside the catalogue.
+    no_gap: Number = None
+    catalogue: Number = None
+    outside: Number = None
+    #: Effects that the fits propose as causes, by name, the most important first.
+    proposed: dict[str, Proposed] = {}
+    #: Errors of each held-out trial with the proposed causes and without them. They are compared with the
+    #: errors as given if a changed parameter is among the causes, or if the refitted coefficients imitate
+    #: the causes.
+    held_out: dict[str, HeldOutTrial] = {}
+    #: Decrease of the squared residuals of each cross-validation fold by all proposed causes, approximated by
+    #: one Gauss-Newton step, in units of the noise variance.
+    fold_gains: list[Number] = []
+    #: Whether the refitted coefficients imitate the causes on held-out data.
+    imitated: bool = False
+    #: Whether a held-out simulation diverges with the proposed causes.
+    diverged: bool = False
+    #: Fraction of the squared gap that remains in the fit with the proposed causes.
+    left: Number = None
+    #: Validation trials that the model with the proposed causes does not predict, the largest error first.
+    #: The value is the error (root mean square) divided by the error that noise and uncertain coefficients
+    #: explain.
+    unpredicted: dict[str, float] = {}
+    #: Differences between trials without causes that are larger than by chance. Each is a clause.
+    differing: list[str] = []
+    #: Trial that contradicts the others, with its prediction error divided by the typical one of the others.
+    odd_trial: dict[str, float] = {}
+    #: Fraction of the output that a black-box model reproduces, for each channel with less than one half. The
+    #: fraction is one minus the root-mean-square error divided by the standard deviation of the output.
+    unreproduced: dict[str, Number] = {}
+    #: Whether failed samples are a cause.
+    failed_samples: bool = False
+
+
 class Absorbed(yamlio.Document):
     """Values of one model coefficient: as given, refitted without the causes, and with them."""
 
@@ -266,10 +328,8 @@ class GapFile(yamlio.ResultFile):
     experiment: str = ""
     params: str = ""
     trials: list[str] = []
-    #: Probability that there is no gap (``no_gap``), and probability of a cause outside the catalogue
-    #: (``outside``).
-    no_gap: Number = None
-    outside: Number = None
+    #: Facts from which the verdict follows.
+    facts: Facts = Facts()
     #: Hypotheses (``hypotheses``), number of samples (``samples``) and number of effects (``tried``) from
     #: which the probabilities in this file are computed.
     hypotheses: list[Hypothesis] = []
@@ -291,24 +351,12 @@ class GapFile(yamlio.ResultFile):
     #: Parameters whose refitted values differ significantly from those of the parameter file. Their change is
     #: not a hypothesis, because the file states no standard error or the model is a black box.
     moved: dict[str, ChangedValue] = {}
-    #: Fraction of the output that a black-box model reproduces, for each channel with less than one half. The
-    #: fraction is one minus the root-mean-square error divided by the standard deviation of the output.
-    unreproduced: dict[str, Number] = {}
     #: Coefficients that are at a bound in the refit without effects, with the value of the bound.
     at_bound: dict[str, float] = {}
-    #: Reasons for the verdict, and reasons why the causes are not certain. Each reason is a clause.
+    #: Reasons for the verdict. Each is a clause.
     reasons: list[str] = []
-    unsure: list[str] = []
     #: Effects that could not be tested as causes, with the reason.
     left_out: dict[str, str] = {}
-    #: Trial that contradicts the others, with its prediction error divided by the typical prediction error of
-    #: the others.
-    odd_trial: dict[str, float] = {}
-    #: Causes that fit the trials best, but that increase the held-out errors.
-    refuted: list[str] = []
-    #: Validation trials that the model does not predict, largest error first. The value is the error (root
-    #: mean square) divided by the error that noise and uncertain coefficients explain.
-    unpredicted: dict[str, float] = {}
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")

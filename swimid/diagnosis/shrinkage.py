@@ -19,8 +19,9 @@ from scipy import special
 
 from swimid.diagnosis import crossval, remainder
 from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond, held_at
-from swimid.diagnosis.gap_file import Closed, Shrinkage, Step
+from swimid.diagnosis.gap_file import HeldOutTrial, Shrinkage, Step
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.verdict import MOST, interval, share_closed
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
 
@@ -29,11 +30,6 @@ TOLERANCE = 1e-4
 #: Number of bootstrap resamples of trials for the interval of the closed fraction of the gap.
 RESAMPLES = 1000
 
-#: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
-#: of nearly equal numbers.
-LEAST_GAP = 0.04
-#: Minimum fraction of the squared gap that causes must close on held-out data.
-MOST = 0.5
 #: Error of a held-out sample whose simulation diverged. Its unit is that of the errors with which it is
 #: summed: the unit of the channel, or the noise standard deviation.
 WORST = 1e6
@@ -273,9 +269,9 @@ def shrinkages(
         levels = floor * _resampled(known_noise, len(picks), len(known_noise), rng)
         # Resample the noise of the held-out trials as well. It is estimated by that of the fitted trials.
         levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
-        shares = [closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
+        shares = [share_closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
         known = [s for s in shares if math.isfinite(s) and len(trials) > 1]
-        share = closed(before, after, floor)
+        share = share_closed(before, after, floor)
         result.append(
             Shrinkage(
                 channel=channel,
@@ -284,53 +280,10 @@ def shrinkages(
                 shipped=shipped,
                 floor=floor,
                 closed=share,
-                ci95=_interval(share, known, len(trials)),
+                ci95=interval(share, known, len(trials)),
             )
         )
     return result
-
-
-def overall(found: Sequence[Piece], floors: Mapping[str, float], *, rng: np.random.Generator) -> Closed:
-    """Return the closed share of the squared gap over all channels, with its bootstrap interval over trials.
-
-    Squared errors are divided by the noise variance of their channel. Channels without a known noise are left
-    out.
-    """
-    lowered, gap = gained(found, floors)
-    if not len(gap):
-        return Closed(before=None, after=None, share=None)
-    count = sum(len(p.seen(p.time_s)) for p in found if p.channel in floors)
-    before = 1.0 + float(gap.sum()) / max(count, 1)
-    after = before - float(lowered.sum()) / max(count, 1)
-    share = closed(math.sqrt(before), math.sqrt(max(after, 0.0)), 1.0)
-    picks = rng.integers(0, len(gap), (RESAMPLES, len(gap)))
-    drawn = zip(lowered[picks].sum(axis=1), gap[picks].sum(axis=1), strict=True)
-    known = [min(a / b, 1.0) for a, b in drawn if b > 0 and len(gap) > 1]
-    return Closed(before=before, after=after, share=share, ci95=_interval(share, known, len(gap)))
-
-
-def over_channels(found: Sequence[Shrinkage]) -> Closed:
-    """Return the closed share of the squared gap over channels from their errors, with equal weights."""
-    known = [s for s in found if s.floor and s.before is not None and s.after is not None]
-    if not known:
-        return Closed(before=None, after=None, share=None)
-    errors = np.array([[s.before, s.after] for s in known]) / np.array([[s.floor] for s in known])
-    before, after = np.mean(errors**2, axis=0).tolist()
-    return Closed(before=before, after=after, share=closed(math.sqrt(before), math.sqrt(after), 1.0))
-
-
-def _interval(share: float, drawn: Sequence[float], count: int) -> tuple[float | None, float | None]:
-    """Return the 95 % interval of a closed share from bootstrap resamples; unknown from too few of them.
-
-    Parameters
-    ----------
-    count : int
-        Number of trials.
-    """
-    if len(drawn) <= 20 or not math.isfinite(share):
-        return None, None
-    low, high = (share + widened(count) * (float(end) - share) for end in np.quantile(drawn, (0.025, 0.975)))
-    return low, min(high, 1.0)
 
 
 def waterfall(found: Sequence[Piece], floors: Mapping[str, float], labels: Sequence[str]) -> list[Step]:
@@ -356,15 +309,6 @@ def waterfall(found: Sequence[Piece], floors: Mapping[str, float], labels: Seque
         steps.append(Step(label=label, squared=squared / max(count, 1), rmse=channels))
     noise = {channel: floors.get(channel) for channel in by_channel(found)}
     return [*steps, Step(label="noise alone", squared=1.0, rmse=noise)]
-
-
-def widened(count: int) -> float:
-    """Return the factor by which a bootstrap interval over ``count`` trials is too narrow.
-
-    It is the 97.5 % quantile of Student's distribution times ``sqrt(count / (count - 1))``, divided by the
-    normal quantile.
-    """
-    return float(math.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.975) / special.ndtri(0.975))
 
 
 def _resampled(
@@ -431,29 +375,19 @@ def capped(floors: Mapping[str, float], found: Sequence[Piece]) -> dict[str, flo
     return result
 
 
-def gained(found: Sequence[Piece], floors: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return by how much the causes decrease the squared error of each held-out trial, and its squared gap.
+def by_trial(found: Sequence[Piece], floors: Mapping[str, float]) -> dict[str, HeldOutTrial]:
+    """Return the squared errors of each held-out trial, in units of the noise variance.
 
-    Both have shape (trials,) and are in units of the noise variance.
+    Channels without a known noise are left out.
     """
-    lowered: dict[str, float] = {}
-    gap: dict[str, float] = {}
+    trials: dict[str, HeldOutTrial] = {}
     for p in (p for p in found if p.channel in floors):
-        before, after = (_errors(p, simulated, floors) for simulated in (p.before, p.after))
-        lowered[p.trial.id] = lowered.get(p.trial.id, 0.0) + float(np.sum(before - after))
-        gap[p.trial.id] = gap.get(p.trial.id, 0.0) + float(np.sum(before - 1.0))
-    return np.array(list(lowered.values())), np.array(list(gap.values()))
-
-
-def chance(each: Array) -> float:
-    """Return the threshold above which the sum of ``each`` over trials is significantly positive.
-
-    The threshold is the 95 % quantile of Student's distribution. It is 0 for a single trial.
-    """
-    n = len(each)
-    if n < 2:
-        return 0.0
-    return float(special.stdtrit(n - 1, 0.95) * np.sqrt(n * np.var(each, ddof=1)))
+        trial = trials.setdefault(p.trial.id, HeldOutTrial(samples=0, as_given=0.0, before=0.0, after=0.0))
+        trial.samples += len(p.seen(p.time_s))
+        trial.as_given += float(np.sum(_errors(p, p.shipped, floors)))
+        trial.before += float(np.sum(_errors(p, p.before, floors)))
+        trial.after += float(np.sum(_errors(p, p.after, floors)))
+    return trials
 
 
 def _errors(piece: Piece, simulated: Array, floors: Mapping[str, float]) -> Array:
@@ -461,17 +395,6 @@ def _errors(piece: Piece, simulated: Array, floors: Mapping[str, float]) -> Arra
     unknown.
     """
     return piece.squares(simulated, max(floors.get(piece.channel, math.inf), 1e-300))
-
-
-def closed(before: float, after: float, floor: float) -> float:
-    """Return the closed share of the squared gap, at most 1; NaN without a gap.
-
-    The share is ``(before**2 - after**2) / (before**2 - floor**2)``.
-    """
-    gap = before**2 - floor**2
-    if gap <= LEAST_GAP * max(before**2, 1e-300):
-        return math.nan
-    return float(min((before**2 - after**2) / gap, 1.0))
 
 
 def worst(found: Sequence[Piece], floors: Mapping[str, float], *, with_causes: bool) -> list[Piece]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from typing import TypeGuard
 
 #: Two-sided 95 % quantile of the normal distribution.
@@ -240,3 +241,17 @@ def column_title(name: str) -> str:
     if not printed:
         return quantity(name)
     return f"{quantity(name)} ({printed})"
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Return names joined as in a sentence: ``a, b and c``."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def probability_text(probability: float | None) -> str:
+    """Return text for a probability in percent; ``< 0.1 %`` for values below a thousandth."""
+    if probability is not None and probability < 1e-3:
+        return "< 0.1 %"
+    return percent(probability, 2)

@@ -1,0 +1,266 @@
+"""Decide the verdict of a diagnosis from one table.
+
+Each row of the table asks one question. A row that does not pass states the strongest verdict that is then
+possible, and which causes are still named. The verdict is the weakest of these. The table depends on the
+facts in the gap file only (:class:`~swimid.diagnosis.gap_file.Facts`), so that it can be computed again from
+the file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import special
+
+from swimid.diagnosis.gap_file import Closed, Facts, Shrinkage, Verdict
+from swimid.fitting.model import Array
+from swimid.results.numbers import listed, number, percent, probability_text
+
+#: Verdicts from the strongest to the weakest.
+ORDER: tuple[Verdict, ...] = ("none", "explained", "ambiguous", "unexplained")
+#: Minimum probability of causes in the catalogue, divided by that of all causes, for the verdict "explained".
+SURE = 0.8
+#: Minimum share of the squared gap that the causes must close for the verdict "explained".
+MOST = 0.5
+#: Minimum probability that the causes reduce the errors on held-out data.
+CLEAR = 0.95
+#: Minimum squared gap, as a fraction of the squared error, for a closed share. A smaller gap is a difference
+#: of nearly equal numbers.
+LEAST_GAP = 0.04
+#: Number of random samples of the weights of the held-out trials (Bayesian bootstrap).
+WEIGHTINGS = 1000
+
+
+@dataclass(frozen=True)
+class Row:
+    """Row of the table from which the verdict follows.
+
+    Attributes
+    ----------
+    question, found, needed : str
+        Name of the question, the answer, and the answer that the strongest verdict needs.
+    passed : bool
+    otherwise : Verdict
+        Strongest verdict that is possible if the row does not pass.
+    names : {"all", "closing", "none"}
+        Causes that are named if the row does not pass: all of them, those that close part of the gap with a
+        probability above one half, or none.
+    reason : str
+        Clause that states why the row does not pass.
+    """
+
+    question: str
+    found: str
+    needed: str
+    passed: bool
+    otherwise: Verdict
+    names: Literal["all", "closing", "none"] = "all"
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Verdict, and names of the causes that the answer states."""
+
+    verdict: Verdict
+    causes: tuple[str, ...]
+
+
+def decide(facts: Facts) -> Decision:
+    """Return the verdict that follows from the facts: the weakest verdict of the rows that do not pass."""
+    failed = [row for row in rows(facts) if not row.passed]
+    verdicts: list[Verdict] = ["none", *(row.otherwise for row in failed)]
+    causes = facts.proposed
+    for row in failed:
+        if row.names == "none":
+            causes = {}
+        if row.names == "closing":
+            causes = {name: c for name, c in causes.items() if c.closing > 0.5}
+    if causes or facts.failed_samples:
+        verdicts.append("explained")
+    return Decision(max(verdicts, key=ORDER.index), tuple(causes))
+
+
+def rows(facts: Facts) -> Iterator[Row]:
+    """Yield the rows of the table. A question that does not apply to the trials has no row."""
+    if facts.unreproduced:
+        found = listed([f"{percent(v, 2)} of {c}" for c, v in facts.unreproduced.items()])
+        reason = f"the model reproduces {found}"
+        yield Row("output reproduced", found, "≥ 50 %", False, "unexplained", "none", reason)
+    if facts.proposed:
+        yield from _of_causes(facts)
+    else:
+        yield from _of_no_cause(facts)
+    for trial, times in facts.odd_trial.items():
+        reason = f"{trial} contradicts the other trials, with {number(times, 2)} times their error"
+        yield Row("trials agree", trial, "all", False, "unexplained", "none", reason)
+
+
+def _of_no_cause(facts: Facts) -> Iterator[Row]:
+    """Yield the rows of a model to which the fits add no cause."""
+    none, outside = facts.no_gap or 0.0, facts.outside or 0.0
+    found = f"no gap {probability_text(none)}, a cause outside the catalogue {probability_text(outside)}"
+    reason = "a cause outside the catalogue is more probable than no gap"
+    yield Row("gap", found, "no gap likelier", none >= outside, "unexplained", "none", reason)
+    yield _predicted(facts.unpredicted, "unexplained")
+    found = listed(facts.differing) or "by chance"
+    reason = f"trials differ more than by chance: {found}"
+    yield Row(
+        "differences between trials", found, "by chance", not facts.differing, "unexplained", "none", reason
+    )
+
+
+def _of_causes(facts: Facts) -> Iterator[Row]:
+    """Yield the rows of a model to which the fits add causes."""
+    names = listed(list(facts.proposed))
+    first = next(iter(facts.proposed.values()))
+    inside, outside = facts.catalogue or 0.0, facts.outside or 0.0
+    share = inside / max(inside + outside, 1e-300)
+    verdict: Verdict = "ambiguous"
+    kept: Literal["all", "closing"] = "all"
+    if share <= 0.5:
+        verdict, kept = "unexplained", "closing"
+    found = f"{probability_text(share)} of the probability of a gap"
+    reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
+    yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, verdict, kept, reason)
+    rivals = listed(first.equivalent, "or")
+    reason = f"these trials cannot tell {names} from {rivals or 'other effects'}"
+    alone = first.alone or 0.0
+    passed = alone > 0.5 and not first.crowded
+    found = f"{probability_text(alone)} of it and its rivals"
+    yield Row("cause against its rivals", found, "> 50 %", passed, "ambiguous", "all", reason)
+    if facts.imitated:
+        reason = f"the refitted parameters of the file imitate {names} on held-out data"
+        yield Row("cause against the parameters", "imitated", "distinct", False, "ambiguous", "all", reason)
+    yield from _held_out(facts, names)
+    yield _predicted(facts.unpredicted, "ambiguous")
+    left = facts.left or 0.0
+    reason = f"{percent(left, 2)} of the squared gap remains in the fit with {names}"
+    found = f"{percent(left, 2)} of the squared gap"
+    yield Row("remaining gap", found, f"≤ {percent(MOST)}", left <= MOST, "unexplained", "closing", reason)
+
+
+def _predicted(unpredicted: dict[str, float], otherwise: Verdict) -> Row:
+    """Return the row about validation trials that the model does not predict."""
+    found = listed([f"{trial} is off by {number(t, 2)} times" for trial, t in unpredicted.items()])
+    reason = f"{found} the expected error"
+    return Row(
+        "validation trials", found or "predicted", "predicted", not unpredicted, otherwise, "all", reason
+    )
+
+
+def _held_out(facts: Facts, names: str) -> Iterator[Row]:
+    """Yield the rows about the decrease of the squared error on held-out data."""
+    if facts.diverged:
+        reason = f"a simulation of held-out data diverges with {names}"
+        yield Row("held-out simulation", "diverges", "finite", False, "unexplained", "none", reason)
+    if not facts.held_out:
+        return
+    lower, closed = probability_of_decrease(facts), closed_share(facts)
+    needed, found = f"probability ≥ {percent(CLEAR)}", f"probability {probability_text(lower)}"
+    reason = f"held-out errors do not clearly fall with {names} ({found})"
+    yield Row("held-out errors fall", found, needed, lower >= CLEAR, "unexplained", "none", reason)
+    passed, found = closes_most(closed)
+    reason = f"less than half of the squared gap closes on held-out data: {found}"
+    yield Row("squared gap closed", found, f"≥ {percent(MOST)}", passed, "ambiguous", "all", reason)
+
+
+def closes_most(closed: Closed) -> tuple[bool, str]:
+    """Return whether the causes close most of the squared gap, and the closed share as text."""
+    if closed.share is None:
+        return False, "unknown, because held-out data have no gap"
+    return closed.share >= MOST, f"{percent(closed.share, 2)} {interval_text(closed)}".strip()
+
+
+def probability_of_decrease(facts: Facts) -> float:
+    """Return the probability that the causes reduce the squared errors on held-out data.
+
+    The held-out trials get random weights (Bayesian bootstrap). A single trial gives the probability 0 or 1.
+    """
+    lowered = np.array([t.before - t.after for t in facts.held_out.values()])
+    return float(np.mean(_weights(len(lowered)) @ lowered > 0.0))
+
+
+def closed_share(facts: Facts) -> Closed:
+    """Return the closed share of the squared gap over all channels, with its interval over held-out trials.
+
+    Squared errors are in units of the noise variance of their channel.
+    """
+    trials = list(facts.held_out.values())
+    count = sum(t.samples for t in trials)
+    if not count:
+        return Closed(before=None, after=None, share=None)
+    before, after = (
+        sum(values) / count for values in zip(*((t.before, t.after) for t in trials), strict=True)
+    )
+    share = share_closed(math.sqrt(before), math.sqrt(after), 1.0)
+    lowered = np.array([t.before - t.after for t in trials])
+    gap = np.array([t.before - t.samples for t in trials])
+    weights = _weights(len(trials))
+    known = (weights @ lowered)[weights @ gap > 0.0] / (weights @ gap)[weights @ gap > 0.0]
+    drawn = np.minimum(known, 1.0).tolist() if len(trials) > 1 else []
+    return Closed(before=before, after=after, share=share, ci95=interval(share, drawn, len(trials)))
+
+
+def _weights(count: int) -> Array:
+    """Return random weights of trials, shape (WEIGHTINGS, count)."""
+    return np.random.default_rng(0).dirichlet(np.ones(count), WEIGHTINGS)
+
+
+# ---------------------------------------------------------------- closed share
+
+
+def share_closed(before: float, after: float, floor: float) -> float:
+    """Return the closed share of the squared gap, at most 1; NaN without a gap.
+
+    The share is ``(before**2 - after**2) / (before**2 - floor**2)``.
+    """
+    gap = before**2 - floor**2
+    if gap <= LEAST_GAP * max(before**2, 1e-300):
+        return math.nan
+    return float(min((before**2 - after**2) / gap, 1.0))
+
+
+def widened(count: int) -> float:
+    """Return the factor by which a bootstrap interval over ``count`` trials is too narrow.
+
+    It is the 97.5 % quantile of Student's distribution times ``sqrt(count / (count - 1))``, divided by the
+    normal quantile.
+    """
+    return float(math.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.975) / special.ndtri(0.975))
+
+
+def interval(share: float, drawn: Sequence[float], count: int) -> tuple[float | None, float | None]:
+    """Return the 95 % interval of a closed share from bootstrap resamples; unknown from too few of them.
+
+    Parameters
+    ----------
+    count : int
+        Number of trials.
+    """
+    if len(drawn) <= 20 or not math.isfinite(share):
+        return None, None
+    low, high = (share + widened(count) * (float(end) - share) for end in np.quantile(drawn, (0.025, 0.975)))
+    return low, min(high, 1.0)
+
+
+def over_channels(found: Sequence[Shrinkage]) -> Closed:
+    """Return the closed share of the squared gap over channels from their errors, with equal weights."""
+    known = [s for s in found if s.floor and s.before is not None and s.after is not None]
+    if not known:
+        return Closed(before=None, after=None, share=None)
+    errors = np.array([[s.before, s.after] for s in known]) / np.array([[s.floor] for s in known])
+    before, after = np.mean(errors**2, axis=0).tolist()
+    return Closed(before=before, after=after, share=share_closed(math.sqrt(before), math.sqrt(after), 1.0))
+
+
+def interval_text(s: Closed | Shrinkage) -> str:
+    """Return the 95 % interval of a closed share as text, for example ``(81 … 94 %)``."""
+    low, high = s.ci95
+    if low is None or high is None:
+        return ""
+    return f"({number(100.0 * low, 2)} … {percent(high, 2)})"
