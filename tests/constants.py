@@ -89,10 +89,11 @@ def _of(module: str, *names: str, **how: bool) -> list[Constant]:
 
 CONSTANTS = (
     *_of("posterior", "TENTH", "FURTHER", "UNSURE"),
-    *_of("judgement", "CREDIBLE", rest=True, after=True),
-    *_of("judgement", "DIFFERS", "MAJORITY", after=True),
-    *_of("judgement", "SURE", rest=True, after=True),
-    *_of("shrinkage", "MOST", "ASTRAY", after=True),
+    *_of("facts", "CREDIBLE", rest=True, after=True),
+    *_of("facts", "DIFFERS", "MAJORITY", after=True),
+    *_of("verdict", "SURE", "CLEAR", rest=True, after=True),
+    *_of("verdict", "MOST", after=True),
+    *_of("shrinkage", "ASTRAY", after=True),
     *_of("dropouts", "FAILED_MISFIT", after=True),
     *_of("dropouts", "JUMP", "MOVED", "OFF"),
     *_of("remainder", "SLOW", "AGAINST", "SURE", "PER_SAMPLE", "LEAST_GAIN", "LEAST_OF_FEW", "MOST_USED"),

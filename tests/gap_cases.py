@@ -20,7 +20,10 @@ from swimid.diagnosis.gap_file import (
     ChannelGap,
     Closed,
     Distance,
+    Facts,
     GapFile,
+    HeldOutTrial,
+    Proposed,
     Remaining,
     Score,
     Shrinkage,
@@ -54,6 +57,30 @@ def number(value: float, stderr: float | None, unit: str, status: str = "estimat
 def absorbed(name: str, given: Value | None, without: Value, with_effect: Value) -> Absorbed:
     """A coefficient without and with the causes."""
     return Absorbed(coefficient=name, given=given, without=without, with_effect=with_effect)
+
+
+def facts(
+    *proposed: str,
+    no_gap: float = 0.001,
+    outside: float = 0.03,
+    left: float = 0.1,
+    after: float = 1.2,
+    **more: Any,
+) -> Facts:
+    """Facts from which a verdict follows; of three held-out trials that the causes predict well."""
+    held = {}
+    if proposed:
+        held = {
+            trial: HeldOutTrial(samples=100, as_given=9000.0, before=1700.0 + k, after=100.0 * after)
+            for k, trial in enumerate(TRIALS[:3])
+        }
+    names = {name: Proposed(closing=0.95, alone=0.95) for name in proposed}
+    catalogue = 1.0 - no_gap - outside
+    return Facts(
+        **{"no_gap": no_gap, "outside": outside, "catalogue": catalogue, "left": left}
+        | {"proposed": names, "held_out": held}
+        | more
+    )
 
 
 def _shrinkage(
@@ -230,8 +257,7 @@ EXPLAINED = GapFile(
     params="tfish.yaml",
     trials=TRIALS,
     scores=_scores(),
-    no_gap=0.001,
-    outside=0.03,
+    facts=facts("servo-backlash"),
     held_out="trials",
     floor_from="repeats of one setting, and residuals of a saturated description",
     reasons=["One effect gains far more than noise and than any other."],
@@ -265,16 +291,23 @@ NONE = replace(
         for s in EXPLAINED.scores
     ],
     reasons=[],
-    no_gap=0.91,
+    facts=facts(no_gap=0.91),
 )
-UNTOLD = replace(NONE, no_gap=0.3)
+UNTOLD = replace(NONE, facts=facts(no_gap=0.3, outside=0.2))
 UNREPEATED = replace(
     NONE,
     where=replace(NONE.where, channels=[replace(c, within=0.5 * c.nrmse) for c in NONE.where.channels]),
 )
 REPEATED = replace(UNREPEATED, repeats=True)
 SINGLE = replace(NONE, setting_count=1)
-AMBIGUOUS = replace(_BRIEF, verdict="ambiguous", causes=[CURRENT], scores=_scores("current"))
+_RIVALS = Proposed(closing=0.9, alone=0.4, equivalent=CURRENT.equivalent)
+AMBIGUOUS = replace(
+    _BRIEF,
+    verdict="ambiguous",
+    causes=[CURRENT],
+    scores=_scores("current"),
+    facts=facts("current", proposed={"current": _RIVALS}),
+)
 PAIR = replace(
     _BRIEF,
     waterfall=[
@@ -283,6 +316,7 @@ PAIR = replace(
         EXPLAINED.waterfall[-1],
     ],
     causes=[BACKLASH, replace(CURRENT, equivalent=[])],
+    facts=facts("servo-backlash", "current"),
 )
 UNEXPLAINED = replace(
     _BRIEF,
@@ -293,16 +327,21 @@ UNEXPLAINED = replace(
     causes=[],
     remaining=_remaining(1.0, "surge force against speed", False),
     advice=[],
+    facts=facts(outside=0.9, left=1.0),
 )
 FOLLOWS = replace(
     NONE,
     verdict="unexplained",
     remaining=_remaining(1.0, "validation trials f10a15", False),
     held_out="validation",
-    unpredicted={"f10a15": 22.0},
+    facts=facts(no_gap=0.91, unpredicted={"f10a15": 22.0}),
 )
 REREAD = replace(
-    _BRIEF, causes=[READING], scores=_scores(READING.effect), at_bound={"c_d4": 6.0, "c_f0": 0.0}
+    _BRIEF,
+    causes=[READING],
+    scores=_scores(READING.effect),
+    at_bound={"c_d4": 6.0, "c_f0": 0.0},
+    facts=facts(READING.effect),
 )
 SOFTER = Cause(
     effect="parameter:k_t",
@@ -315,11 +354,16 @@ SOFTER = Cause(
     shrinkage=BACKLASH.shrinkage[:2],
 )
 _OFF = {"u_m_s": ChannelScore(unit="m/s", rmse=0.042, nrmse=0.19, samples=900)}
-CHANGED = replace(_BRIEF, causes=[SOFTER], as_given=_OFF)
+CHANGED = replace(_BRIEF, causes=[SOFTER], as_given=_OFF, facts=facts(SOFTER.effect))
 MOVED = replace(NONE, moved=SOFTER.parameters, as_given=_OFF)
 NOT_GIVEN = replace(NONE, params=gap_file.ROBOT_FILE)
-BLACK_BOX = replace(UNEXPLAINED, unreproduced={"u_m_s": 0.003})
-PARTLY = replace(_BRIEF, verdict="unexplained", remaining=_remaining(0.4, "yaw moment", False))
+BLACK_BOX = replace(UNEXPLAINED, facts=facts(no_gap=0.9, unreproduced={"u_m_s": 0.003}))
+PARTLY = replace(
+    _BRIEF,
+    verdict="unexplained",
+    remaining=_remaining(0.4, "yaw moment", False),
+    facts=facts("servo-backlash", outside=0.6, left=0.4),
+)
 
 ALL = {
     "none": NONE,

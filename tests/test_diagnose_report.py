@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import evidence as diagnose_evidence
+from swimid.diagnosis import gap_file, verdict
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import Closed, GapFile, HeldOut, Value
 from swimid.effects import catalogue
@@ -38,7 +39,7 @@ LEVELS = {
     "pair": "caution",  # one of its sizes ends at a bound
     "ambiguous": "caution",
     "unexplained": "bad",
-    "partly": "caution",
+    "partly": "bad",
     "reread": "good",
     "changed": "good",
     "moved": "caution",  # the parameters as given do not describe the trials
@@ -121,13 +122,17 @@ def test_the_second_table_without_a_cause_has_the_gap_by_channel() -> None:
 
 
 def test_the_summary_says_that_little_of_the_gap_closes() -> None:
-    assert "Caution: 40 % of the squared gap closes" in summary(replace(cases.EXPLAINED, closed=LITTLE))
+    little = cases.facts("servo-backlash", after=10.6)
+    text = summary(replace(cases.EXPLAINED, verdict="ambiguous", closed=LITTLE, facts=little))
+    assert "Caution: less than half of the squared gap closes on held-out data: 40 %" in text
 
 
 def test_a_cause_without_a_held_out_gap_is_no_good_answer() -> None:
-    gap = replace(cases.EXPLAINED, closed=Closed(before=1.0, after=0.9, share=None))
+    trials = {t: gap_file.HeldOutTrial(samples=100, as_given=100.0, before=100.0, after=90.0) for t in "abc"}
+    known = cases.facts("servo-backlash", held_out=trials)
+    gap = replace(cases.EXPLAINED, closed=Closed(before=1.0, after=0.9, share=None), facts=known)
     assert cases.evidence(gap).verdict.level == "caution"
-    assert "held-out data show no gap that a cause could close" in summary(gap)
+    assert "held-out data have no gap" in summary(gap)
 
 
 def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
@@ -139,13 +144,10 @@ def test_the_summary_names_no_cause_if_the_data_cannot() -> None:
 
 def test_the_reason_why_no_cause_is_named_is_stated() -> None:
     alone = replace(cases.CURRENT, equivalent=[])
-    gap = replace(
-        cases.AMBIGUOUS, causes=[alone], unsure=["half of the gap stays"], reasons=["something else"]
-    )
-    text = summary(gap)
-    assert "Caution: half of the gap stays" in text
-    assert "too low" not in text
-    assert "its probability is too low to name it" in summary(replace(gap, unsure=[]))
+    known = cases.facts("current", imitated=True)
+    gap = replace(cases.AMBIGUOUS, causes=[alone], reasons=["something else"], facts=known)
+    why = "Caution: the refitted parameters of the file imitate current on held-out data"
+    assert why in " ".join(summary(gap).split())
 
 
 def test_the_other_verdicts_in_words() -> None:
@@ -159,7 +161,8 @@ def test_the_other_verdicts_in_words() -> None:
     assert "follows the trials it is fitted to, but not the validation trials." in follows
     assert "f10a15 is off by 22 times the expected error" in follows
     assert "together explain the gap" in said("pair")
-    assert "no effect of the catalogue closes it. Do not rely on it: 100 %" in said("unexplained")
+    unexplained = " ".join(said("unexplained").split())
+    assert "a cause outside the catalogue is more probable than no gap; 100 % of the" in unexplained
     assert "0.0021 rad) closes part of it." in said("partly")
 
 
@@ -197,12 +200,21 @@ def test_a_reading_is_named_with_its_question_and_its_option() -> None:
 
 
 def test_an_odd_trial_and_a_refuted_cause_are_reported() -> None:
-    gap = replace(cases.UNEXPLAINED, odd_trial={"f10a15": 91.0}, refuted=["waves"])
+    gap = replace(cases.UNEXPLAINED, facts=cases.facts("waves", after=17.1, odd_trial={"f10a15": 91.0}))
     text = summary(gap)
     assert "f10a15 contradicts the other trials, with 91 times their error" in text
-    assert "held-out errors grow with waves" in text
+    assert "held-out errors do not clearly fall with waves" in " ".join(text.split()).replace(
+        "held- ", "held-"
+    )
     failed = [c.name for c in checked(gap).values() if c.verdict == "fail"]
-    assert failed == ["trials agree", "likeliest cause", "remaining gap"]
+    assert failed == ["held-out errors fall", "trials agree", "structure that remains"]
+
+
+@pytest.mark.parametrize("name", sorted(cases.ALL))
+def test_the_verdict_follows_from_the_facts_in_the_gap_file(tmp_path: Path, name: str) -> None:
+    file = GapFile.read(cases.written(tmp_path, name))
+    found = verdict.decide(file.facts)
+    assert (found.verdict, list(found.causes)) == (file.verdict, [c.effect for c in file.causes])
 
 
 def test_bounds_that_are_reached_are_reported() -> None:
@@ -274,9 +286,9 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
     def level(gap: GapFile) -> str:
         return cases.evidence(gap).verdict.level
 
-    assert set(verdicts(cases.EXPLAINED).values()) == {"pass", "info"}
-    assert verdicts(cases.AMBIGUOUS)["rivals of the cause"] == "warn"
-    assert verdicts(cases.PARTLY)["remaining gap"] == "warn"
+    assert set(verdicts(cases.EXPLAINED).values()) == {"pass"}
+    assert verdicts(cases.AMBIGUOUS)["cause against its rivals"] == "warn"
+    assert verdicts(cases.PARTLY)["cause in the catalogue"] == "fail"
     weak = replace(cases.BACKLASH, gain=60.0)
     assert verdicts(replace(cases.EXPLAINED, causes=[weak]))["held-out gain of servo-backlash"] == "warn"
     (first, *_) = cases.BACKLASH.extrapolation.items()
@@ -292,7 +304,8 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
     assert (level(cases.EXPLAINED), level(bounded)) == ("good", "caution")
     assert verdicts(cases.FOLLOWS)["validation trials"] == "fail"
     assert verdicts(cases.SINGLE)["settings"] == "warn"
-    for weaker in ({"setting_count": 1}, {"held_out": "validation", "unpredicted": {"run01": 3.0}}):
+    off = cases.facts("servo-backlash", unpredicted={"run01": 3.0})
+    for weaker in ({"setting_count": 1}, {"held_out": "validation", "facts": off}):
         assert level(replace(cases.EXPLAINED, **weaker)) == "caution"
     stood_in = [
         replace(a, with_effect=replace(a.with_effect, status="at-bound")) for a in cases.BACKLASH.absorbed
@@ -301,7 +314,8 @@ def test_checks_warn_of_what_weakens_an_answer() -> None:
         replace(cases.EXPLAINED, causes=[replace(cases.BACKLASH, **more)])
         for more in ({"extrapolation": lost.extrapolation}, {"absorbed": stood_in})
     ]
-    for gap in (*weaker, replace(cases.EXPLAINED, closed=LITTLE)):
+    little = cases.facts("servo-backlash", after=10.6)
+    for gap in (*weaker, replace(cases.EXPLAINED, closed=LITTLE, facts=little)):
         assert "warn" in verdicts(gap).values()
         assert level(gap) == "caution"
     assert level(replace(cases.NONE, at_bound={"c_d4": 6.0})) == "caution"
@@ -452,7 +466,9 @@ def test_the_example_of_the_manual_works() -> None:
 
 class TestWhatIsStatedIsWhatIsComputed:
     def test_other_possibilities_are_stated(self) -> None:
-        text = summary(replace(cases.EXPLAINED, no_gap=0.0004, outside=0.062))
+        text = summary(
+            replace(cases.EXPLAINED, facts=cases.facts("servo-backlash", no_gap=0.0004, outside=0.062))
+        )
         assert "probability no gap < 0.1 %, a cause outside the catalogue 6.2 %" in text
 
     @pytest.mark.parametrize(

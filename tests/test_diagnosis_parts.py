@@ -18,25 +18,25 @@ from swimid.diagnosis import (
     candidates,
     crossval,
     dropouts,
-    judgement,
     places,
     posterior,
     remainder,
     search,
     settings,
     shrinkage,
+    verdict,
     weighting,
 )
 from swimid.diagnosis.candidates import own_gains
 from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
 from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
-from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
-from swimid.diagnosis.gap_file import Shrinkage
+from swimid.diagnosis.floor import disagreement, floors, nuisance_residuals, repeats, split
+from swimid.diagnosis.gap_file import Facts, Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
-from swimid.diagnosis.shrinkage import closed
+from swimid.diagnosis.verdict import share_closed
 from swimid.effects.base import Affected, Effect, Inside
 from swimid.fitting.model import CruiseInput, Hooks, Model, Parameter, RigInput, Stroke, SwimInput, Trial
 from swimid.fitting.problem import Problem
@@ -954,9 +954,7 @@ def test_a_channel_of_held_out_trials_only_has_no_closed_share(rng: np.random.Ge
     """The noise of such a channel is unknown."""
     (found,) = shrinkage.shrinkages([piece(5.0, 1.0)], {}, {}, {}, rng=rng)
     assert (found.floor, found.closed, found.ci95) == (None, None, (None, None))
-    lowered, gap = shrinkage.gained([piece(5.0, 1.0)], {})
-    assert (lowered.sum(), gap.sum()) == (0.0, 0.0)
-    assert shrinkage.overall([piece(5.0, 1.0)], {}, rng=rng).share is None
+    assert shrinkage.by_trial([piece(5.0, 1.0)], {}) == {}
 
 
 def test_channels_have_equal_weights_in_a_share_without_trials() -> None:
@@ -965,16 +963,16 @@ def test_channels_have_equal_weights_in_a_share_without_trials() -> None:
         Shrinkage(channel="y_m", before=0.3, after=0.2, floor=0.1, closed=5 / 8),
         Shrinkage(channel="z_m", before=1.0, after=1.0, floor=None, closed=None),
     ]
-    found = shrinkage.over_channels(rows)
+    found = verdict.over_channels(rows)
     assert (found.before, found.after) == (pytest.approx(17.0), pytest.approx(2.5))
     assert found.share == pytest.approx(14.5 / 16.0)
-    assert shrinkage.over_channels(rows[2:]).share is None
+    assert verdict.over_channels(rows[2:]).share is None
 
 
-def test_the_closed_share_of_all_channels_is_that_of_the_squared_errors(rng: np.random.Generator) -> None:
+def test_the_closed_share_of_all_channels_is_that_of_the_squared_errors() -> None:
     """Errors of 5 and 3 noise standard deviations without, and of 1 and 0 with the causes; noise adds 1."""
     held = [piece(5.0, 1.0), replace(piece(3.0, 0.0), channel="y_m")]
-    found = shrinkage.overall(held, {"x_m": 0.01, "y_m": 0.01}, rng=rng)
+    found = verdict.closed_share(Facts(held_out=shrinkage.by_trial(held, {"x_m": 0.01, "y_m": 0.01})))
     # 400 samples of a mean square of 18 have a standard error of 2 * sqrt(17 / 400)
     assert found.before == pytest.approx(18.0, abs=3 * 0.42)
     assert found.after == pytest.approx(1.5, abs=3 * 0.12)
@@ -1002,7 +1000,7 @@ def test_the_bootstrap_of_few_trials_is_widened_to_its_level(count: int, rng: np
     values = rng.standard_normal((1000, count))
     means = [v[rng.integers(0, count, (400, count))].mean(axis=1) for v in values]
     low, high = np.quantile(means, (0.025, 0.975), axis=1)
-    middle, factor = values.mean(axis=1), shrinkage.widened(count)
+    middle, factor = values.mean(axis=1), verdict.widened(count)
     inside = (middle + factor * (low - middle) <= 0) & (middle + factor * (high - middle) >= 0)
     assert np.mean(inside) == pytest.approx(0.95, abs=0.014 + 0.01)
 
@@ -1012,8 +1010,8 @@ def test_the_bootstrap_of_few_trials_is_widened_to_its_level(count: int, rng: np
     [(3.0, 1.0, 1.0, 1.0), (3.0, 2.0, 1.0, 5 / 8), (3.0, 4.0, 1.0, -7 / 8), (3.0, 0.9, 1.0, 1.0)],
 )
 def test_the_closed_share_by_hand(before: float, after: float, floor: float, share: float) -> None:
-    assert closed(before, after, floor) == pytest.approx(share)
-    assert np.isnan(closed(floor, after, floor))
+    assert share_closed(before, after, floor) == pytest.approx(share)
+    assert np.isnan(share_closed(floor, after, floor))
 
 
 # ---------------------------------------------------------------- search
@@ -1203,7 +1201,6 @@ def test_nothing_is_found_in_trials_of_the_model_itself(rng: np.random.Generator
     effects = [Seen("rise", rise), Seen("ring", ring)]
     state = search.run(FitContext(model, PLAIN, seen_trials(rng, 0.0, 0.0), {"a": (1.0, 0.1)}), effects)
     assert state.posterior.none > 0.5
-    assert judgement.by_fits(state).verdict == "none"
 
 
 def _posterior(null: float, *others: tuple[str, float], samples: float = 1000.0) -> posterior.Posterior:
@@ -1323,8 +1320,8 @@ def piece(before: float, after: float) -> shrinkage.Piece:
 )
 def test_causes_close_most_of_the_gap(before: float, after: float, helps: bool) -> None:
     """Errors of 3.5 leave half of a squared gap of 25."""
-    lowered, gap = shrinkage.gained([piece(before, after)], {"x_m": 0.01})
-    assert bool(lowered.sum() > shrinkage.MOST * gap.sum()) is helps
+    held = shrinkage.by_trial([piece(before, after)], {"x_m": 0.01})
+    assert verdict.closes_most(verdict.closed_share(Facts(held_out=held)))[0] is helps
 
 
 def test_each_model_predicts_by_its_better_fit() -> None:
@@ -1344,98 +1341,6 @@ def test_the_worst_held_out_trial_is_complete_and_in_time_order() -> None:
     np.testing.assert_array_equal(found.before, np.concatenate((late.before, early.before)))
     (found,) = shrinkage.worst([early, late, other], {"x_m": 0.01}, with_causes=False)
     assert found.trial.id == "other"
-
-
-def test_held_out_data_without_a_gap_have_no_closed_share() -> None:
-    lowered, gap = shrinkage.gained([piece(5.0, 5.1)], {"x_m": 0.1})
-    assert lowered.sum() < 0.0
-    assert gap.sum() < 0.0
-
-
-@pytest.mark.parametrize(
-    ("after", "without", "distance", "verdict", "named"),
-    [
-        (0.0, 25.0, 1.0, "explained", ["waves"]),
-        (4.0, 25.0, 1.0, "ambiguous", ["waves"]),
-        (4.9, 25.0, 1.0, "unexplained", []),
-        (6.0, 25.0, 1.0, "unexplained", []),
-        (0.0, 25.0, 3.0, "explained", ["waves"]),
-        (4.0, 25.0, 3.0, "ambiguous", ["waves"]),
-        (4.9, 25.0, 3.0, "unexplained", []),
-        (0.0, 25.0, 26.0, "unexplained", []),
-        (0.0, 25.0, 50.0, "unexplained", []),
-        (4.0, 1.0, 1.1, "ambiguous", ["waves"]),
-        (4.9, 1.0, 1.1, "unexplained", []),
-        (6.0, 1.0, 1.1, "unexplained", []),
-    ],
-)
-def test_held_out_errors_may_only_weaken_a_verdict(
-    after: float, without: float, distance: float, verdict: str, named: list[str]
-) -> None:
-    """Between-trial variation is part of the errors, but not of the squared Mahalanobis distance."""
-    contradicts = distance > 49.0
-    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves", adds_to=None)
-    null = posterior.Candidate(frozenset(), 900.0, np.array([900.0]), 0)
-    found = posterior.Candidate(waves, 200.0, np.array([200.0]), 1)
-    nominal, base = (
-        SimpleNamespace(effects=effects, marginal_residuals=lambda _=(): []) for effects in ([], [effect])
-    )
-    state = SimpleNamespace(
-        posterior=posterior.Posterior(
-            {waves: 0.9},
-            0.0,
-            0.1,
-            {frozenset(): 0.0, waves: 0.1},
-            {frozenset(): 700.0, waves: 0.0},
-            (null, found),
-        ),
-        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))], same=())],
-        nominal=nominal,
-        base=base,
-        left=None,
-        context=SimpleNamespace(trials=[], model=SimpleNamespace(name="toy")),
-        noise_model=None,
-    )
-    noise = Floor({}, {"x_m": 0.01}, {}, {}, "")
-    predicted = shrinkage.Misfit(without * 200.0, 200), shrinkage.Misfit(distance * 200.0, 200)
-    told, *_ = judgement.judge(state, [piece(5.0, after)], noise, predicted, dropout=False)
-    assert (told.verdict, list(told.names)) == (verdict, named)
-    assert told.refuted == (("waves",) if contradicts else ())
-    assert told.base is (base if named else nominal)
-    assert bool(told.reasons or told.unsure) == (verdict != "explained" and not contradicts)
-
-
-@pytest.mark.parametrize(
-    ("outside", "verdict"), [(0.1, "explained"), (0.3, "ambiguous"), (0.6, "unexplained")]
-)
-def test_an_explanation_is_more_probable_than_a_cause_from_outside(outside: float, verdict: str) -> None:
-    waves, effect = frozenset({"waves"}), SimpleNamespace(name="waves", adds_to=None)
-    beside = {frozenset[str](): outside, waves: 0.0}
-    state = SimpleNamespace(
-        posterior=posterior.Posterior({waves: 1.0 - outside}, 0.0, outside, beside, {frozenset(): 9.0}, ()),
-        rounds=[SimpleNamespace(ranked=[SimpleNamespace(tried=SimpleNamespace(effect=effect))], same=())],
-        base=SimpleNamespace(effects=[effect]),
-    )
-    assert judgement.by_fits(state).verdict == verdict
-
-
-@pytest.mark.parametrize(
-    ("none", "dropout", "verdict"),
-    [(0.8, False, "none"), (0.8, True, "explained"), (0.2, False, "unexplained"), (0.2, True, "unexplained")],
-)
-def test_failed_samples_explain_only_if_nothing_else_is_missing(
-    none: float, dropout: bool, verdict: str
-) -> None:
-    nominal = SimpleNamespace(effects=(), marginal_residuals=lambda _=(): [])
-    outside = {frozenset[str](): 1.0 - none}
-    state = SimpleNamespace(
-        posterior=posterior.Posterior({}, none, 1.0 - none, outside, {frozenset(): 100.0}, ()),
-        rounds=[], nominal=nominal, base=nominal, left=None, random_effects=[],
-        context=SimpleNamespace(trials=[None] * 3, model=SimpleNamespace(name="toy")),
-        noise_model=SimpleNamespace(random_effects=()),
-    )  # fmt: skip
-    told, *_ = judgement.judge(state, [], Floor({}, {}, {}, {}, ""), None, dropout=dropout)
-    assert told.verdict == verdict
 
 
 def test_beside_an_outside_cause_an_effect_has_its_calibrated_probability() -> None:

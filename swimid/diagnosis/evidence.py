@@ -112,10 +112,9 @@ def _facts(file: GapFile) -> dict[str, str]:
 
 def checks(file: GapFile) -> Iterable[ev.Check]:
     """Yield the checks of a diagnosis, which decide whether its verdict is a pass, a caution or a failure."""
+    grades: dict[bool, Literal["warn", "fail"]] = {False: "warn", True: "fail"}
     for row in verdict.rows(file.facts):
-        otherwise: Literal["warn", "fail"] = "warn"
-        if row.otherwise == "unexplained":
-            otherwise = "fail"
+        otherwise = grades[row.otherwise == "unexplained"]
         yield ev.check(
             row.question, row.found, row.passed, row.needed, otherwise=otherwise, reason=row.reason
         )
@@ -138,12 +137,13 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
         yield from _of_no_gap(file)
     if file.causes:
         yield from _of_causes(file)
-    passed = file.remaining.white
-    if file.verdict != "none":
+    passed: bool | None = file.remaining.white
+    if file.causes:
         passed = passed or None
     said = remaining_text(file)
     text = "whether a description without any physics still gains on held-out trials"
-    yield ev.check("structure that remains", said, passed, "none", text, reason=said)
+    otherwise = grades[file.verdict == "unexplained"]
+    yield ev.check("structure that remains", said, passed, "none", text, otherwise=otherwise, reason=said)
 
 
 def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:

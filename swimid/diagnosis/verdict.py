@@ -70,9 +70,15 @@ class Decision:
     causes: tuple[str, ...]
 
 
-def decide(facts: Facts) -> Decision:
-    """Return the verdict that follows from the facts: the weakest verdict of the rows that do not pass."""
-    failed = [row for row in rows(facts) if not row.passed]
+def decide(facts: Facts, *, without: str = "") -> Decision:
+    """Return the verdict that follows from the facts: the weakest verdict of the rows that do not pass.
+
+    Parameters
+    ----------
+    without : str, optional
+        Question of the rows that are left out, to measure what they contribute.
+    """
+    failed = [row for row in rows(facts) if not row.passed and row.question != without]
     verdicts: list[Verdict] = ["none", *(row.otherwise for row in failed)]
     causes = facts.proposed
     for row in failed:

@@ -1,0 +1,85 @@
+"""The verdict of a diagnosis follows from the facts in its gap file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from swimid.diagnosis.gap_file import HeldOutTrial, Proposed
+from swimid.diagnosis.verdict import closed_share, decide, probability_of_decrease
+from tests.gap_cases import facts
+
+
+def held_out(*after: float, before: float = 500.0) -> dict[str, HeldOutTrial]:
+    """Trials of 100 samples each, with a squared error before and after the causes."""
+    return {
+        str(k): HeldOutTrial(samples=100, as_given=before, before=before, after=value)
+        for k, value in enumerate(after)
+    }
+
+
+@pytest.mark.parametrize(
+    ("outside", "verdict"), [(0.1, "explained"), (0.3, "ambiguous"), (0.6, "unexplained")]
+)
+def test_an_explanation_is_more_probable_than_a_cause_from_outside(outside: float, verdict: str) -> None:
+    assert decide(facts("waves", outside=outside)).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("after", "verdict", "causes"),
+    [
+        ((110.0, 90.0, 105.0), "explained", ("waves",)),
+        ((400.0, 390.0, 410.0), "ambiguous", ("waves",)),
+        ((490.0, 520.0, 480.0), "unexplained", ()),
+        ((600.0, 550.0, 700.0), "unexplained", ()),
+    ],
+)
+def test_held_out_errors_weaken_a_verdict(after: Any, verdict: str, causes: tuple[str, ...]) -> None:
+    found = decide(facts("waves", held_out=held_out(*after)))
+    assert (found.verdict, found.causes) == (verdict, causes)
+
+
+@pytest.mark.parametrize(
+    ("changed", "verdict", "causes"),
+    [
+        ({"left": 0.6}, "unexplained", ("waves",)),
+        ({"left": 0.6, "proposed": {"waves": Proposed(closing=0.4, alone=0.9)}}, "unexplained", ()),
+        ({"proposed": {"waves": Proposed(closing=0.9, alone=0.4)}}, "ambiguous", ("waves",)),
+        ({"unpredicted": {"run01": 4.0}}, "ambiguous", ("waves",)),
+        ({"diverged": True}, "unexplained", ()),
+        ({"odd_trial": {"run01": 30.0}}, "unexplained", ()),
+        ({"imitated": True}, "ambiguous", ("waves",)),
+    ],
+)
+def test_each_fact_weakens_a_verdict(changed: Any, verdict: str, causes: tuple[str, ...]) -> None:
+    found = decide(facts("waves", **changed))
+    assert (found.verdict, found.causes) == (verdict, causes)
+
+
+@pytest.mark.parametrize(
+    ("no_gap", "failed", "verdict"),
+    [(0.8, False, "none"), (0.8, True, "explained"), (0.2, False, "unexplained"), (0.2, True, "unexplained")],
+)
+def test_failed_samples_explain_only_if_nothing_else_is_missing(
+    no_gap: float, failed: bool, verdict: str
+) -> None:
+    known = facts(no_gap=no_gap, outside=1.0 - no_gap, failed_samples=failed)
+    assert decide(known).verdict == verdict
+
+
+def test_trials_that_differ_more_than_by_chance_have_a_gap() -> None:
+    assert decide(facts(no_gap=0.9, differing=["they vary in time-offset"])).verdict == "unexplained"
+    assert decide(facts(no_gap=0.9, unpredicted={"run01": 4.0})).verdict == "unexplained"
+
+
+def test_the_closed_share_is_that_of_the_squared_error_beyond_the_noise() -> None:
+    closed = closed_share(facts("waves", held_out=held_out(200.0, 200.0, 200.0)))
+    assert (closed.before, closed.after, closed.share) == (5.0, 2.0, pytest.approx(0.75))
+    assert closed.ci95 == pytest.approx((0.75, 0.75))
+    assert closed_share(facts("waves", held_out=held_out(90.0, before=100.0))).share is None
+
+
+def test_one_trial_that_gains_little_does_not_outweigh_two_that_lose() -> None:
+    assert probability_of_decrease(facts("waves", held_out=held_out(100.0, 110.0, 95.0))) == 1.0
+    assert probability_of_decrease(facts("waves", held_out=held_out(480.0, 540.0, 560.0))) < 0.2
