@@ -7,6 +7,7 @@ priors, ``readings`` the other readings of the robot, ``settings`` the settings,
 estimates both. ``context`` fits a hypothesis, ``candidates`` screens effects, ``search`` fits effects and
 sets of effects, ``posterior`` computes their probabilities. ``crossval`` and ``shrinkage`` evaluate
 held-out data, ``floor`` the noise floor. ``remainder`` describes the remaining residuals, ``dropouts``
-failed samples, ``places`` where the gap is. ``facts`` collects what ``verdict`` decides by. ``answer`` assembles the gap file, ``advice`` the
-next experiment, ``power`` what the trials could show.
+failed samples, ``places`` where the gap is. ``facts`` collects the facts from which ``verdict`` decides.
+``answer`` assembles the gap file. ``advice`` proposes the next experiment. ``power`` computes what the trials
+could show.
 """

@@ -125,11 +125,11 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     if file.at_bound:
         said = listed([f"{name} at {number(bound, 3)}" for name, bound in file.at_bound.items()])
         text = "a coefficient that the refit without effects takes to its bound may stand in for a cause"
-        passed = None
+        hit: bool | None = None
         if not file.causes:
-            passed = False
+            hit = False
         reason = f"bounds are hit: {said}"
-        yield ev.check("bounds without effects", said, passed, "inside", text, reason=reason)
+        yield ev.check("bounds without effects", said, hit, "inside", text, reason=reason)
     if file.setting_count is not None and file.setting_count < 2:
         said = "all trials have one setting, and nothing is tested at another"
         yield ev.check("settings", "1", False, "≥ 2", reason=said)
