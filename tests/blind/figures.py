@@ -23,6 +23,8 @@ STANDARD_ERRORS = 2.0
 CLOSE = 0.05
 #: Classes of the stated probability.
 PROBABILITIES = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
+#: Largest number of effects in a set that names one.
+LARGEST_SET = 3
 #: Confidence level of the intervals.
 LEVEL = 0.90
 
@@ -55,6 +57,11 @@ def is_named(row: Row) -> bool:
     return row["verdict"] in ("explained", "ambiguous")
 
 
+def is_within(row: Row) -> bool:
+    """Return whether a true effect is in the first set, and the set has at most `LARGEST_SET` effects."""
+    return is_named(row) and bool(set(row["truth"]) & set(row["set"])) and len(row["set"]) <= LARGEST_SET
+
+
 def is_sized(row: Row) -> bool:
     """Return whether the changed parameter is the first cause and its estimate is right."""
     if not (is_named(row) and row["first"]) or row["stated"] is None or not row["stderr"]:
@@ -70,9 +77,9 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
     singles, changed = kinds["single"], kinds["changed"]
     shown = [r for r in changed if (r["singles"] or 0.0) >= SHOWN]
     large = [r for r in singles if (r["gap"] or 1.0) >= LARGE]
-    sizes = [len(r["set"]) for r in large if is_named(r) and r["within"]]
+    sizes = [len(r["set"]) for r in large if is_named(r)]
     foreign = [r for r in kinds["outside"] if (r["gap"] or 1.0) >= VISIBLE]
-    right = [r for r in singles if is_named(r) and r["within"]]
+    right = [r for r in singles if is_within(r)]
     excluded = [r for r in kinds["pair"] if (r["singles"] or 0.0) >= EXCLUDED]
     closed = [r for r in rows if is_named(r) and None not in (r["closed"], r["claimed"])]
     ranged = [r for r in closed if r["interval"] is not None]
@@ -85,7 +92,7 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
         Figure("the same, if the noise-free data exclude the change of any other", _of(shown, is_sized)),
         Figure(
             f"one effect, gap {LARGE:g} x or more: in a set of at most three; mean size",
-            f"{_of(large, lambda r: is_named(r) and r['within'])}; {mean}",
+            f"{_of(large, is_within)}; {mean}",
         ),
         Figure("clean: a cause named", _of(kinds["clean"], is_named)),
         Figure("clean: `unexplained`", _of(kinds["clean"], lambda r: r["verdict"] == "unexplained")),

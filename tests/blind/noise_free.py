@@ -17,8 +17,21 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+#: Environment variables that a command keeps.
+KEPT_VARIABLES = ("PATH", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH", "NUMBA_CACHE_DIR", "SYSTEMROOT")
 #: Name of the parameter file of the model with the causes, which a diagnosis writes.
 REPAIRED = "repaired.yaml"
+#: Name of the file with the errors of both models against the noise-free motions.
+FOUND = "noise_free.json"
+
+
+def environment(home: str, search: Path | None) -> dict[str, str]:
+    """Return the environment of a command, which finds packages in ``search`` first, if it is given."""
+    found = {key: os.environ[key] for key in KEPT_VARIABLES if key in os.environ}
+    if search is not None:
+        paths = [str(search), *filter(None, [found.get("PYTHONPATH")])]
+        found["PYTHONPATH"] = os.pathsep.join(paths)
+    return found | {"HOME": home, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def write(folder: Path, place: Path, logs: Mapping[str, str]) -> None:
@@ -51,7 +64,14 @@ def write(folder: Path, place: Path, logs: Mapping[str, str]) -> None:
         yaml.dump(trials, place / "trials.yaml")
 
 
-def compare(place: Path, results: Path, *, program: Sequence[str], timeout_s: float = 300.0) -> None:
+def compare(
+    place: Path,
+    results: Path,
+    *,
+    program: Sequence[str],
+    search: Path | None = None,
+    timeout_s: float = 300.0,
+) -> None:
     """Write the errors of both models against the noise-free motions to ``noise_free.json`` of the results.
 
     Nothing is written if the diagnosis names no cause, or if the command cannot simulate a model.
@@ -63,6 +83,8 @@ def compare(place: Path, results: Path, *, program: Sequence[str], timeout_s: fl
     results : Path
         Folder with the files that the diagnosis has written.
     """
+    found = results / FOUND
+    found.unlink(missing_ok=True)
     repaired = results / REPAIRED
     if not (place.exists() and repaired.exists()):
         return
@@ -80,7 +102,7 @@ def compare(place: Path, results: Path, *, program: Sequence[str], timeout_s: fl
             subprocess.run(
                 [*program, *command],
                 cwd=work,
-                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+                env=environment(temporary, search),
                 capture_output=True,
                 timeout=timeout_s,
                 check=False,
@@ -89,7 +111,7 @@ def compare(place: Path, results: Path, *, program: Sequence[str], timeout_s: fl
                 return
             channels = YAML(typ="safe").load(work / f"{name}.yaml")["channels"]
             errors[name] = {channel: row["rmse"] for channel, row in channels.items()}
-    (results / "noise_free.json").write_text(json.dumps(errors, indent=1) + "\n")
+    found.write_text(json.dumps(errors, indent=1) + "\n")
 
 
 def closed_share(results: Path, floor: Mapping[str, float]) -> float | None:
@@ -108,7 +130,7 @@ def closed_share(results: Path, floor: Mapping[str, float]) -> float | None:
         Share of the squared error of the model as given that the repaired model does not have, at most 1.
         None without ``noise_free.json``.
     """
-    path = results / "noise_free.json"
+    path = results / FOUND
     if not path.exists():
         return None
     errors = json.loads(path.read_text())

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -49,7 +48,6 @@ FITS = {
 }
 #: Effects outside the catalogue of which a robot file asks: there the answer is another reading of it.
 READINGS = {"spread-drag": "reading:drag_point=strips"}
-KEPT_VARIABLES = ("PATH", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH", "NUMBA_CACHE_DIR", "SYSTEMROOT")
 #: Exit status of a command that has written a result and does not trust it.
 UNTRUSTED = 4
 PROGRAM = (sys.executable, "-m", "swimid")
@@ -256,11 +254,7 @@ def diagnose(
         work = Path(temporary) / "run"
         shutil.copytree(folder, work)
         given = {path.name for path in work.iterdir()}
-        environment = {key: os.environ[key] for key in KEPT_VARIABLES if key in os.environ}
-        if search is not None:
-            paths = [str(search), *filter(None, [environment.get("PYTHONPATH")])]
-            environment["PYTHONPATH"] = os.pathsep.join(paths)
-        environment |= {"HOME": temporary, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment = noise_free.environment(temporary, search)
         for command in commands(work):
             begun = time.perf_counter()
             try:
@@ -301,18 +295,28 @@ def run(
     keep: bool = False,
     program: Sequence[str] = PROGRAM,
     timeout_s: float = 900.0,
+    search: Path | None = None,
+    relabel: bool = False,
 ) -> None:
-    """Make and diagnose the cases that have no result yet."""
+    """Make and diagnose the cases that have no result yet.
+
+    With ``relabel`` the labels of the other cases, and the errors against their noise-free motions, are
+    written anew. See :func:`diagnose` for ``search``.
+    """
     begun = time.perf_counter()
 
     def one(case: dict[str, Any]) -> None:
         name = f"{case['number']:04d}"
         results = out / "results" / name
-        if (results / "result.json").exists():
+        is_done = (results / "result.json").exists()
+        if is_done and not relabel:
             return
         folder = make(case, out, seed)
-        record = diagnose(folder, results, program=program, timeout_s=timeout_s)
-        noise_free.compare(out / "labels" / name, results, program=program)
+        if is_done:
+            record = json.loads((results / "result.json").read_text())
+        else:
+            record = diagnose(folder, results, program=program, timeout_s=timeout_s, search=search)
+        noise_free.compare(out / "labels" / name, results, program=program, search=search)
         if not keep:
             shutil.rmtree(folder)
         told = " + ".join(case["effects"]) or "clean"
@@ -337,8 +341,10 @@ def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--only", nargs="+", type=int, default=[], help="only the cases of these numbers")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--timeout", type=float, default=900.0, help="per command, s")
+    parser.add_argument("--search", type=Path, help="folder with another version of the program")
     parser.add_argument("--out", type=Path, required=True, help="folder; a run there is taken up again")
     parser.add_argument("--keep", action="store_true", help="keep the case folders")
+    parser.add_argument("--relabel", action="store_true", help="write the labels of finished cases anew")
     parser.add_argument("--plan", action="store_true", help="print the cases of the plan and run nothing")
     parser.add_argument("--score", action="store_true", help="score what is there, run nothing")
     parser.add_argument(
@@ -374,5 +380,7 @@ def main(argv: Sequence[str] | None = None, *, program: Sequence[str] = PROGRAM)
             keep=chosen.keep,
             program=program,
             timeout_s=chosen.timeout,
+            search=chosen.search and chosen.search.resolve(),
+            relabel=chosen.relabel,
         )
     print(score.write(out, chosen.compare))

@@ -19,8 +19,8 @@ from ruamel.yaml import YAML
 
 from tests.blind import figures, noise_free, runner
 from tests.blind.common import PARAMETER, STAGE_OF
+from tests.blind.figures import LARGEST_SET
 
-LARGEST_SET = 3
 PROBABILITIES = (0.0, 0.5, 0.8, 0.95, 1.0 + 1e-9)
 SURE = 0.9
 #: An error that exceeds the noise by less has no share of it closed to speak of.
