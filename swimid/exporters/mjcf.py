@@ -153,7 +153,8 @@ def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
             "servo": f"{joint}_servo",
             "range": [-PLAY_RANGE * half, PLAY_RANGE * half],
             "friction": PLAY_HELD * half * stiffness,
-            "armature": 1e-3 * servo["moment"],
+            # a constraint between bodies of very different inertia is soft in MuJoCo
+            "moment": servo["moment"],
         }
     if "delay_s" in own:
         samples = str(math.ceil(own["delay_s"] / STEP_S))
