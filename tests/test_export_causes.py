@@ -170,6 +170,14 @@ def test_a_law_that_mujoco_cannot_combine_is_a_filter(tmp_path: Path, swimid: Sw
     assert not filters.exists()
 
 
+@pytest.mark.parametrize("target", ["mjcf", "gazebo"])
+def test_an_effect_without_influence_changes_nothing(target: str, tmp_path: Path, swimid: Swimid) -> None:
+    causes: Causes = {"servo-backlash": {"backlash_rad": 0.0}, "servo-lag": {"time_constant_s": 0.0}}
+    plain = _exported(swimid, _write(tmp_path, {}), target)
+    changed = _exported(swimid, _write(tmp_path, causes), target)
+    assert ET.tostring(changed) == ET.tostring(plain)
+
+
 def test_a_file_of_others_is_not_replaced_by_filters(tmp_path: Path, swimid: Swimid) -> None:
     own = tmp_path / "fish_mjcf_causes.py"
     own.write_text("mine\n")
@@ -321,6 +329,7 @@ def test_faults_of_causes_are_reported_with_their_place(tmp_path: Path, swimid: 
     faults: dict[str, tuple[Causes, dict[str, Any], str]] = {
         "unknown": ({"servo-lags": {"time_constant_s": 0.1}}, {}, "servo-lag"),
         "parameters": ({"servo-lag": {"delay_s": 0.1}}, {}, "servo-lag/time_constant_s"),
+        "negative": ({"servo-delay": {"delay_s": -0.1}}, {}, "-0.1 is negative"),
         "unnamed": ({"servo-lag": {"time_constant_s": 0.1}}, {"effects": []}, "effects: [servo-lag]"),
     }
     for causes, entries, words in faults.values():

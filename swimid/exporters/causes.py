@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from swimid.effects.base import Effect
+from swimid.effects.base import Effect, Parameters
 from swimid.effects.catalogue import catalogue
 from swimid.errors import InputError, suggestion
 from swimid.exporters import filters
@@ -53,8 +53,8 @@ class Cause:
         Values of the effect's parameters.
     effect : Effect
     hooks : Hooks
-        Changes of a simulation that begins at the origin. An effect of the sensors, and one that is left out,
-        has none.
+        Changes of a simulation that begins at the origin. There are none for an effect of the sensors, for
+        one that is left out, and for parameters without influence.
     reason : str
         Reason for which no export has the cause; empty otherwise.
     """
@@ -82,7 +82,8 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
     Raises
     ------
     InputError
-        If swimid has no such effect, or if the effect has other parameters.
+        If swimid has no such effect, or if the effect has other parameters, or one is negative that must not
+        be.
     """
     known = {effect.name: effect for effect in catalogue()}
     causes = []
@@ -99,8 +100,15 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
         if effect.stage == "sensing" or (contained and not contained(constants)):
             causes.append(Cause(name, own, effect, reason=reason))
             continue
-        effect, values = _form(effect, own, constants, model, path)
-        causes.append(Cause(name, own, effect, effect.hooks(values, NEUTRAL, model)))
+        effect, needed = _form(effect, own, constants, model, path)
+        for p in needed:
+            if p.lower == 0.0 and own[p.name] < 0.0:
+                column = f"parameters.{name}/{p.name}"
+                raise InputError(f"{own[p.name]:g} is negative; it must not be", file=path, column=column)
+        hooks = NONE
+        if any(own[p.name] != p.start for p in needed):
+            hooks = effect.hooks(np.array([own[p.name] for p in needed]), NEUTRAL, model)
+        causes.append(Cause(name, own, effect, hooks))
     return causes
 
 
@@ -110,22 +118,22 @@ def _form(
     constants: Mapping[str, Any],
     model: MultilinkModel,
     path: Path,
-) -> tuple[Effect, Any]:
-    """Return the form of an effect that has the given parameters, and their values in its order.
+) -> tuple[Effect, Parameters]:
+    """Return the form of an effect that has the given parameters, and these parameters in its order.
 
     ``constants`` are attributes of the form that its parameters do not state, such as a reference speed.
     """
-    names: list[str] = []
+    found: Parameters = ()
     for form in map(copy.copy, (effect, *effect.variants(model, [NEUTRAL]))):
         vars(form).update(constants)
-        names = [p.name for p in form.parameters(model, [NEUTRAL])]
-        if set(names) == set(own):
-            return form, np.array([own[name] for name in names])
+        found = form.parameters(model, [NEUTRAL])
+        if {p.name for p in found} == set(own):
+            return form, found
     raise InputError(
         f"the effect '{effect.name}' has other parameters on this robot than {', '.join(own) or 'none'}",
         file=path,
         column="parameters",
-        hint=f"it has: {', '.join(f'{effect.name}/{name}' for name in names)}",
+        hint=f"it has: {', '.join(f'{effect.name}/{p.name}' for p in found)}",
     )
 
 
@@ -139,19 +147,20 @@ def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: boo
     forces : bool
         Whether the target applies the forces of causes.
     """
-    limits = [
-        f"{cause.name}: the target has no such law of a servo; the Python file beside the output filters the "
-        "commands, and without it the joints follow their commands"
-        for cause in filtered
-    ]
-    for cause in causes:
-        if cause.reason:
-            limits.append(f"{cause.name} is left out: {cause.reason}")
-        elif cause.hooks.force and not forces:
-            limits.append(f"{cause.name} is left out: the target has no such force")
-    sensing = [cause.name for cause in causes if cause.effect.stage == "sensing"]
-    if sensing:
-        limits.append(f"{', '.join(sensing)}: an error of the measurement, not a part of the robot")
+    applied = [cause for cause in causes if cause.hooks.force and not forces]
+    sensing = [cause for cause in causes if cause.effect.stage == "sensing"]
+    limits = [f"{cause.name} is left out: {cause.reason}" for cause in causes if cause.reason]
+    for several, words in (
+        (applied, "left out, because the target has no such force"),
+        (sensing, "an error of the measurement, not a part of the robot"),
+        (
+            filtered,
+            "the target has no such law of a servo; a Python file beside the output filters the commands, "
+            "and without it the joints follow them exactly",
+        ),
+    ):
+        if several:
+            limits.append(f"{', '.join(cause.name for cause in several)}: {words}")
     return limits
 
 
@@ -174,7 +183,9 @@ def _offset(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, flo
 
 def _lock(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
     name = f"locked_{axis.column.removesuffix('_rad')}"
-    return {"lock": cause.values[name]} if name in cause.values else {}
+    if name not in cause.values:
+        return {}
+    return {"lock": cause.values[name]}
 
 
 def _load(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:

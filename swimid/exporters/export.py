@@ -67,7 +67,8 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     Result
         ``.document`` is the text of the file (XML or JSON), in SI units. ``.data`` has ``target``,
         ``added_mass``, ``causes`` and ``limits``, the effects that the format cannot represent. Each limit is
-        also a warning SWM060. ``filters`` is the text of the Python file of causes, or empty.
+        also a warning SWM060. If no file is written, ``filters`` is the text of the Python file that filters
+        the commands, or empty.
 
     Raises
     ------
@@ -118,19 +119,19 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
         "added_mass": options.added_mass,
         "causes": source.parameters.effects,
         "limits": limits,
-        "filters": filters,
     }
     if out is None:
-        return Text("export", text.rstrip("\n"), result | {"text": text}, document=text)
-    texts = {out: text}
+        texts = {"text": text, "filters": filters}
+        return Text("export", text.rstrip("\n"), result | texts, document=text)
+    files = {out: text}
     beside = out.with_name(f"{out.stem}_{options.to}_causes.py")
     if filters:
-        texts[beside] = filters
+        files[beside] = filters
     if options.draws:
         rows = samples[: options.draws]
-        texts[out.with_name(f"{out.stem}_draws.csv")] = _table(source, rows, options.seed)
+        files[out.with_name(f"{out.stem}_draws.csv")] = _table(source, rows, options.seed)
     with atomic.together():
-        for path, written in texts.items():
+        for path, written in files.items():
             atomic.write_text(path, written)
         if not filters and beside.exists() and is_own(beside):
             atomic.remove(beside)
@@ -138,7 +139,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     if limits:
         carried = f"{len(limits)} limits, see the warnings"
     summary = f"{source.robot.name} as {title}: {carried}"
-    return Text("export", summary, result, list(texts), document=text)
+    return Text("export", summary, result, list(files), document=text)
 
 
 def load(params: parameters.Source) -> Source:

@@ -49,8 +49,10 @@ def _offset(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
 
 
 def _lock(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
-    lock = values.get(f"locked_{axis.column.removesuffix('_rad')}", 0.0)
-    return {"gain": 1.0 - lock}
+    name = f"locked_{axis.column.removesuffix('_rad')}"
+    if name not in values:
+        return {}
+    return {"gain": 1.0 - values[name]}
 
 
 #: Functions from the parameters of an effect and a driven joint to the settings of the joint's actuator, by
@@ -76,11 +78,13 @@ def export(source: Source, options: ExportOptions) -> Exported:
         "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
         f"{wet} are left out; --added-mass fold puts them into the bodies"
     )
-    laws, limits = ", ".join(words for kind, words in KINDS.items() if source.links_with(kind)), []
+    laws = [words for kind, words in KINDS.items() if source.links_with(kind)]
+    laws += [cause.name for cause in source.causes if cause.hooks.force or cause.hooks.flow]
+    limits = []
     if laws:
         limits.append(
-            f"{laws}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
-            "swimid.exporters.mjcf.water is installed as passive callback"
+            f"{', '.join(laws)}: MuJoCo's fluid models have no such law; the numbers stand at sites and act "
+            "once swimid.exporters.mjcf.water is installed as passive callback"
         )
     settings, filtered = _settings(source)
     actuators = [
@@ -128,8 +132,8 @@ def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
         if cause.name in SERVOS:
             own = [SERVOS[cause.name](cause.values, axis) for axis in driven]
         names, taken = ({key for one in many for key in one} for many in (own, settings))
-        rates = "rate_rad_s" in names | taken and (names | taken) & NOT_WITH_RATE
-        if not own or names & taken or rates:
+        limited = "rate_rad_s" in names | taken
+        if not own or names & taken or (limited and (names | taken) & NOT_WITH_RATE):
             filtered.append(cause)
             continue
         for known, new in zip(settings, own, strict=True):

@@ -90,7 +90,7 @@ class ParameterFile(yamlio.ResultFile):
     format: Literal["swimid-parameters/1"] = FORMAT
     model: str
     robot: str | None = None
-    #: Names of the effects that have the parameters ``effect/parameter``, in the order in which they act.
+    #: Names of the effects that act in the model. Their parameters are ``effect/parameter``.
     effects: list[str] = []
     parameters: dict[str, Estimate]
     #: Sentences about the combinations of parameters that the data determine or do not determine.
