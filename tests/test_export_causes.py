@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.effects.base import Effect
+from swimid.effects.base import Affected, Effect
 from swimid.effects.catalogue import catalogue
 from swimid.exporters.mjcf import water
 from swimid.files import yamlio
@@ -48,7 +48,25 @@ NATIVE = ("amplitude-loss", "amplitude-offset", "joint-locked", "rate-limit", "s
 #: friction take the rate of the command from its past only. The onset of the slip lasts 0.25 s, not a quarter
 #: of the beat.
 ROUGH = {"load-friction": 0.1, "slip": 0.1, "stribeck": 0.05}
+#: Effects of structure, water and environment that change the path of this beat by more than 5 mm.
+SWIMMING: Causes = {
+    "added-mass": {"surge_kg": 1.0, "sway_kg": 1.0, "tail_kg": 0.0},
+    "com-offset": {"along_m": 0.03, "across_m": 0.01},
+    "current": {"cx_m_s": 0.02, "cy_m_s": -0.01},
+    "fin-flexibility": {"compliance_rad_N": 0.5},
+    "hardening": {"hardening_rad_2": 20.0},
+    "joint-damping": {"damping_N_m_s_rad": 0.003},
+    "joint-locked": {"locked_joint4": 0.2},
+    "joint-stiffness": {"change": 0.5, "hardening_rad_2": 3.0},
+    "lift-damping": {"lift_N_s2_m2": 20.0},
+    "linear-drag": {"linear_N_s_m": 1.0},
+    "tether": {"stiffness_N_m": 0.3, "slack_m": 0.05, "line_drag_N_s2_m3": 1.0, "behind_m": 0.1},
+    "wake-lift": {"added_mass_kg_m": 2.0},
+    "water-ingress": {"mass_kg": 1.0, "along_m": -0.05},
+}
 TIME = np.arange(0.0, 3.0, 0.002)
+BEAT = Beat("sine", 1.4, math.radians(25.0))
+TRIAL = Trial("run", "fit", TIME, {}, swim=SwimInput(BEAT))
 GIVEN = ROOT / "sample_logs" / "gap" / "params.yaml"
 
 
@@ -89,24 +107,34 @@ def _exported(swimid: Swimid, path: Path, target: str, *words: str) -> ET.Elemen
     return ET.fromstring(ran.out)
 
 
-def _followed(name: str, command: np.ndarray) -> np.ndarray:
-    """Return the angles of the T-Fish's driven joints with an effect of swimid, shape (3, n)."""
-    model, values = MultilinkModel(robot.read("tfish")), ACTUATION[name]
-    held = parameters.read(GIVEN).parameters
+def _model() -> MultilinkModel:
+    """Return the T-Fish with the parameters of the sample."""
+    model, held = MultilinkModel(robot.read("tfish")), parameters.read(GIVEN).parameters
     starts = {p.name: p.start for p in model.parameters} | {n: one.value for n, one in held.items()}
     model.parameters = tuple(replace(p, start=starts[p.name]) for p in model.parameters)
-    trial = Trial("run", "fit", TIME, {}, swim=SwimInput(Beat("sine", 1.4, math.radians(25.0))))
-    effect: Effect = next(e for e in catalogue() if e.name == name)
-    for form in effect.variants(model, [trial]):
-        names = [p.name for p in form.parameters(model, [trial])]
+    return model
+
+
+def _form(name: str, values: dict[str, float], model: MultilinkModel) -> tuple[Effect, np.ndarray]:
+    """Return the form of an effect that has the given parameters, and their values in its order."""
+    effect = next(e for e in catalogue() if e.name == name)
+    for form in effect.variants(model, [TRIAL]):
+        names = [p.name for p in form.parameters(model, [TRIAL])]
         if set(names) == set(values):
-            hooks = form.hooks(np.array([values[n] for n in names]), trial, model)
-            return np.array([hooks.actuated(TIME, command.copy(), k) for k in range(3)])
+            return form, np.array([values[n] for n in names])
     raise AssertionError(name)
 
 
+def _followed(name: str, command: np.ndarray) -> np.ndarray:
+    """Return the angles of the T-Fish's driven joints with an effect of swimid, shape (3, n)."""
+    model = _model()
+    form, values = _form(name, ACTUATION[name], model)
+    hooks = form.hooks(values, TRIAL, model)
+    return np.array([hooks.actuated(TIME, command.copy(), k) for k in range(3)])
+
+
 def _command() -> np.ndarray:
-    return Beat("sine", 1.4, math.radians(25.0)).motion(TIME, gain=1.0 / 3.0)[0]
+    return BEAT.motion(TIME, gain=1.0 / 3.0)[0]
 
 
 # ------------------------------------------------------------ servos
@@ -406,6 +434,42 @@ def test_the_repaired_export_is_nearer_to_the_trial(
     found = export_trials.errors(name, tmp_path_factory.mktemp(name))
     assert found.given > 20.0
     assert found.repaired <= 0.5 * found.given
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SWIMMING)
+def test_mujoco_swims_with_a_cause_as_swimid_does(
+    name: str, tmp_path: Path, swimid: Swimid, mujoco: Any
+) -> None:
+    """The difference is a small part of the influence of the cause."""
+
+    def swum(causes: Causes) -> np.ndarray:
+        words = ("--added-mass", "fold", "--servo-hz", "80")
+        root = _exported(swimid, _write(tmp_path, causes), "mjcf", *words)
+        mujoco.set_mjcb_passive(None)
+        model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+        data, found = mujoco.MjData(model), np.empty((2, len(time)))
+        mujoco.set_mjcb_passive(water(model))
+        for i, one in enumerate(drive.motion(time, gain=1.0 / 3.0, bias_gain=1.0 / 3.0)[0]):
+            found[:, i] = data.qpos[:2]
+            data.ctrl[:] = one
+            mujoco.mj_step(model, data)
+        return found
+
+    time, drive = np.arange(0.0, 5.0, 0.002), replace(BEAT, bias_rad=0.1)
+    trial = Trial("run", "fit", time, {}, swim=SwimInput(drive))
+    model = _model()
+    form, values = _form(name, SWIMMING[name], model)
+    affected = Affected(model, [form], [trial])
+    null = np.array([p.start for p in affected.parameters])
+    simulated = affected.simulate(np.concatenate([null[: -len(values)], values]), trial)
+    plain = affected.simulate(null, trial)
+    truth, without = (np.array([found["x_m"], found["y_m"]]) for found in (simulated, plain))
+    influence, error = (
+        float(np.sqrt(np.mean((path - truth) ** 2))) for path in (without, swum({name: SWIMMING[name]}))
+    )
+    assert influence > 0.005
+    assert error < 0.2 * influence or error < 0.002
 
 
 @pytest.mark.slow
