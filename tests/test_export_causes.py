@@ -378,9 +378,14 @@ def _draws(path: Path) -> tuple[list[str], np.ndarray]:
 def test_draws_have_the_covariance_and_one_of_them_is_exported(tmp_path: Path, swimid: Swimid) -> None:
     names = ["c_ma", "servo-lag/time_constant_s"]
     correlation = {"names": names, "matrix": [[1.0, -0.8], [-0.8, 1.0]]}
-    path = _write(tmp_path, {"servo-lag": {"time_constant_s": 0.05}}, correlation=correlation)
+    causes: Causes = {"servo-lag": {"time_constant_s": 0.05}, "slip": ACTUATION["slip"]}
+    path = _write(tmp_path, causes, correlation=correlation)
     out = tmp_path / "fish.xml"
-    assert swimid("export", path, "--to", "mjcf", "--draws", "2000", "-o", out).status == 0
+    for count in ("20", "2000"):  # its own files may be replaced
+        ran = swimid("export", path, "--to", "mjcf", "--draws", count, "-o", out, "--json")
+        assert ran.status == 0, ran.err
+    names_beside = ["fish.xml", "fish_mjcf_causes.py", "fish_draws.csv"]
+    assert ran.json["outputs"] == [str(tmp_path / name) for name in names_beside]
     head, table = _draws(tmp_path / "fish_draws.csv")
     assert head[0] == "draw"
     assert "d_p_m" in head

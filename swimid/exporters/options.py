@@ -43,7 +43,7 @@ class ExportOptions(
     draws: int | None = option(
         None,
         ge=1,
-        help="Also write so many random samples of all parameters, from their standard errors and "
+        help="Also write this number of random samples of all parameters, from their standard errors and "
         "correlation, for domain randomisation.",
     )
     draw: int | None = option(
