@@ -78,7 +78,7 @@ def facts(
     catalogue = 1.0 - no_gap - outside
     return Facts(
         **{"no_gap": no_gap, "outside": outside, "catalogue": catalogue, "left": left}
-        | {"proposed": names, "held_out": held}
+        | {"proposed": names, "held_out": held, "gains": {k: t.before - t.after for k, t in held.items()}}
         | more
     )
 

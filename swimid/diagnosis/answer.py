@@ -24,7 +24,7 @@ from swimid.diagnosis import (
 )
 from swimid.diagnosis.candidates import Refitted, Tried
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
-from swimid.diagnosis.facts import Found, Named
+from swimid.diagnosis.facts import Found, Named, Predictions
 from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
 from swimid.diagnosis.gap_file import (
     Absorbed,
@@ -128,12 +128,11 @@ def answer(
     imitated = facts.by_coefficients(state) and not state.changed
     if state.changed or imitated:
         held = [replace(piece, before=piece.shipped) for piece in every]
+    predictions = Predictions.of(state, validation)
     distance = None
     chance: Mapping[str, float] = {}
     if state.base.effects:
-        without, with_causes = (
-            shrinkage.misfit(context, fit, state.noise_model, validation) for fit in (nominal, state.base)
-        )
+        without, with_causes = predictions.total
         distance = Distance(before=without.times, after=with_causes.times)
         # The expected between-trial variation of the held-out trials is used only if the model with the
         # causes predicts these trials. Otherwise a gap could be taken for between-trial variation.
@@ -148,9 +147,7 @@ def answer(
     outside = shrinkage.capped(reached, held)
     rng = np.random.default_rng(seed)
     closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
-    found = facts.find(
-        state, held, noise, outside, imitated=imitated, dropout=failed > 0, validation=validation
-    )
+    found = facts.find(state, held, noise, outside, predictions, imitated=imitated, dropout=failed > 0)
     told = Told.of(state, found, noise.inside)
     closed: Closed | None = verdict.closed_share(found.facts)
     if not told.causes:

@@ -15,7 +15,7 @@ from swimid.diagnosis.floor import Floor, by_channel, excess, measured, repeats,
 from swimid.diagnosis.gap_file import Facts, Proposed, Remaining
 from swimid.diagnosis.posterior import UNSURE
 from swimid.diagnosis.search import Round, State
-from swimid.diagnosis.shrinkage import Piece
+from swimid.diagnosis.shrinkage import Misfit, Piece
 from swimid.diagnosis.verdict import MOST
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
@@ -104,6 +104,42 @@ def named(state: State, found: Round) -> Named:
 
 
 @dataclass(frozen=True)
+class Predictions:
+    """Distances of held-out data from the predictions without and with the causes.
+
+    Attributes
+    ----------
+    folds, validation : tuple of mapping of str to Misfit
+        Distance of each cross-validation fold, and of each validation trial, without and with the causes.
+    """
+
+    folds: tuple[Mapping[str, Misfit], ...]
+    validation: tuple[Mapping[str, Misfit], ...]
+
+    @classmethod
+    def of(cls, state: State, validation: Sequence[Trial]) -> Predictions:
+        """Return the distances for the models of a search."""
+        fits, noise_model = (state.nominal, state.base), state.noise_model
+        folds = [shrinkage.of_folds(state.context, fit, noise_model) for fit in fits]
+        held = [shrinkage.of_validation(state.context, fit, noise_model, validation) for fit in fits]
+        return cls(tuple(folds), tuple(held))
+
+    @property
+    def total(self) -> list[Misfit]:
+        """Return the distances without and with the causes of all validation trials, or of the folds."""
+        found = self.folds
+        if self.validation[0]:
+            found = self.validation
+        return [shrinkage.total(each) for each in found]
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """Return by how much the causes decrease the squared distance of each fold and validation trial."""
+        without, with_causes = ({**f, **v} for f, v in zip(self.folds, self.validation, strict=True))
+        return {name: one.distance - with_causes[name].distance for name, one in without.items()}
+
+
+@dataclass(frozen=True)
 class Found:
     """Facts about the trials, and the objects that they describe.
 
@@ -123,10 +159,10 @@ def find(
     held: Sequence[Piece],
     noise: Floor,
     outside: Mapping[str, float],
+    predictions: Predictions,
     *,
     imitated: bool,
     dropout: bool,
-    validation: Sequence[Trial] = (),
 ) -> Found:
     """Collect the facts from which the verdict follows.
 
@@ -142,8 +178,6 @@ def find(
         Whether the refitted coefficients imitate the causes on held-out data.
     dropout : bool
         Whether failed samples are a cause. They explain the gap if nothing else is missing.
-    validation : sequence of Trial
-        Trials that are excluded from every fit.
     """
     posterior, nominal, base = state.posterior, state.nominal, state.base
     causes: tuple[Named, ...] = ()
@@ -159,7 +193,7 @@ def find(
         outside=posterior.outside,
         proposed={c.name: c.proposed for c in causes},
         held_out=shrinkage.by_trial(held, outside),
-        fold_gains=state.gains.tolist(),
+        gains=predictions.gains,
         imitated=imitated,
         diverged=not shrinkage.sound(held),
         unreproduced=_unreproduced(state, model),
@@ -167,8 +201,7 @@ def find(
     )
     if not causes:
         facts.differing = _differing(state, gap, noise)
-    if validation:
-        facts.unpredicted = shrinkage.unpredicted(state.context, model, state.noise_model, validation)
+    facts.unpredicted = shrinkage.unpredicted(predictions.validation[bool(causes)])
     facts.left = remaining(state, model, gap_of(state, model), noise.inside).share
     if any(not row.passed for row in verdict.rows(facts)):
         facts.odd_trial = contradicting(state.context, nominal, gap, noise.inside)
@@ -248,11 +281,12 @@ def remaining(state: State, base: Fit, residuals: Sequence[Array], floor: Mappin
         return Remaining(share=share, where=_where(state), white=False)
     moving = remainder.drifting(state.low_frequency)
     apart = bool(moving or differs(state))
-    share = float(apart)
-    if moving:
-        whole = excess(state.nominal, residuals, floor)
-        still = excess(base, state.nuisance_residuals, floor)
-        share = min(sum(still[c] for c in moving) / max(sum(whole.values()), 1e-300), 1.0)
+    share = 0.0
+    if apart:
+        # The between-trial variation that the model with the causes leaves is part of the remaining gap.
+        still = base.marginal_residuals()
+        whole = sum(excess(state.nominal, residuals, floor).values())
+        share = min(sum(excess(base, still, floor).values()) / max(whole, 1e-300), 1.0)
     return Remaining(share=share, where=_where(state), white=not apart)
 
 

@@ -191,9 +191,9 @@ class Facts(yamlio.Document):
     #: errors as given if a changed parameter is among the causes, or if the refitted coefficients imitate
     #: the causes.
     held_out: dict[str, HeldOutTrial] = {}
-    #: Decrease of the squared residuals of each cross-validation fold by all proposed causes, approximated by
-    #: one Gauss-Newton step, in units of the noise variance.
-    fold_gains: list[Number] = []
+    #: Decrease by all proposed causes of the squared distance of each cross-validation fold and of each
+    #: validation trial from its prediction. The unit is the variance of the prediction error.
+    gains: dict[str, Number] = {}
     #: Whether the refitted coefficients imitate the causes on held-out data.
     imitated: bool = False
     #: Whether a held-out simulation diverges with the proposed causes.

@@ -151,8 +151,6 @@ class State:
     rounds : list of Round
         One for each cause. Changed parameters come first, and then the causes in order of their decrease of
         the held-out squared residuals.
-    gains : ndarray, shape (folds,)
-        Decrease of the held-out squared residuals of each fold by all causes, in units of the noise variance.
     """
 
     context: FitContext
@@ -163,7 +161,6 @@ class State:
     screen: Screen
     singles: list[Refitted]
     posterior: Posterior
-    gains: Array
     rounds: list[Round] = field(default_factory=list)
     left: Left | None = None
     between: list[Fit] = field(default_factory=list)
@@ -776,7 +773,7 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
     state = State(
         search.context, search.noise_model, null.fit, best.fit, dropouts,
         search.screened(null), search.ranked(null, search.best(1)), found,
-        null.misfits - best.misfits, random_effects=search.random_effects, tried=search.count,
+        random_effects=search.random_effects, tried=search.count,
     )  # fmt: skip
     for effect in best.fit.effects:
         base = search.without(best, effect)

@@ -446,15 +446,20 @@ class Misfit:
         Number of held-out samples.
     slow : bool
         Whether the residuals vary more slowly than noise, or are too short to decide.
-    chance : dict of channel to float
-        Expected mean square of the changes of validation trials by random effects, given the samples of the
-        trials. Its unit is that of the channel, squared.
+    changes : dict of channel to (float, int)
+        Expected sum of squares of the changes of validation trials by random effects, given the samples of
+        the trials, in the unit of the channel squared. The integer is the number of samples.
     """
 
     distance: float
     samples: int
     slow: bool = True
-    chance: Mapping[str, float] = field(default_factory=dict)
+    changes: Mapping[str, tuple[float, int]] = field(default_factory=dict)
+
+    @property
+    def chance(self) -> dict[str, float]:
+        """Return for each channel the mean square of the changes by random effects."""
+        return {channel: total / count for channel, (total, count) in self.changes.items()}
 
     @property
     def shown(self) -> bool:
@@ -470,43 +475,49 @@ class Misfit:
         return math.sqrt(max(self.distance, 0.0) / max(self.samples, 1))
 
 
-def unpredicted(
-    context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
-) -> dict[str, float]:
+def unpredicted(found: Mapping[str, Misfit]) -> dict[str, float]:
     """Return the validation trials that a model does not predict, the largest error first.
 
     The value is the ratio of the root-mean-square error to the one expected of a correct model. More than
     half of the squared distance of such a trial is not noise. A trial is left out if its residuals are larger
     than the noise of the other trials, but have no low-frequency component.
     """
-    inner = crossval.normal_equations(context, fit, noise_model)
-    found = {}
-    for trial in validation:
-        seen = _of_trials(context, fit, noise_model, inner, [trial])
-        largest = float(special.chdtri(max(seen.samples, 1), CHANCE / len(validation)))
+    off = {}
+    for name, seen in found.items():
+        largest = float(special.chdtri(max(seen.samples, 1), CHANCE / len(found)))
         if seen.slow and seen.shown and seen.distance > largest:
-            found[trial.id] = seen.times
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+            off[name] = seen.times
+    return dict(sorted(off.items(), key=lambda item: -item[1]))
 
 
-def misfit(context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]) -> Misfit:
-    """Return the distance of validation trials from their prediction by a fit.
-
-    Without validation trials, return the summed distance of the folds from their predictions by fits to the
-    other folds.
-    """
+def of_folds(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, Misfit]:
+    """Return the distance of each cross-validation fold from its prediction by a fit to the other folds."""
     inner = crossval.normal_equations(context, fit, noise_model)
-    if validation:
-        return _of_trials(context, fit, noise_model, inner, validation)
-    return Misfit(float(crossval.predictive(inner).sum()), int(inner.samples.sum()))
+    parts = zip(crossval.predictive(inner), inner.samples, strict=True)
+    return {f"fold {f}": Misfit(float(distance), int(n)) for f, (distance, n) in enumerate(parts, 1)}
 
 
-def _of_trials(
-    context: FitContext,
-    fit: Fit,
-    noise_model: NoiseModel,
-    inner: crossval.NormalEquations,
-    validation: Sequence[Trial],
+def of_validation(
+    context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
+) -> dict[str, Misfit]:
+    """Return the distance of each validation trial from its prediction by a fit."""
+    inner = crossval.normal_equations(context, fit, noise_model)
+    return {t.id: _of_trial(context, fit, noise_model, inner, t) for t in validation}
+
+
+def total(found: Mapping[str, Misfit]) -> Misfit:
+    """Return the distance of all held-out data together."""
+    changes: dict[str, tuple[float, int]] = {}
+    for one in found.values():
+        for channel, (square, count) in one.changes.items():
+            known, samples = changes.get(channel, (0.0, 0))
+            changes[channel] = known + square, samples + count
+    distance = sum(one.distance for one in found.values())
+    return Misfit(distance, sum(one.samples for one in found.values()), changes=changes)
+
+
+def _of_trial(
+    context: FitContext, fit: Fit, noise_model: NoiseModel, inner: crossval.NormalEquations, trial: Trial
 ) -> Misfit:
     shared = [fit.labels[j] for j in context.shared(fit)]
     known = dict(zip(fit.labels, fit.theta, strict=True))
@@ -515,7 +526,7 @@ def _of_trials(
         for label, (_, owner) in zip(fit.labels, fit.problem.slots, strict=True)
         if owner is None and label not in shared
     }
-    problem = context.problem(fit.effects, noise_model.random_effects, trials=validation, known=ended)
+    problem = context.problem(fit.effects, noise_model.random_effects, trials=[trial], known=ended)
     _weigh(problem, fit, noise_model)
     begin = np.array([known.get(n, start) for n, start in zip(problem.labels, problem.start, strict=True)])
     # Per-trial values of the fitted trials carry no information about a held-out trial.
@@ -531,15 +542,15 @@ def _of_trials(
     root[: len(places), places] = np.sqrt(np.maximum(sizes, 0.0))[:, None] * vectors.T
     root[len(places) :] = np.diag(weight)
     found = context.search(problem, noise_model, [begin], PREDICTED_RTOL, STEPS, (mean, root))
-    left = [problem.trial_residuals(found.x, k) for k in range(len(validation))]
-    chance = _chance(problem, found.x, fit, noise_model)
+    left = [problem.trial_residuals(found.x, 0)]
+    chance = _changes(problem, found.x, fit, noise_model)
     moving = remainder.low_frequency(problem, left)
     slow = not moving or any(channel.ratio > remainder.SLOW for channel in moving.values())
     return Misfit(float(found.cost), sum(len(r) for r in left), slow, chance)
 
 
-def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, float]:
-    """Return for each channel the mean square by which random effects change the validation trials.
+def _changes(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> dict[str, tuple[float, int]]:
+    """Return for each channel the sum of squares by which random effects change the validation trials.
 
     It is the expectation given the samples of these trials. Initial states are refitted, and random effects
     are limited to probable values.
@@ -567,7 +578,7 @@ def _chance(problem: Mixed, theta: Array, fit: Fit, noise_model: NoiseModel) -> 
             # The noise of a channel that no fitted trial has is unknown.
             if weights.all():
                 squares.setdefault(channel, []).append(squared / weights)
-    return {c: float(np.mean(np.concatenate(v))) for c, v in squares.items()}
+    return {c: (float(np.sum(v)), len(v)) for c, v in ((c, np.concatenate(v)) for c, v in squares.items())}
 
 
 def _weigh(problem: Mixed, fit: Fit, noise_model: NoiseModel) -> None:

@@ -164,7 +164,7 @@ def _held_out(facts: Facts, names: str) -> Iterator[Row]:
     if facts.diverged:
         reason = f"a simulation of held-out data diverges with {names}"
         yield Row("held-out simulation", "diverges", "finite", False, "unexplained", "none", reason)
-    if not facts.held_out:
+    if not facts.gains:
         return
     lower, closed = probability_of_decrease(facts), closed_share(facts)
     needed, found = f"probability ≥ {percent(CLEAR)}", f"probability {probability_text(lower)}"
@@ -183,12 +183,12 @@ def closes_most(closed: Closed) -> tuple[bool, str]:
 
 
 def probability_of_decrease(facts: Facts) -> float:
-    """Return the probability that the causes reduce the squared errors on held-out data.
+    """Return the probability that the causes reduce the distance of held-out data from their prediction.
 
-    The held-out trials get random weights (Bayesian bootstrap). A single trial gives the probability 0 or 1.
+    The cross-validation folds and validation trials get random weights (Bayesian bootstrap).
     """
-    lowered = np.array([t.before - t.after for t in facts.held_out.values()])
-    return float(np.mean(_weights(len(lowered)) @ lowered > 0.0))
+    gains = np.array(list(facts.gains.values()))
+    return float(np.mean(_weights(len(gains)) @ gains > 0.0))
 
 
 def closed_share(facts: Facts) -> Closed:
