@@ -480,7 +480,7 @@ def test_per_trial_values_say_nothing_about_a_held_out_trial() -> None:
         context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, [first, second], {})
         noise_model = NoiseModel([[np.full(200, 0.1)]] * 2)
         fit = context.fit((Apart("ring", ring),), noise_model, [np.array([1.0, 1.0, -2.0])])
-        return shrinkage.of_validation(context, fit, noise_model, [last])["last"].distance
+        return shrinkage.of_validation(context, fit, noise_model, [last])["t3"].distance
 
     assert distance(0.0) == pytest.approx(200.0, abs=5.0 * np.sqrt(400.0))
     assert distance(1.0) > 200.0 + 0.5 * 200.0 * 0.5 / 0.1**2
