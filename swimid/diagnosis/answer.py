@@ -498,17 +498,20 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         first = state.rounds[0]
         # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
         # way.
-        names = [n for n in told.causes[0].alike if n not in first.same]
-        rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
-        if len(rivals) == 1:
-            rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
+        ranked = [r for r in first.ranked if r.tried.effect.name not in first.same]
+        rivals = [r for r in ranked if r.tried.effect.name in told.causes[0].alike] or ranked[:1]
+        rivals += ranked[1:2] * (len(rivals) == 1)
     if len(rivals) < 2 and told.verdict == "unexplained":
         return repeat
-    if len(rivals) < 2:
+    if len(rivals) < 2 or state.limits is None:
         return []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
+    fits = [r.fit for r in rivals]
+    if len(told.causes[0].alike) == 1 and now > advice.threshold(fits):
+        # The present trials already exclude the next best rival.
+        return []
     try:
-        return advice.advise(state.context, [r.fit for r in rivals], state.noise_model, floor, now)
+        return advice.advise(state.context, fits, state.noise_model, state.limits, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 
