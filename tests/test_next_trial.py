@@ -195,7 +195,14 @@ def test_a_tank_that_is_too_short_is_said_and_no_file_is_written(drops: Path) ->
 
 def test_a_command_file_of_another_program_is_kept(drops: Path) -> None:
     (drops / "mine.csv").write_text("t_s,force_N\n0,1\n1,1\n")
-    words = ["diagnose", drops / "trials.yaml", "--params", drops / "params.yaml", "--next", drops / "mine.csv"]
+    words = [
+        "diagnose",
+        drops / "trials.yaml",
+        "--params",
+        drops / "params.yaml",
+        "--next",
+        drops / "mine.csv",
+    ]
     assert command(*words).status == 2
     assert (drops / "mine.csv").read_text().startswith("t_s,force_N")
 
@@ -206,7 +213,7 @@ def test_detection_power_has_no_next_trial(drops: Path, swimid: Run) -> None:
     assert "--next" in ran.err
 
 
-def test_no_trial_is_proposed_for_exact_twins(drops: Path, tmp_path: Path) -> None:
+def test_no_trial_is_proposed_for_exact_twins(tmp_path: Path) -> None:
     """Viscous friction of the pulley and linear drag are one force."""
     lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
     rng = np.random.default_rng(2)
@@ -234,6 +241,19 @@ def test_no_trial_is_proposed_for_exact_twins(drops: Path, tmp_path: Path) -> No
     assert "none separates" in " ".join(ran.err.split())
 
 
+def test_a_rival_that_the_trials_exclude_needs_no_trial(tmp_path: Path) -> None:
+    trials, params = SAMPLES / "rig" / "trials.yaml", tmp_path / "ideal.yaml"
+    assert command("fit-drag", trials, "--fix", "pulley_friction=0", "-o", params).status == 0
+    words = ["diagnose", trials, "--params", params, "--effects", "pulley-friction,linear-drag"]
+    ran = command(*words, "-o", tmp_path / "gap.yaml", "--next", tmp_path / "next.csv")
+    assert ran.status == 0, ran.err
+    file = GapFile.read(tmp_path / "gap.yaml")
+    assert [cause.effect for cause in file.causes] == ["pulley-friction"]
+    assert file.advice == []
+    assert not (tmp_path / "next.csv").exists()
+    assert "leaves no rival causes" in " ".join(ran.err.split())
+
+
 def test_python_gives_the_proposed_trial_without_a_file(drops: Path) -> None:
     gap = package.diagnose(
         drops / "trials.yaml", params=drops / "params.yaml", effects=["pulley-friction", "drag-reynolds"]
@@ -241,3 +261,127 @@ def test_python_gives_the_proposed_trial_without_a_file(drops: Path) -> None:
     assert gap.next is not None
     assert list(gap.next.columns) == ["t_s", "force_N"]
     assert gap.next.metadata["run"] == gap.file.advice[0].text
+
+
+# ---------------------------------------------------------------- a robot with links
+
+#: Noise that is added to the sample's track, m and rad.
+TRACK_NOISE = {"x_m": 0.006, "y_m": 0.006, "yaw_rad": 0.04}
+RIVALS = ("servo-backlash", "rate-limit")
+#: Largest angle and rate of each joint in the limited robot file, degrees and degrees per second.
+MAX_ANGLE, MAX_RATE = 7.0, 45.0
+
+
+def swum(folder: Path, robot: str = "tfish") -> Path:
+    """Two equal trials of the sample with more noise, which do not tell backlash from a limit of the rate."""
+    rng = np.random.default_rng(3)
+    lines = ["format: swimid-trials/1", "experiment: free-swim", f"robot: {robot}", "trials:"]
+    for name in ("run01", "run02"):
+        log = log_format.read(SAMPLES / "gap" / f"{name}.csv")
+        columns = {c: v + rng.normal(0.0, TRACK_NOISE.get(c, 0.0), len(log)) for c, v in log.columns.items()}
+        log_format.write(folder / f"{name}.csv", columns)
+        lines.append(f"  - {{id: {name}, log: {name}.csv, drive: {{frequency_hz: 1, amplitude_deg: 25}}}}")
+    (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+    (folder / "params.yaml").write_text((SAMPLES / "gap" / "params.yaml").read_text())
+    return folder
+
+
+def extent(x: Array, y: Array) -> float:
+    """Largest distance between two points of a path."""
+    x, y = np.asarray(x), np.asarray(y)
+    return float(np.max(np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y))))
+
+
+def actuated(log: log_format.Log, effect: str, size: float) -> log_format.Log:
+    """The commands of a log as joints follow them with play, or with a limited rate."""
+    columns = {"t_s": log.time_s}
+    for name, angles in log.signals.items():
+        found = angles.copy()
+        for i in range(1, len(found)):
+            low, high = angles[i] - 0.5 * size, angles[i] + 0.5 * size
+            if effect == "rate-limit":
+                step = size * (log.time_s[i] - log.time_s[i - 1])
+                low = high = float(np.clip(angles[i], found[i - 1] - step, found[i - 1] + step))
+            found[i] = float(np.clip(found[i - 1], low, high))
+        columns[name] = found
+    return log_format.Log(log.path, {}, columns)
+
+
+@pytest.fixture(scope="module")
+def fish(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, GapFile]:
+    """The swimming trials with two rival causes, and their gap file."""
+    folder = swum(tmp_path_factory.mktemp("fish"))
+    return folder, diagnosed(folder, "next", "--effects", ",".join(RIVALS))[0]
+
+
+def test_a_command_file_has_the_joint_commands_and_its_entry(fish: tuple[Path, GapFile]) -> None:
+    folder, file = fish
+    log = log_format.read(folder / "next.csv")
+    assert list(log.columns) == ["t_s", "cmd1_rad", "cmd2_rad", "cmd3_rad"]
+    assert log.metadata["separates"] == file.advice[0].separates
+    assert set(file.advice[0].separates) == set(RIVALS)
+    assert log.metadata["difference"] > log.metadata["noise"] > log.metadata["now"]
+    assert file.advice[0].text in ran_text(folder)
+    # the whole tail bends by three joints of a third each
+    assert np.degrees(3 * np.max(np.abs(log["cmd1_rad"]))) <= 1.4 * 25 + 0.1
+    drive = log.metadata["trial"].get("drive")
+    if drive:
+        assert 0.6 <= drive["frequency_hz"] <= 1.4
+        beat = np.sin(2 * np.pi * drive["frequency_hz"] * log.time_s) * np.radians(drive["amplitude_deg"]) / 3
+        later = log.time_s > drive["ramp_s"]
+        turn = np.radians(drive["bias_deg"]) / 3
+        assert log["cmd2_rad"][later] == pytest.approx((beat + turn)[later], abs=1e-6)
+
+
+def ran_text(folder: Path) -> str:
+    """The text of the report of a diagnosis, with single spaces."""
+    return " ".join(command("report", folder / "next.yaml", "--format", "md").out.split())
+
+
+@pytest.mark.slow
+def test_the_rivals_swim_the_proposed_trial_differently(fish: tuple[Path, GapFile]) -> None:
+    """The refit of the coefficients takes up a part of the difference, but adds none."""
+    folder, file = fish
+    log = log_format.read(folder / "next.csv")
+    paths = []
+    for effect in RIVALS:
+        alone = package.diagnose(folder / "trials.yaml", params=folder / "params.yaml", effects=[effect])
+        cause = alone.file.causes[0]
+        size = next(iter(cause.parameters.values())).value
+        own = {a.coefficient: a.with_effect.value for a in cause.absorbed}
+        log_format.write(folder / "moved.csv", actuated(log, effect, size).columns)
+        run = package.simulate(
+            params=folder / "params.yaml", chosen=own, input=folder / "moved.csv", dt=0.0025
+        )
+        paths.append(run.frame)
+        assert extent(run.frame["x_m"], run.frame["y_m"]) < 0.3
+    step = round(0.04 / float(np.diff(log.time_s)[0]))
+    apart = [(paths[0][c] - paths[1][c]).to_numpy()[::step] / sd for c, sd in TRACK_NOISE.items()]
+    whole = math.sqrt(sum(float(part @ part) for part in apart))
+    assert file.advice[0].noise < file.advice[0].difference <= 1.4 * whole
+
+
+def test_limits_of_the_robot_the_tank_and_the_options_are_kept(tmp_path: Path) -> None:
+    text = (Path(package.__file__).parent / "robots" / "tfish.yaml").read_text()
+    limits = f"gain: 0.3333333333333333, max_angle_deg: {MAX_ANGLE}, max_rate_deg_s: {MAX_RATE}"
+    (tmp_path / "limited.yaml").write_text(text.replace("gain: 0.3333333333333333", limits))
+    folder = swum(tmp_path, "limited.yaml")
+    options = ("--tank-length-m", "0.15", "--max-frequency-hz", "1.2", "--max-amplitude-deg", "20")
+    file, _ = diagnosed(folder, "next", "--effects", ",".join(RIVALS), *options)
+    log = log_format.read(folder / "next.csv")
+    for name, angles in log.signals.items():
+        assert np.degrees(np.max(np.abs(angles))) <= min(MAX_ANGLE, 20 / 3) + 1e-6, name
+        assert np.degrees(np.max(np.abs(np.diff(angles) / np.diff(log.time_s)))) <= MAX_RATE + 1e-6, name
+    run = package.simulate(params=folder / "params.yaml", input=folder / "next.csv")
+    assert extent(run.frame["x_m"], run.frame["y_m"]) <= 1.1 * 0.15
+    assert all(advice.difference != 0.0 for advice in file.advice)
+    # without a drive, the commands of the log move the robot
+    entry = {key: value for key, value in log.metadata["trial"].items() if key != "drive"}
+    columns = {**log.columns, **{c: run.frame[c].to_numpy() for c in TRACK_NOISE}}
+    log_format.write(folder / entry["log"], columns, log.metadata)
+    trials = yaml.safe_load((folder / "trials.yaml").read_text())
+    trials["trials"] = [entry]
+    (folder / "swum.yaml").write_text(yaml.safe_dump(trials))
+    ran = command("compare", folder / "swum.yaml", "--params", folder / "params.yaml", "--json")
+    assert ran.status == 0, ran.err
+    assert ran.json["result"]["channels"]["x_m"]["rmse"] < 0.001

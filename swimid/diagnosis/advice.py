@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 import swimid
 from swimid.diagnosis import crossval, proposals
@@ -54,7 +54,7 @@ def threshold(rivals: Sequence[Fit]) -> float:
     the number of parameters that act on one trial.
     """
     most = max(len(fit.problem.taken[0][1]) for fit in rivals)
-    return math.sqrt(float(chi2.ppf(LEVEL, most)))
+    return math.sqrt(float(chdtri(most, 1.0 - LEVEL)))
 
 
 def advise(

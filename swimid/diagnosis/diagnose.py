@@ -85,7 +85,7 @@ def diagnose(
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
         parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
         with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
-        channel.
+        channel. ``.next`` is the command file of the trial that separates rival causes best, or None.
 
     Raises
     ------

@@ -650,6 +650,9 @@ class Diagnosis(FileResult[GapFile]):
         One row for each channel. Columns: error ``nrmse`` of the refitted model, noise ``floor``, error
         ``within`` trials without between-trial variation (all divided by the measured range), ``share``
         (fraction of the squared gap), ``rmse`` (in ``unit``).
+    next : Log or None
+        Command file of the best proposed trial. None if no trial separates rival causes, and for a result
+        that was read from a file.
     file : GapFile
         Content of the file that :meth:`save` writes. It also has rival causes, remaining residuals, proposed
         experiments and the scores of all effects.

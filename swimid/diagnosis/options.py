@@ -69,6 +69,9 @@ class DiagnoseOptions(
         help="Write the trial that would separate rival causes best, as a log (.csv or .parquet) of commands."
         " It stays within 1.4 times the settings of the trials and the joint limits of the robot file.",
     )
+    robot: str | None = simulations.robot()
+    readings: Mapping[str, str] = swimmers.readings()
+    dt: float = swimmers.step("max_step_s")
     tank_length_m: float | None = option(
         None, gt=0, help="Longest path of a proposed trial. Default: the longest of the trials."
     )
@@ -78,6 +81,3 @@ class DiagnoseOptions(
         gt=0,
         help="Largest beat amplitude of a proposed trial; for strokes and logged commands of each joint.",
     )
-    robot: str | None = simulations.robot()
-    readings: Mapping[str, str] = swimmers.readings()
-    dt: float = swimmers.step("max_step_s")

@@ -194,10 +194,10 @@ def stepped(time_s: Array, levels: Sequence[float], edges_s: Sequence[float], ra
     ramp_s : float
         Duration of each change.
     """
-    changes = zip(np.diff(levels), edges_s, strict=True)
-    return np.asarray(levels[0] + sum(c * eased(time_s - at, ramp_s) for c, at in changes)) * np.ones(
-        len(time_s)
-    )
+    found = np.full(len(time_s), levels[0], dtype=float)
+    for change, at in zip(np.diff(levels), edges_s, strict=True):
+        found += change * eased(time_s - at, ramp_s)
+    return found
 
 
 # ---------------------------------------------------------------- robots with links
@@ -308,7 +308,7 @@ class Swim(Protocol):
         return [length * hz for length, hz, size in parts if size and math.isfinite(hz)]
 
     def _simple(self, f: Sequence[float], a: Sequence[float], b: Sequence[float]) -> SwimInput | None:
-        """Return a drive that a trials file can state: one beat or stroke, or a stroke that stops."""
+        """Return a drive that a trials file can state, a single beat or stroke; None for several segments."""
         if self.beat is not None and len(f) == 1:
             beat = replace(
                 self.beat,
@@ -376,11 +376,8 @@ class Swim(Protocol):
         if self.stroke is not None:
             run, unit = f"swim with the stroke {self.stroke.name}", "times its angles"
         elif self.beat is None:
-            run, speed, unit = (
-                f"play the commands of {self.template.id}",
-                "times the speed",
-                "times the angles",
-            )
+            run = f"play the commands of {self.template.id}"
+            speed, unit = "times the speed", "times the angles"
         said = []
         for hz, size, bias in zip(f, a, b, strict=True):
             turn = f" with a bias of {bias:.3g} deg" * bool(bias)
