@@ -459,7 +459,10 @@ class Signal(Protocol):
         trial = Trial(
             "proposed", "fit", time, {}, {self.column: column}, self.template.rig, held=self.template.held
         )
-        parts = [f"{s.amplitude:g} times as large and {s.frequency:g} times as fast" for s in segments]
+        parts = ["at zero"] * len(segments)
+        for k, s in enumerate(segments):
+            if s.amplitude:
+                parts[k] = f"{s.amplitude:g} times as large and {s.frequency:g} times as fast"
         text = f"play {self.column} of {self.template.id} {', then '.join(parts)}"
         columns = {"t_s": time, self.column: column}
         return Proposal(f"{text}, for {_duration(trial):.3g} s", trial, {}, columns)
