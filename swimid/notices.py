@@ -78,6 +78,7 @@ CODES: dict[str, str] = {
     "SWM072": "an estimate is physically impossible",
     "SWM073": "the search had stopped short of the best fit",
     "SWM074": "rows of a log fitted twice",
+    "SWM075": "no next trial to write",
     "SWM080": "a fault of recording was repaired",
     "SWM081": "an integrated path is accurate for a short time only",
     "SWM082": "no still period in an inertial log",

@@ -8,6 +8,7 @@ estimates both. ``context`` fits a hypothesis, ``candidates`` screens effects, `
 sets of effects, ``posterior`` computes their probabilities. ``crossval`` and ``shrinkage`` evaluate
 held-out data, ``floor`` the noise floor. ``remainder`` describes the remaining residuals, ``dropouts``
 failed samples, ``places`` where the gap is. ``facts`` collects the facts from which ``verdict`` decides.
-``answer`` assembles the gap file. ``advice`` proposes the next experiment. ``power`` computes what the trials
+``answer`` assembles the gap file. ``proposals`` lists trials that could be run next, and ``advice`` selects
+the best one. ``power`` computes what the trials
 could show.
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,13 @@ from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
+from swimid.diagnosis.proposals import Limits
 from swimid.effects import catalogue as effect_catalogue
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
@@ -32,6 +34,8 @@ NOT_GIVEN = (
     "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
     "as known, and no change of a parameter can be named"
 )
+#: Text that says why there is no proposed trial if the answer leaves no rival causes.
+NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
 
 
 def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
@@ -81,7 +85,7 @@ def diagnose(
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
         parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
         with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
-        channel.
+        channel. ``.next`` is the command file of the trial that separates rival causes best, or None.
 
     Raises
     ------
@@ -140,8 +144,10 @@ def diagnose(
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
         inputs = [*experiment.inputs, *options.own_effects]
-        if output is not None:
-            atomic.check_writable(output, inputs=inputs)
+        if options.next is not None and options.power:
+            raise UsageError("--next has no place beside --power, which compares no rival causes")
+        for place in [path for path in (output, options.next) if path is not None]:
+            atomic.check_writable(place, inputs=inputs)
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)
@@ -174,10 +180,19 @@ def diagnose(
             context, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
             progress=progress,
         )  # fmt: skip
+        state.limits = Limits(
+            experiment,
+            options.tank_length_m,
+            options.max_frequency_hz or math.inf,
+            math.radians(options.max_amplitude_deg or math.inf),
+        )
         with threadpool_limits(limits=1, user_api="blas"):
             file, worst = answer.answer(
                 state, validation, begun, fitted, seed=options.seed, progress=progress
             )
+        if options.next is not None and all(a.command is None for a in file.advice):
+            why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
+            warn("SWM075", f"{options.next.name} is not written: {why[0]}")
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
     about |= {
         "reasons": [*file.reasons, *reasons],
@@ -186,6 +201,10 @@ def diagnose(
     }
     file = file.model_copy(update=about)
     rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
-    made = Diagnosis.of(file, rests_on).saved(output)
+    made = Diagnosis.of(file, rests_on)
+    with atomic.together():
+        made = made.saved(output)
+        if options.next is not None and made.next is not None:
+            made = made.with_command(options.next)
     keep.done()
     return made
