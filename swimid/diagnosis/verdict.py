@@ -241,14 +241,17 @@ def widened(count: int) -> float:
 
 
 def interval(share: float, drawn: Sequence[float], count: int) -> tuple[float | None, float | None]:
-    """Return the 95 % interval of a closed share from bootstrap resamples; unknown from too few of them.
+    """Return the 95 % interval of a closed share from bootstrap resamples.
+
+    It is unknown from too few resamples, and from fewer than three trials, whose interval would have no limit
+    of practical use.
 
     Parameters
     ----------
     count : int
         Number of trials.
     """
-    if len(drawn) <= 20 or not math.isfinite(share):
+    if len(drawn) <= 20 or count < 3 or not math.isfinite(share):
         return None, None
     low, high = (share + widened(count) * (float(end) - share) for end in np.quantile(drawn, (0.025, 0.975)))
     return low, min(high, 1.0)
