@@ -1428,3 +1428,20 @@ def test_a_cause_with_which_a_held_out_trial_diverges_is_reported(
 ) -> None:
     """The range of the trial is 200 times its noise. Another trial is predicted well with the cause."""
     assert shrinkage.sound([piece(5.0, 0.0), piece(before, after)]) is sound
+
+
+def test_twins_share_one_prior_probability() -> None:
+    """A hypothesis that is listed twice under two names is as probable as the hypothesis alone."""
+
+    def made(*scores: tuple[str, float]) -> posterior.Posterior:
+        null, *others = (
+            posterior.Candidate(frozenset(name.split()), score, np.full(5, score / 5), len(name.split()))
+            for name, score in (("", 1500.0), *scores)
+        )
+        return posterior.posterior(null, others, record=posterior.Record(1000.0, 5, 20))
+
+    once = made(("drag", 1010.0), ("waves", 1040.0))
+    twice = made(("drag", 1010.0), ("viscous", 1010.0), ("waves", 1040.0))
+    assert twice.none == pytest.approx(once.none)
+    assert twice.having("waves") == pytest.approx(once.having("waves"))
+    assert twice.having("drag", "viscous") == pytest.approx(once.having("drag"))

@@ -35,6 +35,9 @@ TENTH = 0.1
 FURTHER = 0.1
 #: Probability of no gap below which a diagnosis reports a gap.
 UNSURE = 0.1
+#: Relative difference of squared residuals below which two hypotheses count as the same. It is the tolerance
+#: of their fits.
+SAME_RTOL = 1e-4
 #: Number of random samples of the weights of the cross-validation folds (Bayesian bootstrap).
 WEIGHTINGS = 200
 
@@ -105,6 +108,17 @@ class Candidate:
     numbers: int
     slow: float | None = None
     alike: Mapping[str, float] = field(default_factory=dict)
+
+
+def are_twins(first: Candidate, second: Candidate) -> bool:
+    """Return whether two hypotheses leave the same residuals, so that no trial of this kind separates them.
+
+    Linear drag and viscous friction of the pulley are such twins in falling-weight trials.
+    """
+    if len(first.names) != len(second.names) or first.numbers != second.numbers:
+        return False
+    alike = np.allclose(first.folds, second.folds, rtol=SAME_RTOL, atol=0.0)
+    return bool(alike and math.isclose(first.score, second.score, rel_tol=SAME_RTOL))
 
 
 @dataclass(frozen=True)
@@ -353,7 +367,10 @@ def posterior(
     drawn -= np.minimum(drawn.min(axis=0), 0.0)
     size = np.log1p(drawn / unit(record, float(excess[0]), calibration))
     costs = np.array([calibration.number * c.numbers for c in candidates])
-    known = np.array([prior(len(c.names), record.effects) for c in candidates]) - costs
+    # Twins are one hypothesis, and share its prior probability.
+    better = [c for c in candidates if c.score < null.score]
+    same = np.array([max(sum(are_twins(c, other) for other in better), 1) for c in candidates])
+    known = np.array([prior(len(c.names), record.effects) for c in candidates]) - costs - np.log(same)
     known = np.concatenate(([0.0], known))
     closes = known[:, None] + 0.5 * calibration.directions * record.parts * (size[0] - size)
     closes[0] = 0.0

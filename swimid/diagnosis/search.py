@@ -124,8 +124,8 @@ class Round:
     ranked : list of Refitted
         The cause, followed by its alternatives in order of decreasing quality.
     same : tuple of str
-        Names of effects that change the trials in the same way as the cause, if the cause is a changed
-        parameter.
+        Names of effects that change the trials in the same way as the cause: twins of the cause, and the
+        effects that are equivalent to a changed parameter.
     """
 
     ranked: list[Refitted]
@@ -783,12 +783,13 @@ def rounds(search: Search, best: Hypothesis, found: Posterior, dropouts: Dropout
         size = len(best.names)
         rivals = [h for h in search.best(size) if base.key < h.key and h.key != best.key]
         ranked = [*search.ranked(base, [best]), *search.ranked(base, rivals)]
-        same = tuple(
+        same = [
             r.tried.effect.name
             for r in ranked[1:]
-            if effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried)
-        )
-        state.rounds.append(Round(ranked, same))
+            if _twins(found, best.names, base.names | {r.tried.effect.name})
+            or (effect.adds_to is not None and _same_change(search, found, base, ranked[0].tried, r.tried))
+        ]
+        state.rounds.append(Round(ranked, tuple(same)))
     # A changed parameter comes first, because it needs no additional physics.
     state.rounds.sort(key=lambda r: (r.ranked[0].tried.effect.adds_to is None, -r.ranked[0].gain))
     smaller = best
@@ -817,6 +818,12 @@ def in_parameters(search: Search, best: Hypothesis, found: Posterior) -> Hypothe
                 best = h
                 break
     return best
+
+
+def _twins(found: Posterior, *sets: frozenset[str]) -> bool:
+    """Return whether two sets of effects leave the same residuals."""
+    known = {c.names: c for c in found.candidates}
+    return all(names in known for names in sets) and posterior.are_twins(*(known[names] for names in sets))
 
 
 def _same_change(search: Search, found: Posterior, base: Hypothesis, first: Tried, second: Tried) -> bool:
