@@ -340,7 +340,7 @@ def test_a_validation_trial_that_is_not_predicted_is_reported(tmp_path: Path) ->
     ran = command("diagnose", trials, "-o", out, "-q")
     assert ran.status == 0, ran.err
     file = GapFile.read(out)
-    assert (file.verdict, list(file.unpredicted)) == ("unexplained", ["w30"])
+    assert (file.verdict, list(file.facts.unpredicted)) == ("unexplained", ["w30"])
     assert "w30" in file.advice[0].text
     single = [line for line in whole.splitlines() if "log:" not in line or "w20.csv" in line]
     trials.write_text("\n".join(single) + "\n")

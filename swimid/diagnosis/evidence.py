@@ -414,7 +414,10 @@ def answer_text(file: GapFile) -> str:
         said += (
             f" {held_out[0].upper()}{held_out[1:]} the squared error goes from {before} to {after} times the"
         )
-        said += f" noise: {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip() + "."
+        said += " noise"
+        if closed.share > 0.0:
+            said += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
+        said += "."
     return said
 
 

@@ -62,7 +62,7 @@ def test_a_black_box_of_unrelated_noise_describes_nothing(case: Case, swimid: Ru
     file = GapFile.read(folder / "gap.yaml")
     assert (file.verdict, file.causes) == ("unexplained", [])
     assert Diagnosis.load(folder / "gap.yaml").verdict == "bad"
-    assert file.unreproduced["y"] < 0.02
+    assert file.facts.unreproduced["y"] < 0.02
 
 
 @pytest.mark.slow
