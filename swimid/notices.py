@@ -65,6 +65,7 @@ CODES: dict[str, str] = {
     "SWM058": "track cleaned",
     "SWM059": "the track goes on elsewhere after a jump",
     "SWM060": "the target of an export cannot express a part of the robot",
+    "SWM061": "a file of an earlier run stays beside the result",
     "SWM062": "parameters in use that their fit does not support",
     "SWM063": "course and heading of a track contradict each other",
     "SWM064": "another object was first taken for the marker",

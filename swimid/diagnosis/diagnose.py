@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, evidence, nominal, power, readings, search
+from swimid.diagnosis import answer, evidence, nominal, power, readings, repaired, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.effects import catalogue as effect_catalogue
+from swimid.effects.base import Affected
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
+from swimid.files.provenance import Input
+from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
-from swimid.notices import Progress, recorded, silent
+from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import parameters as parameters_format
@@ -51,12 +56,34 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
     return compare_series.pool(done, experiment.model)
 
 
+def _place_of_repaired(options: DiagnoseOptions, output: Path | None, inputs: Sequence[Input]) -> Path | None:
+    """Return the path of the parameter file with the causes; None if none is written.
+
+    Raises
+    ------
+    UsageError
+        If the default path is an input, or if the option is given beside ``--power``.
+    """
+    if options.power:
+        if options.repaired is not None:
+            raise UsageError("--repaired has no place beside --power, which names no causes")
+        return None
+    if options.repaired is not None or output is None or atomic.is_device(output):
+        return options.repaired
+    place = evidence.beside(output)
+    if place.exists() and any(isinstance(i, str | Path) and place.samefile(i) for i in inputs):
+        hint = "name another file for the model with the causes: --repaired FILE"
+        raise UsageError(f"{place} is an input of this diagnosis", hint=hint)
+    return place
+
+
 @takes(DiagnoseOptions)
 def diagnose(
     trials: str | Path | TrialSet,
     *,
     options: DiagnoseOptions,
     output: Path | None = None,
+    allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> Diagnosis | power.DetectionPower:
     """Find the effect behind the gap between a model and its trials.
@@ -70,7 +97,11 @@ def diagnose(
     trials : path or TrialSet
         Trials of any experiment: a file, or the result of :func:`swimid.load`.
     output : path, optional
-        Gap file to write. The evidence file is written next to it.
+        Gap file to write. The evidence file, and the parameter file of the model with the causes, are written
+        next to it.
+    allow : callable
+        Function that is called with every file before it is written. It raises an error if the file must not
+        be written.
     progress : Progress
         Progress display of the fitted effects.
 
@@ -123,9 +154,17 @@ def diagnose(
         loaded = experiment_catalogue.load(trials, options)
         experiment = loaded.experiment
         model = experiment.model
+        inputs = [*experiment.inputs, *options.own_effects]
+        place = _place_of_repaired(options, output, inputs)
+        for path in (output, place):
+            if path is not None:
+                allow(atomic.check_writable(path, inputs=inputs))
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # The noise is estimated with the whole catalogue, even if only some effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
+        if isinstance(model, Affected):
+            # An effect of the parameter file is part of the model, and no hypothesis.
+            known = [e for e in known if e.joins(model.effects)]
         as_given = _as_given(loaded)
         begun = nominal.begun(loaded)
         asked = None
@@ -139,9 +178,6 @@ def diagnose(
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
-        inputs = [*experiment.inputs, *options.own_effects]
-        if output is not None:
-            atomic.check_writable(output, inputs=inputs)
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)
@@ -178,6 +214,14 @@ def diagnose(
             file, worst = answer.answer(
                 state, validation, begun, fitted, seed=options.seed, progress=progress
             )
+        folder = trials_format.place(trials).parent
+        if place is not None:
+            folder = place.parent
+        repaired_file = repaired.parameters(
+            state, file, loaded, folder, readings=options.readings, provenance=origin
+        )
+        if repaired_file is None and place is not None and place.exists():
+            warn("SWM061", f"{place.name} belongs to an earlier run: this one found no cause to write to it")
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
     about |= {
         "reasons": [*file.reasons, *reasons],
@@ -186,6 +230,10 @@ def diagnose(
     }
     file = file.model_copy(update=about)
     rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
-    made = Diagnosis.of(file, rests_on).saved(output)
+    made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file)
+    if output is not None:
+        made = made.save(output, place)
+    elif place is not None:
+        made = made.with_repaired(place)
     keep.done()
     return made

@@ -61,6 +61,13 @@ class DiagnoseOptions(
         help="Say what these trials could show, not what they do: the smallest size of each effect that is "
         "seen, and which effects are never distinguished.",
     )
+    repaired: Path | None = option(
+        None,
+        written=True,
+        recorded=False,
+        help="Parameter file to write for the model with the causes  [default: repaired.yaml beside the gap "
+        "file].",
+    )
     robot: str | None = simulations.robot()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step("max_step_s")

@@ -639,7 +639,7 @@ class Search:
 
 def _belongs(label: str, effects: Sequence[Effect]) -> bool:
     """Return whether a parameter belongs to one of the given effects."""
-    return label.split("/")[0] in {e.name for e in effects}
+    return label.rpartition("/")[0] in {e.name for e in effects}
 
 
 def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:

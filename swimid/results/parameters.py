@@ -90,6 +90,8 @@ class ParameterFile(yamlio.ResultFile):
     format: Literal["swimid-parameters/1"] = FORMAT
     model: str
     robot: str | None = None
+    #: Names of the effects that act in the model. Their parameters are ``effect/parameter``.
+    effects: list[str] = []
     parameters: dict[str, Estimate]
     #: Sentences about the combinations of parameters that the data determine or do not determine.
     identifiability: list[str] = []
@@ -113,7 +115,7 @@ class ParameterFile(yamlio.ResultFile):
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
             if not estimate["meaning"]:
                 del estimate["meaning"]
-        optional = ("identifiability", "derived", "settings")
+        optional = ("effects", "identifiability", "derived", "settings")
         kept = {k: value for k, value in data.items() if value is not None and (value or k not in optional)}
         yamlio.write(path, kept)
 
@@ -259,7 +261,7 @@ class Fitted(FileResult[ParameterFile]):
 
     def _own_facts(self) -> dict[str, str]:
         file = self.file
-        facts = {"Model": file.model, "Robot": file.robot or ""}
+        facts = {"Model": file.model, "Robot": file.robot or "", "Effects": ", ".join(file.effects)}
         if file.fit is not None:
             facts["Trials"] = str(len(file.fit.trials))
         if file.sample_time_s is not None:
