@@ -73,6 +73,7 @@ CODES: dict[str, str] = {
     "SWM066": "marker hidden in part",
     "SWM067": "the followed object does not move",
     "SWM068": "the camera moves",
+    "SWM069": "effects of a parameter file left out",
     "SWM070": "the pulley friction follows the pulling mass",
     "SWM071": "a trial contradicts the others",
     "SWM072": "an estimate is physically impossible",

@@ -21,6 +21,7 @@ from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
 from swimid.files.provenance import Input
+from swimid.fitting.model import Model
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent, warn
@@ -54,6 +55,23 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
         # The simulation diverges with the given parameters, so they have no errors. A refit may still work.
         return {}
     return compare_series.pool(done, experiment.model)
+
+
+def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequence[str]:
+    """Return the effects that the user requests, after checking that they are hypotheses.
+
+    Raises
+    ------
+    UsageError
+        If an effect does not exist, or acts in the model already.
+    """
+    acting = [e.name for e in model.effects] if isinstance(model, Affected) else []
+    for name in effects:
+        if name in acting:
+            raise UsageError(f"the effect '{name}' is part of the model in the parameter file")
+        if name not in names:
+            raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
+    return effects
 
 
 def _place_of_repaired(options: DiagnoseOptions, output: Path | None, inputs: Sequence[Input]) -> Path | None:
@@ -170,10 +188,7 @@ def diagnose(
         asked = None
         if options.effects:
             names = [*(e.name for e in (*known, *begun.changes)), *readings.names(experiment)]
-            for name in options.effects:
-                if name not in names:
-                    raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
-            asked = {*options.effects, *(e.name for e in own)}
+            asked = {*_requested(options.effects, names, model), *(e.name for e in own)}
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:

@@ -123,7 +123,7 @@ def _estimate(
         stderr = errors[change.rpartition("/")[0]]
     entry.status = "at-bound"
     if status.get(p.name, "estimated") == "estimated" and (inside or p.name in status):
-        entry.status, entry.stderr = "estimated", stderr
+        entry.status, entry.stderr = "estimated", float(stderr)
     return entry
 
 
