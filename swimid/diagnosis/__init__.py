@@ -8,5 +8,5 @@ estimates both. ``context`` fits a hypothesis, ``candidates`` screens effects, `
 sets of effects, ``posterior`` computes their probabilities. ``crossval`` and ``shrinkage`` evaluate
 held-out data, ``floor`` the noise floor. ``remainder`` describes the remaining residuals, ``dropouts``
 failed samples, ``places`` where the gap is. ``judgement`` and ``answer`` give the verdict, ``advice`` the
-next experiment, ``power`` what the trials could show.
+next experiment, ``repaired`` the model with the causes, ``power`` what the trials could show.
 """

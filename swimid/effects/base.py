@@ -410,7 +410,7 @@ class Affected(Model):
         checkpoint: Checkpoint | None = None,
     ) -> None:
         """Compile the simulation if this saves time. All simulations have the effects of this model."""
-        if self.effects:
+        if any(effect.stage not in ("actuation", "sensing") for effect in self.effects):
             affected_s = simulated_s
         self.model.prepare(progress, simulated_s=simulated_s, affected_s=affected_s, checkpoint=checkpoint)
 

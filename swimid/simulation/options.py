@@ -24,7 +24,7 @@ def own_effects(
     help: str = "Python file with effects of one's own that the parameter file names. Repeatable.",
 ) -> Any:
     """Return the option ``--effect``, which reads effects that a user defines."""
-    return option((), flag="--effect", metavar="FILE", help=help)
+    return option((), flag="--effect", metavar="FILE", help=help, recorded=False)
 
 
 class CompareOptions(
