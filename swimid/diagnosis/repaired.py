@@ -53,7 +53,7 @@ def parameters(
     named = [e for e in state.base.effects if e.name in causes]
     if not named:
         return None
-    fit = _fit_of(state, named)
+    fit, values = _fits_of(state, named)
     own = [e for e in named if e.adds_to is None and not isinstance(e, OtherReading)]
     apart = [e for e in own if any(p.per_trial for p in _parameters_of(fit, e))]
     acting = [e for e in own if e not in apart]
@@ -65,7 +65,7 @@ def parameters(
     errors = parameter_errors(state, fit)
     shared = [p for p in state.context.parameters if not p.per_trial]
     written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
-    found = {p.name: _estimate(fit, p, changes.get(p.name), errors, status) for p in written}
+    found = {p.name: _estimate(values, p, changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
     before = model.effects if isinstance(model, Affected) else ()
     made = ParameterFile(
@@ -76,7 +76,7 @@ def parameters(
         identifiability=_sentences(file, apart),
         correlation=_correlation(state, fit, found, changes),
         settings=_settings(loaded, [*before, *acting], [*readings.items(), *_answers(named)]),
-        fit=_fit_block(state, fit, loaded),
+        fit=_fit_block(state, values, loaded),
         provenance=dict(provenance),
     )
     if loaded.applied.file is not None:
@@ -86,14 +86,18 @@ def parameters(
     return made
 
 
-def _fit_of(state: State, named: Sequence[Effect]) -> Fit:
-    """Return the fit of the model with the named causes only."""
+def _fits_of(state: State, named: Sequence[Effect]) -> tuple[Fit, Fit]:
+    """Return the fits of the model with the named causes that give the covariance, and the values.
+
+    The covariance contains the between-trial variation. The values are those that predict held-out data best.
+    """
     if len(named) == len(state.base.effects):
-        return state.base
+        return state.base, state.predictive or state.base
     context, noise_model = state.context, state.noise_model
     start = context.start(named, noise_model, state.base)
     starts = context.begins(context.problem(named, noise_model.random_effects), start)
-    return context.fit(named, noise_model, starts, tolerance=FINE, iterations=STEPS)
+    fit = context.fit(named, noise_model, starts, tolerance=FINE, iterations=STEPS)
+    return fit, fit
 
 
 def _parameters_of(fit: Fit, effect: Effect) -> list[Parameter]:

@@ -167,6 +167,8 @@ class State:
     random_effects: list[RandomEffect] = field(default_factory=list)
     low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
     nuisance_residuals: list[Array] = field(default_factory=list)
+    #: The model with the causes as it predicts held-out data best: with random effects, or without them.
+    predictive: Fit | None = None
     #: Number of effects that apply to the model and that the user requested.
     tried: int = 0
 
