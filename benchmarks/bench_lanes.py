@@ -174,13 +174,13 @@ def bench_compile() -> None:
     """Cold and warm start of a kernel."""
     print("a kernel's start, s CPU             cold    warm   cold, ms an operation")
     for name, kind in (
-        *((name, "kernel") for name in ("tfish", "dolphin", "sealion")),
+        *((name, "own") for name in ("tfish", "dolphin", "sealion")),
         *((name, "wide") for name in ("tfish", "dolphin")),
     ):
         with tempfile.TemporaryDirectory() as cache:
             code = (
                 f"from benchmarks.bench_lanes import kernels_of\nk = kernels_of({name!r})\n"
-                f"{{}}k.{kind}.compiled()"
+                f"{{}}k.kernels.{kind}.compiled()"
             )
             # the second of them: importing has compiled what it needs
             _, alone = (
@@ -191,7 +191,7 @@ def bench_compile() -> None:
                 child([sys.executable, "-c", code.format("")], Path.cwd(), NUMBA_CACHE_DIR=cache)[1] - alone
                 for _ in range(2)
             )
-        operations = len(getattr(kernels_of(name), kind).traced.operations)
+        operations = len(getattr(kernels_of(name).kernels, kind).traced.operations)
         words = f"{name}, with effects" if kind == "wide" else name
         print(f"  {words:<32}{cold:>6.1f}{warm:>8.2f}{1e3 * cold / operations:>12.1f}")
 

@@ -14,9 +14,10 @@ import swimid as package
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.fitting.model import Array
 from swimid.optimisation.optimise_gait import BestGait
-from swimid.optimisation.problem import descend, drawn
+from swimid.optimisation.problem import descend
 from swimid.optimisation.study import Performance
 from swimid.simulation.catalogue import Applied
+from swimid.simulation.draws import drawn
 from tests.conftest import Ran, interrupting
 
 DOLPHIN = {"robot": "dolphin", "amplitude_deg": 27.0, "duration_s": 6.0}

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
-from tests.blind import cruises, decays, rig_effects, rigs, runner, score
-from tests.blind.common import STAGE_OF, left_by_refit
+from tests.blind import cruises, decays, figures, noise_free, rig_effects, rigs, runner, score
+from tests.blind.common import STAGE_OF, draw_fit, left_by_each, left_by_refit
 
 BLIND = Path(rigs.__file__).parent
 
@@ -136,14 +137,68 @@ def test_a_refit_takes_all_that_lies_in_its_columns_and_nothing_else() -> None:
     t = np.linspace(0.0, 1.0, 50)
     column, sd = np.stack([1e3 * t], axis=1), [np.full(50, 0.1)]
     none = [np.zeros((50, 1))]
-    rms, noncentrality = left_by_refit([3.0 * t], [column], none, sd)
+    rms, noncentrality, _ = left_by_refit([3.0 * t], [column], none, sd)
     assert rms < 1e-5
     assert noncentrality < 1e-4
     # a wave over whole periods about its mean is left by a constant
     wave = np.sin(2 * np.pi * np.arange(50) / 25)
-    rms, noncentrality = left_by_refit([wave], [np.full((50, 1), 1e3)], none, sd)
+    rms, noncentrality, _ = left_by_refit([wave], [np.full((50, 1), 1e3)], none, sd)
     assert rms == pytest.approx(np.sqrt(0.5))
     assert noncentrality == pytest.approx(25.0 / 0.1**2)
+
+
+def test_a_candidate_explains_its_own_change_and_not_that_of_another() -> None:
+    t = np.linspace(0.0, 1.0, 200)
+    one, two = np.sin(9.0 * t), np.cos(14.0 * t)
+    system = np.vstack([t[:, None], [[1.0]]])
+    padded = {name: np.append(v, 0.0)[:, None] for name, v in (("one", one), ("two", two))}
+    left = left_by_each(system, np.append(30.0 * one + 0.5 * t, 0.0), padded)
+    assert left["one"] < 1.0
+    assert left["two"] > 5e3
+
+
+@pytest.mark.parametrize("robot", ["falling-weight", "free-decay"])
+def test_the_file_of_a_changed_parameter_is_near_the_truth_of_the_other_day(robot: str, tmp_path) -> None:
+    name = rigs.CHANGED[robot][0]
+    label = rigs.make_case(
+        tmp_path, robot=robot, effect=f"parameter:{name}", size=-0.2, rng=np.random.default_rng(8)
+    )
+    file = YAML(typ="safe").load(tmp_path / "params_prior.yaml")
+    for key, truth in label["truth"].items():
+        row = file["parameters"][key]
+        assert abs(row["value"] - truth) < 4.0 * row["stderr"]
+    assert label["factors"] == {name: pytest.approx(0.8)}
+    assert label["stages"] == ["parameter"]
+    matrix = np.array(file["correlation"]["matrix"])
+    assert np.linalg.eigvalsh(matrix).min() > 0.0
+    assert file["correlation"]["names"] == list(label["truth"])
+    assert label["noncentrality"] > 25.0
+    assert f"parameter:{name}" not in label["singles"]
+
+
+def test_noise_free_drops_have_the_changed_drag(tmp_path) -> None:
+    label = rigs.make_case(
+        tmp_path,
+        robot="falling-weight",
+        effect="parameter:drag_coefficient",
+        size=0.25,
+        rng=np.random.default_rng(8),
+    )
+    trial = YAML(typ="safe").load(tmp_path / "trials.yaml")["trials"][-1]
+    t, x = np.loadtxt(label["noise_free"][trial["log"]].splitlines(), delimiter=",", skiprows=1).T
+    cd, added, friction = label["truth"].values()
+    drag = 0.5 * rig_effects.DENSITY * 1.25 * cd * rig_effects.AREA
+    fall = rigs.nominal(t, 1000.0 * trial["pulling_mass_kg"], drag, 1000.0 * added, 1e5 * friction)
+    assert 100.0 * x == pytest.approx(fall, abs=0.02)
+
+
+def test_drawn_fits_scatter_by_their_covariance() -> None:
+    covariance = np.array([[4e-4, 3e-4], [3e-4, 9e-4]])
+    rng, values = np.random.default_rng(3), np.array([2.0, 50.0])
+    drawn = [draw_fit(values, covariance, 3.0 * values, rng) for _ in range(2000)]
+    relative = np.array([estimates for estimates, _, _ in drawn]) / values - 1.0
+    assert np.cov(relative.T) == pytest.approx(covariance, rel=0.15)
+    assert drawn[0][1] == pytest.approx([0.02 * drawn[0][0][0], 0.03 * drawn[0][0][1]])
 
 
 # ------------------------------------------------------------ runner and scorer
@@ -155,13 +210,19 @@ verb, output = sys.argv[1], Path(sys.argv[sys.argv.index("-o") + 1])
 assert not any("labels" in part for part in Path.cwd().parts), "labels are near"
 if verb == "diagnose":
     assert Path(sys.argv[sys.argv.index("--params") + 1]).exists()
+    Path("repaired.yaml").write_text("parameters")
     output.write_text('''
 verdict: explained
+closed: {share: 0.9, ci95: [0.8, 0.95]}
 where: {channels: [{channel: x_m, nrmse: 0.1, floor: 0.02, share: 1.0, rmse: 0.115}]}
 causes:
 - {effect: wall, probability: 0.97, equivalent: [tether], parameters: {}, shrinkage: [
     {channel: x_m, before: 0.1, after: 0.03, floor: 0.02, closed: 0.875, ci95: [0.8, 0.9]}]}
 ''')
+elif verb == "compare":
+    assert "1.15," in Path("speeds.csv").read_text()
+    error = 0.02 if "repaired" in output.name else 0.1
+    output.write_text("channels: {mean_speed_m_s: {rmse: %g}, other: {rmse: 9}}" % error)
 else:
     output.write_text("parameters")
 """
@@ -196,8 +257,12 @@ def test_a_case_runs_apart_from_its_label(finished: Path) -> None:
 
 
 def test_a_finished_case_is_not_run_again(finished: Path) -> None:
-    case = {"number": 1, "robot": "cruise", "kind": "single", "effects": ["tether"], "size": 1.0}
+    case = {"number": 2, "robot": "cruise", "kind": "single", "effects": ["servo-lag"], "size": 1.0}
     runner.run([case], finished, 1, program=("/nowhere",))
+    label = finished / "labels" / "0002.json"
+    label.unlink()
+    runner.run([case], finished, 1, program=("false",), relabel=True)
+    assert json.loads(label.read_text())["effects"] == ["servo-lag"]
 
 
 def test_right_and_wrong_answers_are_distinguished(finished: Path) -> None:
@@ -215,6 +280,11 @@ def test_right_and_wrong_answers_are_distinguished(finished: Path) -> None:
     assert found["outside_abstained"] == 0.0
     text = score.write(finished)
     assert "| servo-lag | 1 |" in text
+    assert "| one effect: another cause named | 1 of 2, 50 %" in text
+    assert "| clean: a cause named | 1 of 1, 100 %" in text
+    pair = json.loads((finished / "labels" / "0003.json").read_text())
+    assert set(pair["effects"]) <= set(pair["singles"])
+    assert max(pair["singles"].values()) <= pair["noncentrality"] * (1.0 + 1e-6)
     assert (finished / "score.json").exists()
 
 
@@ -255,6 +325,73 @@ def test_closed_is_recomputed_with_the_labels_floor() -> None:
     }
     row = score.scored(label, gap, {"steps": [{"status": 0, "wall_s": 1.0}], "ended": True})
     assert row["closed"] == pytest.approx((0.1**2 - 0.05**2) / (0.1**2 - (0.04 / 2.0) ** 2))
+
+
+def test_the_true_closed_share_comes_from_the_noise_free_motions(finished: Path) -> None:
+    row = next(r for r in score.read(finished) if r["number"] == 1)
+    assert (row["claimed"], row["interval"]) == (0.9, (0.8, 0.95))
+    assert row["closed"] == pytest.approx(1.0 - 0.2**2)
+
+
+def test_noise_free_logs_are_those_of_the_held_out_trials(tmp_path: Path) -> None:
+    lines = "trials:\n  - {log: a.csv, id: a}\n  - {log: b.csv, id: b, role: validate}\n"
+    (tmp_path / "case").mkdir()
+    (tmp_path / "case" / "trials.yaml").write_text(lines)
+    noise_free.write(tmp_path / "case", tmp_path / "label", {"a.csv": "one", "b.csv": "two"})
+    trials = YAML(typ="safe").load(tmp_path / "label" / "trials.yaml")["trials"]
+    assert trials == [{"log": "b.csv", "id": "b"}]
+    assert (tmp_path / "label" / "b.csv").read_text() == "two"
+
+
+def _changed(value: float, effect: str = "parameter:K_s") -> dict:
+    """Return the row of a case in which K_s fell from 0.31 to 0.27, and its estimate is ``value``."""
+    label = {
+        "number": 5000,
+        "robot": "dolphin",
+        "kind": "changed",
+        "effects": ["parameter:K_s"],
+        "size": -0.129,
+        "truth": {"K_s": 0.31},
+        "factors": {"K_s": 0.27 / 0.31},
+        "singles": {"parameter:c_m0": 90.0},
+    }
+    estimate = {"value": value, "stderr": 0.004, "from": 0.312, "unit": "N m/rad"}
+    name = effect.removeprefix("parameter:")
+    gap = {
+        "verdict": "explained",
+        "where": {"channels": []},
+        "causes": [{"effect": effect, "probability": 0.96, "equivalent": [], "parameters": {name: estimate}}],
+    }
+    return score.scored(label, gap, {"steps": [{"status": 0, "wall_s": 1.0}], "ended": True})
+
+
+def test_a_changed_parameter_must_be_named_first_and_sized() -> None:
+    rows = [_changed(0.276), _changed(0.281), _changed(0.27, "parameter:c_m0")]
+    found = dict(figures.figures(rows))
+    assert found["a changed parameter: named first"].startswith("2 of 3")
+    assert found["a changed parameter: named first, sized within 2 standard errors"].startswith("1 of 3")
+
+
+def test_two_runs_are_compared_by_the_cases_that_both_have() -> None:
+    other = {**_changed(0.27), "verdict": "none"}
+    text = figures.compared([_changed(0.27)], [other, {**other, "number": 5001}])
+    assert "| a changed parameter: named first | 0 of 1, 0 % [0, 73] | 1 of 1, 100 % [27, 100] |" in text
+    assert "| 5000 | dolphin | parameter:K_s | none | explained: parameter:K_s (1) |" in text
+    with pytest.raises(SystemExit, match="plans differ"):
+        figures.compared([_changed(0.27)], [{**other, "size": 0.2}])
+
+
+def test_cases_of_changed_parameters_leave_the_others_as_they_are(capsys: pytest.CaptureFixture) -> None:
+    plans = []
+    for more in ([], ["--changed", "20"]):
+        runner.main(["--cases", "30", "--seed", "4", "--out", "unused", "--plan", *more])
+        plans.append(json.loads(capsys.readouterr().out)["cases"])
+    assert plans[1][:30] == plans[0]
+    changed = plans[1][30:]
+    assert changed == runner.plan_changed(20, 4)
+    assert [c["number"] for c in changed] == list(range(5000, 5020))
+    assert all(0.08 <= abs(c["size"]) <= 0.25 for c in changed)
+    assert {c["robot"] for c in changed} == set(runner.CHANGED_SHARES)
 
 
 def test_shares_add_up() -> None:

@@ -195,6 +195,37 @@ def test_a_pair_has_both_and_a_prior_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("brief")
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_changed_spring_stands_in_the_file_as_it_was(robot: str, tmp_path: Path, brief: None) -> None:
+    spring, published, _, _ = swimmers.SPRING[robot]
+    label = swimmers.make_case(
+        tmp_path, robot=robot, effect=f"parameter:{spring}", size=-0.2, rng=np.random.default_rng(4)
+    )
+    file = parameter_format.read(tmp_path / "params_prior.yaml")
+    estimate = file.parameters[spring]
+    assert abs(estimate.value - published) < 4.0 * estimate.stderr
+    assert file.correlation is not None
+    assert file.correlation.names == [*swimmers.FITTED[robot], spring]
+    assert label["factors"] == {spring: pytest.approx(0.8)}
+    softer = {**label["coefficients"], spring: 0.8 * published}
+    trial = label["trials"][0]
+    assert furthest(label["with"][trial.id], swimmers.swim(trial, softer)) == 0.0
+    found = swim_gap.refit_gap(label)
+    assert found["noncentrality"] > 25.0
+    assert set(found["singles"]) == {f"parameter:{name}" for name in swimmers.FITTED[robot]}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_noise_free_data_exclude_each_effect_of_a_visible_pair(
+    robot: str, tmp_path: Path, brief: None
+) -> None:
+    pair = ("camera-scale", "joint-stiffness")
+    label = swimmers.make_case(tmp_path, robot=robot, effect=pair, size=3.0, rng=np.random.default_rng(4))
+    left = swim_gap.refit_gap(label)["singles"]
+    assert set(pair) <= set(left)
+    assert 0.0 < min(left.values()) < swim_gap.refit_gap(label)["noncentrality"]
+
+
 def test_the_same_seed_makes_the_same_case(tmp_path: Path) -> None:
     for name in ("a", "b"):
         rng = np.random.default_rng(3)

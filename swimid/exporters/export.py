@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import math
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import swimid
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError
 from swimid.exporters import gazebo, mjcf
+from swimid.exporters.causes import Cause, filters_text, limits_of
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Exported, Link, Source, central
 from swimid.files import atomic
-from swimid.files.provenance import digests_of
+from swimid.files.provenance import digests_of, is_own
+from swimid.fitting.model import Parameter
 from swimid.notices import warn
 from swimid.options import takes
-from swimid.results import parameters
+from swimid.results import numbers, parameters
+from swimid.results.parameters import Estimate
 from swimid.results.result import Text
 from swimid.robots import file as robot
+from swimid.simulation.catalogue import Applied
+from swimid.simulation.draws import drawn
 from swimid.swimmer.planar.model import MultilinkModel
 
 FORMAT = "swimid-export/1"
@@ -37,7 +47,7 @@ CONVENTIONS = (
 
 @takes(ExportOptions)
 def export(params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None) -> Text:
-    """Write the coefficients of a parameter file in the format of a simulator.
+    """Write the coefficients and causes of a parameter file in the format of a simulator.
 
     The robot file that the parameter file names is searched in the folder of the parameter file. No simulator
     represents all effects: read the limits before you trust a motion that the simulator computes
@@ -48,20 +58,27 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     params : path, ParameterFile or result of a fit
         Parameters of a robot with links in one plane.
     output : path, optional
-        Path of the file to write. With None or ``-`` the text is only returned.
+        Path of the file to write. With None or ``-`` the text is only returned. Beside ``tfish.xml`` are
+        written ``tfish_mjcf_causes.py``, which filters the commands for causes that the simulator cannot
+        express, and ``tfish_draws.csv``, the random samples.
 
     Returns
     -------
     Result
         ``.document`` is the text of the file (XML or JSON), in SI units. ``.data`` has ``target``,
-        ``added_mass`` and ``limits``, the effects that the format cannot represent. Each limit is also a
-        warning SWM060.
+        ``added_mass``, ``causes`` and ``limits``, the effects that the format cannot represent. Each limit is
+        also a warning SWM060. If no file is written, ``filters`` is the text of the Python file that filters
+        the commands, or empty.
 
     Raises
     ------
     InputError
         A file is invalid, the parameters are those of another model, or the robot file lacks a value that the
         format needs.
+    UsageError
+        Random samples have no file, or the parameters have no standard errors.
+    NoTrustworthyResult
+        Hardly a random sample lies within the bounds.
 
     Examples
     --------
@@ -75,7 +92,19 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
         atomic.check_writable(out, inputs=[parameters.origin(params)])
-    text, limits = write(source, options)
+    elif options.draws:
+        raise UsageError(
+            "--draws writes a file beside the output, and there is none", hint="name it: -o FILE"
+        )
+    samples: list[dict[str, float]] = []
+    if options.draws or options.draw:
+        samples = _samples(source, max(options.draws or 0, options.draw or 0), options.seed)
+    if options.draw:
+        source = _at(source, samples[options.draw - 1], f"draw {options.draw} of seed {options.seed}")
+    text, limits, filtered = write(source, options)
+    filters = ""
+    if filtered:
+        filters = filters_text(filtered, source.model, source.origin)
     held = source.parameters.parameters
     unknown = [name for name, one in held.items() if one.status == "unidentifiable" and "[" not in name]
     if unknown:
@@ -88,16 +117,29 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
         "model": source.parameters.model,
         "robot": source.robot.name,
         "added_mass": options.added_mass,
+        "causes": source.parameters.effects,
         "limits": limits,
     }
     if out is None:
-        return Text("export", text.rstrip("\n"), result | {"text": text}, document=text)
-    atomic.write_text(out, text)
+        texts = {"text": text, "filters": filters}
+        return Text("export", text.rstrip("\n"), result | texts, document=text)
+    files = {out: text}
+    beside = out.with_name(f"{out.stem}_{options.to}_causes.py")
+    if filters:
+        files[beside] = filters
+    if options.draws:
+        rows = samples[: options.draws]
+        files[out.with_name(f"{out.stem}_draws.csv")] = _table(source, rows, options.seed)
+    with atomic.together():
+        for path, written in files.items():
+            atomic.write_text(path, written)
+        if not filters and beside.exists() and is_own(beside):
+            atomic.remove(beside)
     carried = "everything is carried"
     if limits:
         carried = f"{len(limits)} limits, see the warnings"
     summary = f"{source.robot.name} as {title}: {carried}"
-    return Text("export", summary, result, [out], document=text)
+    return Text("export", summary, result, list(files), document=text)
 
 
 def load(params: parameters.Source) -> Source:
@@ -120,7 +162,7 @@ def load(params: parameters.Source) -> Source:
         "version": swimid.__version__,
         "robot": file.robot,
     }
-    source = Source(file, robot.read(file.robot, path.parent, readings=readings), origin)
+    source = Source(file, robot.read(file.robot, path.parent, readings=readings), origin, path)
     _check_robot(source, robot.locate(file.robot, path.parent), path)
     return source
 
@@ -136,16 +178,100 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
         source.assembly.check(source.values)
     except InputError as error:
         raise robot.located(error, Path(place)) from error
-    known = {parameter.name for parameter in MultilinkModel(source.robot).parameters}
+    known = {parameter.name for parameter in source.model.parameters}
     known |= set(source.parameters.settings.get("shared") or {})
     for name in source.parameters.parameters:
-        if name.partition("[")[0] not in known:
+        effect, _, own = name.partition("/")
+        if own and effect not in source.parameters.effects:
+            raise InputError(
+                f"'{effect}' is none of the effects of the file",
+                file=path,
+                column=f"parameters.{name}",
+                hint=f"write it to the entry effects: [{effect}]",
+            )
+        if not own and name.partition("[")[0] not in known:
             raise InputError(
                 f"the robot '{source.robot.name}' has no coefficient '{name}'",
                 file=path,
                 column=f"parameters.{name}",
                 hint=f"it has: {', '.join(source.assembly.names) or 'none'}",
             )
+
+
+# ---------------------------------------------------------------- random samples
+
+#: Fraction of random samples outside the bounds above which their replacement is notable.
+NOTABLE = 0.1
+
+
+def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
+    """Return random samples of all parameters that are common to the trials, as values by name.
+
+    Raises
+    ------
+    UsageError
+        No parameter has a standard error.
+    NoTrustworthyResult
+        Hardly a sample lies within the bounds of the file.
+    """
+    model, estimates = MultilinkModel(source.robot), source.parameters.parameters
+    shared = {name: estimate for name, estimate in estimates.items() if "[" not in name}
+    own = {p.name: p for p in model.parameters}
+    effects = {
+        name: Parameter(name, e.unit, e.value, e.value, e.value, 1.0)
+        for name, e in shared.items()
+        if "/" in name
+    }
+    model.parameters = tuple(_bounded(p, shared.get(p.name)) for p in (own | effects).values())
+    # the parameters of the effects are already among those of the model
+    applied = Applied(model, source.parameters.model_copy(update={"effects": []}), source.path)
+    if not applied.uncertain()[0]:
+        raise UsageError("no parameter of the file has a standard error to draw from")
+    applied.warn_without_error("the random samples")
+    vectors, inside = drawn(applied, count, seed)
+    if inside < 1.0 - NOTABLE:
+        share = numbers.percent(1.0 - inside)
+        warn("SWM069", f"{share} of the random samples lay outside the bounds, and were drawn again")
+    index = [(name, model.index(name)) for name in shared if name in own | effects]
+    return [{name: float(vector[k]) for name, k in index} for vector in vectors]
+
+
+def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
+    """Return a parameter with the bounds of its estimate. Without an estimate it is fixed."""
+    if estimate is None:
+        return replace(p, free=False)
+    lower, upper = estimate.bounds
+    if lower is None:
+        lower = -math.inf
+    if upper is None:
+        upper = math.inf
+    return replace(p, lower=lower, upper=upper)
+
+
+def _at(source: Source, values: dict[str, float], words: str) -> Source:
+    """Return the source of an export with other values of its parameters, described by ``words``."""
+    estimates = dict(source.parameters.parameters)
+    for name, value in values.items():
+        estimates[name] = estimates[name].model_copy(update={"value": value})
+    file = source.parameters.model_copy(update={"parameters": estimates})
+    return replace(source, parameters=file, origin={**source.origin, "draw": words})
+
+
+def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
+    """Return random samples as CSV text, with one column for each parameter and its unit in the name."""
+    text = io.StringIO()
+    text.write(f"# made_by: swimid export {source.origin['version']}\n")
+    text.write(f"# parameters: {source.origin['file']}, sha256 {source.origin['sha256']}, seed {seed}\n")
+    names = []
+    for name in samples[0]:
+        unit = source.parameters.parameters[name].unit
+        # the names of the effects' parameters end with their units
+        known = unit == "1" or "/" in name or numbers.split_unit(name)[1]
+        names.append(name if known else f"{name}_{re.sub(r'[ /]', '_', unit.replace('^', ''))}")
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["draw", *names])
+    rows.writerows([k, *map(repr, sample.values())] for k, sample in enumerate(samples, start=1))
+    return text.getvalue()
 
 
 # ---------------------------------------------------------------- JSON
@@ -162,6 +288,7 @@ def _to_json(source: Source, _: ExportOptions) -> Exported:
         "robot": source.robot.name,
         "fluid": source.robot.fluid.model_dump(),
         **{key: file[key] for key in ("parameters", "correlation", "identifiability", "derived")},
+        "causes": [_cause(cause) for cause in source.causes],
         "conventions": CONVENTIONS,
         "plane": body.plane,
         "base": body.base,
@@ -174,7 +301,19 @@ def _to_json(source: Source, _: ExportOptions) -> Exported:
     }
     for kind, name in LISTS.items():
         data[name] = [{"link": links[e.link].name, **e.numbers} for e in source.elements if e.kind == kind]
-    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n", []
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return Exported(text, limits_of(source.causes, [], forces=True), [])
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    """Return a cause, and whether links, joints and force elements of the document contain its influence."""
+    return {
+        "name": cause.name,
+        "stage": cause.effect.stage,
+        "meaning": cause.effect.meaning,
+        "parameters": dict(cause.values),
+        "contained": bool(cause.hooks.tables) and not cause.hooks.force,
+    }
 
 
 def _link(link: Link, links: list[Link]) -> dict[str, Any]:

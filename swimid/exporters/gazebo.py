@@ -51,6 +51,8 @@ def export(source: Source, options: ExportOptions) -> Exported:
         options,
         DART_ONLY,
         _limits(source),
+        [cause for cause in source.causes if cause.hooks.command],
+        forces=False,
         pi=math.pi,
         pose=partial(_pose, source),
         joint_name=partial(_joint_name, source),

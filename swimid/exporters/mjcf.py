@@ -8,13 +8,17 @@ of sites, and :func:`water` applies these forces exactly.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from swimid.effects.catalogue import catalogue
+from swimid.exporters.causes import Cause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
+from swimid.fitting.model import TRACEABLE, Force
+from swimid.swimmer.tree import Axis
 
 TITLE = "MuJoCo MJCF"
 #: Kinds of force elements, with their names in the limits of an export. Their order gives the index that the
@@ -26,10 +30,44 @@ KINDS = {
     "wake": "momentum shed at trailing edges",
 }
 #: Number of user data values of a MuJoCo site: the index of the kind of element, then the values of the
-#: element without its point of application.
+#: element without its point of application. For the force of a cause they are its constants.
 USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
-#: Prefix of the names of the MuJoCo sites whose user data :func:`water` reads.
-PREFIX = "water:"
+#: Prefixes of the names of the MuJoCo sites whose user data :func:`water` reads. The name of the force's
+#: function follows the second one.
+PREFIX, CAUSE = "water:", "water:cause:"
+#: Time step of the exported model, s.
+STEP_S = 0.002
+#: Parts of the half-width of a play: range of the hinge, and angle by which the dry friction that holds the
+#: joint within this range bends the servo. Together they are the whole half-width.
+PLAY_RANGE, PLAY_HELD = 0.9, 0.1
+
+
+def _offset(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
+    if axis.driven is None or axis.driven.gain == 0.0:
+        return {}
+    return {"offset_rad": values["offset_rad"]}
+
+
+def _lock(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
+    name = f"locked_{axis.column.removesuffix('_rad')}"
+    if name not in values:
+        return {}
+    return {"gain": 1.0 - values[name]}
+
+
+#: Functions from the parameters of an effect and a driven joint to the settings of the joint's actuator, by
+#: the name of the effect.
+SERVOS: dict[str, Callable[[Mapping[str, float], Axis], dict[str, float]]] = {
+    "amplitude-loss": lambda values, _: {"gain": 1.0 - values["loss"]},
+    "amplitude-offset": _offset,
+    "joint-locked": _lock,
+    "rate-limit": lambda values, _: {"rate_rad_s": values["rate_limit_rad_s"]},
+    "servo-backlash": lambda values, _: {"play_rad": values["backlash_rad"]},
+    "servo-delay": lambda values, _: {"delay_s": values["delay_s"]},
+    "servo-lag": lambda values, _: {"lag_s": values["time_constant_s"]},
+}
+#: Settings that an actuator with a limited rate cannot have.
+NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
@@ -40,26 +78,104 @@ def export(source: Source, options: ExportOptions) -> Exported:
         "MuJoCo has no added-mass inertia (its ellipsoid model neither): added mass and inertia of "
         f"{wet} are left out; --added-mass fold puts them into the bodies"
     )
-    laws, limits = ", ".join(words for kind, words in KINDS.items() if source.links_with(kind)), []
+    laws = [words for kind, words in KINDS.items() if source.links_with(kind)]
+    laws += [cause.name for cause in source.causes if cause.hooks.force or cause.hooks.flow]
+    limits = []
     if laws:
         limits.append(
-            f"{laws}: MuJoCo's fluid models have no such law; the numbers stand at sites and act once "
-            "swimid.exporters.mjcf.water is installed as passive callback"
+            f"{', '.join(laws)}: MuJoCo's fluid models have no such law; the numbers stand at sites and act "
+            "once swimid.exporters.mjcf.water is installed as passive callback"
         )
+    settings, filtered = _settings(source)
+    actuators = [
+        _actuator(servo, own)
+        for servo, own in zip(source.servos(inertias, options.servo_hz), settings, strict=True)
+    ]
     return export_xml(
         "mjcf.xml",
         source,
         options,
         native,
         limits,
+        filtered,
+        forces=True,
+        step_s=STEP_S,
         point=lambda x, y: (x, 0.0, y) if source.vertical else (x, y, 0.0),
         rigid=[central(inertia) for inertia in inertias],
         user=_user,
-        user_size=USER_SIZE,
+        user_size=max([USER_SIZE, *(len(force.constants) for _, force in source.forces)]),
         prefix=PREFIX,
+        forces_of_causes=[(_site(force), force) for _, force in source.forces],
         wires=_wires(source),
-        servos=source.servos(inertias, options.servo_hz),
+        actuators=actuators,
+        plays={play["joint"]: play for play in (one["play"] for one in actuators) if play},
     )
+
+
+def _site(force: Force) -> str:
+    """Return the name of the MuJoCo site at which the force of a cause acts."""
+    return CAUSE + next(name for name, known in TRACEABLE.items() if known.function is force.function)
+
+
+def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
+    """Return the settings of the actuators of all driven joints, and the causes that they cannot express.
+
+    MuJoCo applies delay, lag, gain and play in this order. A setting that is taken is not set again.
+    """
+    driven = source.assembly.driven
+    settings: list[dict[str, float]] = [{} for _ in driven]
+    filtered = []
+    for cause in source.causes:
+        if not cause.hooks.command:
+            continue
+        own = []
+        if cause.name in SERVOS:
+            own = [SERVOS[cause.name](cause.values, axis) for axis in driven]
+        names, taken = ({key for one in many for key in one} for many in (own, settings))
+        limited = "rate_rad_s" in names | taken
+        if not own or names & taken or (limited and (names | taken) & NOT_WITH_RATE):
+            filtered.append(cause)
+            continue
+        for known, new in zip(settings, own, strict=True):
+            known.update(new)
+    return settings, filtered
+
+
+def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
+    """Return the actuator of a driven joint.
+
+    It has ``tag`` and ``attributes`` of its XML element. Its ``play`` between the servo and the joint may
+    be None.
+    """
+    stiffness, damping, joint = servo["stiffness"], servo["damping"], servo["joint"]
+    attributes: dict[str, Any] = {"name": joint, "joint": joint}
+    tag, play = "position", None
+    if "play_rad" in own:
+        half, attributes["joint"] = 0.5 * own["play_rad"], f"{joint}_servo"
+        play = {
+            "joint": joint,
+            "servo": f"{joint}_servo",
+            "range": [-PLAY_RANGE * half, PLAY_RANGE * half],
+            "friction": PLAY_HELD * half * stiffness,
+            # a constraint between bodies of very different inertia is soft in MuJoCo
+            "moment": servo["moment"],
+        }
+    if "delay_s" in own:
+        samples = str(math.ceil(own["delay_s"] / STEP_S))
+        attributes |= {"nsample": samples, "interp": "linear", "delay": own["delay_s"]}
+    if "rate_rad_s" in own:
+        tag, attributes["input"] = "pid", "pos"
+        attributes |= {"kp": stiffness, "kv": damping, "slewmax": own["rate_rad_s"]}
+    elif own.keys() & NOT_WITH_RATE:
+        tag = "general"
+        if "lag_s" in own:
+            attributes |= {"dyntype": "filterexact", "dynprm": own["lag_s"]}
+        attributes["gainprm"] = stiffness * own.get("gain", 1.0)
+        offset = stiffness * own.get("offset_rad", 0.0)
+        attributes |= {"biastype": "affine", "biasprm": [offset, -stiffness, -damping]}
+    else:
+        attributes |= {"kp": stiffness, "kv": damping}
+    return {"tag": tag, "attributes": attributes, "play": play}
 
 
 def _user(element: Element) -> list[float]:
@@ -114,35 +230,63 @@ def water(model: Any) -> Callable[[Any, Any], None]:
 
     The forces are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each axis
     (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing edges
-    (Lighthill 1971).
+    (Lighthill 1971). Those of causes are the functions in :mod:`swimid.effects`. The water moves with the
+    ``wind`` of the model.
     """
     import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, i) or "" for i in range(model.nsite)]
     sites = [i for i, name in enumerate(names) if name.startswith(PREFIX)]
-    rows = [np.array(model.site_user[i]) for i in sites]
+    laws = [_law(names[i], np.array(model.site_user[i])) for i in sites]
     plane = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "swimid_plane")
     begin, size = int(model.text_adr[plane]), int(model.text_size[plane])
     upright = bytes(model.text_data)[begin : begin + size].rstrip(b"\0") == b"vertical"
     side, turn, sign = (2, 1, -1.0) if upright else (1, 2, 1.0)
-    six = np.zeros(6)
+    along, across = (model.numeric("swimid_reference").data[k] for k in (0, 1))
+    six, pose = np.zeros(6), np.zeros(3)
 
     def passive(given: Any, data: Any) -> None:
         if given.nsite != model.nsite or given.nv != model.nv:
             return
-        for site, row in zip(sites, rows, strict=True):
+        base = data.xmat[1].reshape(3, 3)
+        pose[:2] = (data.xpos[1] + along * base[:, 0] + across * base[:, side])[[0, side]]
+        for site, law in zip(sites, laws, strict=True):
             mujoco.mj_objectVelocity(given, data, mujoco.mjtObj.mjOBJ_SITE, site, six, 1)
-            fx, fy, moment, world = _force(row, six[3], six[3 + side], sign * six[turn])
+            axes = data.site_xmat[site].reshape(3, 3)
+            u, v = (six[3:] - axes.T @ given.opt.wind)[[0, side]]
+            pose[2] = math.atan2(axes[side, 0], axes[0, 0])
+            fx, fy, moment, world = law(data.time, pose, u, v, sign * six[turn])
             force, torque = np.zeros(3), np.zeros(3)
             force[0], force[side] = fx, fy
             torque[turn] = sign * moment
             if not world:
-                axes = data.site_xmat[site].reshape(3, 3)
                 force, torque = axes @ force, axes @ torque
             owner = given.site_bodyid[site]
             mujoco.mj_applyFT(given, data, force, torque, data.site_xpos[site], owner, data.qfrc_passive)
 
     return passive
+
+
+#: Type of the law of a force. Its arguments are the time (s), the position of the robot's reference point (m)
+#: with the heading of the link (rad), and the velocities u, v (m/s) and r (rad/s) of the site in the water.
+Law = Callable[[float, Any, float, float, float], tuple[float, float, float, bool]]
+
+
+def _law(name: str, row: Any) -> Law:
+    """Return the law of the force at a site, from the name and the user data of the site."""
+    if not name.startswith(CAUSE):
+        return lambda time_s, pose, u, v, r: _force(row, u, v, r)
+    # the catalogue imports the modules of all effects, which register their forces
+    catalogue()
+    known = TRACEABLE[name.removeprefix(CAUSE)]
+    constants = row[: known.constants]
+
+    def law(time_s: float, pose: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:
+        wrench = np.zeros(3)
+        known.function(time_s, pose, np.array([u, v, r]), constants, wrench)
+        return float(wrench[0]), float(wrench[1]), float(wrench[2]), False
+
+    return law
 
 
 def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:

@@ -4,30 +4,47 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from swimid.exporters.causes import Cause, limits_of, read_causes
 from swimid.exporters.options import ExportOptions
-from swimid.fitting.model import Array
+from swimid.fitting.model import Array, Force
 from swimid.results.parameters import Estimate, ParameterFile
 from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
-from swimid.swimmer.planar.model import Assembly
+from swimid.swimmer.planar.model import Assembly, MultilinkModel
 from swimid.swimmer.tree import Polynomial
 
 #: Names of the numerical values of each kind of force element. Their order is that of the columns in the
 #: input arrays of the equations of motion (``engine``).
 COLUMNS = {"drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE}
-#: Type of an export: its text, and sentences that name the effects that its format cannot represent.
-Exported = tuple[str, list[str]]
 #: Limit of the XML formats, which state standard errors only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
+
+
+class Exported(NamedTuple):
+    """Text of an export, with what its format cannot represent.
+
+    Attributes
+    ----------
+    text : str
+    limits : list of str
+        Sentences that name the effects that the format cannot represent.
+    filtered : list of Cause
+        Causes that act as filters of the commands, beside the export.
+    """
+
+    text: str
+    limits: list[str]
+    filtered: list[Cause]
 
 
 @dataclass(frozen=True)
@@ -99,12 +116,16 @@ class Source:
     parameters : ParameterFile
     robot : Robot
     origin : mapping
-        ``file`` (name of the parameter file), ``sha256``, ``version``, ``robot`` (path or name).
+        ``file`` (name of the parameter file), ``sha256``, ``version``, ``robot`` (path or name), and ``draw``
+        if the values are a random sample.
+    path : Path
+        Path of the parameter file in messages.
     """
 
     parameters: ParameterFile
     robot: Robot
     origin: Mapping[str, str]
+    path: Path
 
     @property
     def body(self) -> Multilink:
@@ -137,15 +158,47 @@ class Source:
         return np.array([values[name] for name in self.assembly.names])
 
     @cached_property
+    def model(self) -> MultilinkModel:
+        """Model of the robot, whose parameters start at the values of the coefficients."""
+        model, starts = MultilinkModel(self.robot), dict(zip(self.assembly.names, self.values, strict=True))
+        model.parameters = tuple(replace(p, start=starts.get(p.name, p.start)) for p in model.parameters)
+        return model
+
+    @cached_property
+    def causes(self) -> list[Cause]:
+        """Effects whose parameters the parameter file contains."""
+        return read_causes(self.parameters, self.model, self.path)
+
+    @cached_property
     def tables(self) -> dict[str, Any]:
-        """Input arrays of the equations of motion (``engine``) at the values of the coefficients."""
-        return self.assembly.tables(self.values)
+        """Input arrays of the equations of motion (``engine``) at the values of the coefficients.
+
+        The causes have changed them.
+        """
+        return _changed(self.assembly.tables(self.values), self.causes)
+
+    @cached_property
+    def forces(self) -> list[tuple[str, Force]]:
+        """Forces of causes on the links, each with the name of its cause."""
+        # some forces take their constants from the tables when the causes change these
+        assert self.tables
+        return [(cause.name, force) for cause in self.causes for force in cause.hooks.force]
+
+    @property
+    def current(self) -> tuple[float, float] | None:
+        """Velocity of the water in the plane, m/s; None for still water."""
+        flows = [flow for cause in self.causes for flow in cause.hooks.flow]
+        if not flows:
+            return None
+        x, y = sum(flow(np.zeros(1))[1][0] for flow in flows)
+        return float(x), float(y)
 
     @cached_property
     def links(self) -> list[Link]:
         """Links of the robot; parents precede their children."""
         dry = Assembly(self.body.model_copy(update={"elements": []}), self.robot.fluid)
-        rigid = [_symmetric(row) for row in dry.tables(self.values)["inertia"]]
+        own = _changed(dry.tables(self.values), [cause for cause in self.causes if cause.rigid])
+        rigid = [_symmetric(row) for row in own["inertia"]]
         total = [_symmetric(row) for row in self.tables["inertia"]]
         joints = {joint.child: joint for joint in self.body.joints}
         links = []
@@ -206,7 +259,8 @@ class Source:
     def servos(self, inertias: list[Array], default_hz: float) -> list[dict[str, Any]]:
         """Return the name of each driven joint, with the gains of its servo.
 
-        The gains are ``stiffness`` (N m/rad) and ``damping`` (N m s/rad).
+        The gains are ``stiffness`` (N m/rad) and ``damping`` (N m s/rad). ``moment`` is the moment of inertia
+        (kg m2) of the bodies that the joint carries.
 
         The servo moves all bodies that the joint carries. Its gains give these bodies the natural frequency
         and the damping ratio of the robot file. If the file states none, they are ``default_hz`` and 1.
@@ -222,8 +276,16 @@ class Source:
                 ratio = Polynomial.of(law.damping_ratio).at(values)
             omega, moment = 2.0 * math.pi * frequency, moments[axis.link]
             gains = {"stiffness": moment * omega**2, "damping": 2.0 * ratio * omega * moment}
-            servos.append({"joint": axis.joint.name, **gains})
+            servos.append({"joint": axis.joint.name, "moment": moment, **gains})
         return servos
+
+
+def _changed(tables: Mapping[str, Any], causes: Sequence[Cause]) -> dict[str, Any]:
+    """Return a copy of input arrays, changed by causes."""
+    found = {name: np.copy(table) for name, table in tables.items()}
+    for cause in causes:
+        cause.hooks.changed(found, "tables")
+    return found
 
 
 # ---------------------------------------------------------------- planar inertias
@@ -323,7 +385,15 @@ def _joint_limits(source: Source, servo_hz: float) -> list[str]:
 
 
 def export_xml(
-    template: str, source: Source, options: ExportOptions, native: str, limits: list[str], **more: Any
+    template: str,
+    source: Source,
+    options: ExportOptions,
+    native: str,
+    limits: list[str],
+    filtered: list[Cause],
+    *,
+    forces: bool,
+    **more: Any,
 ) -> Exported:
     """Return an XML document from a template.
 
@@ -337,12 +407,17 @@ def export_xml(
     native : str
         Limit of the added mass as the simulator itself models it.
     limits : list of str
-        Limits of the format, except those of added mass, joints and standard errors.
+        Limits of the format, except those of added mass, joints, causes and standard errors.
+    filtered : list of Cause
+        Causes that are filters of the commands.
+    forces : bool
+        Whether the format has the forces of causes.
     **more
         Further variables of the template.
     """
     added = _added_mass_limits(source, options.added_mass, native)
-    limits = [*added, *limits, *_joint_limits(source, options.servo_hz), NO_ERRORS]
+    causes = limits_of(source.causes, filtered, forces=forces)
+    limits = [*added, *limits, *_joint_limits(source, options.servo_hz), *causes, NO_ERRORS]
     environment = Environment(
         loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
     )
@@ -358,10 +433,12 @@ def export_xml(
         "Not carried by this format:",
         *(f"  {limit}" for limit in limits),
     ]
+    if "draw" in source.origin:
+        lines.insert(2, f"Values: {source.origin['draw']}.")
     # an XML comment must not contain two consecutive hyphens
     note = "\n".join(lines).replace("--", "- -")
     text = ET.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits
+    return Exported(f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits, filtered)
 
 
 def _shown(value: Any) -> Any:

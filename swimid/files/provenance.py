@@ -172,7 +172,7 @@ _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b"
 #: Pattern of the formats that only swimid writes. Users also write the excluded formats by hand.
 _FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
 #: Patterns of the marks at the beginning of a file, including what precedes the mark: log, JSON, JSON Schema,
-#: findings of ``doctor``, XML, HTML, C header, CSV of a front, SVG, PNG, GIF.
+#: findings of ``doctor``, XML, Python, HTML, C header, CSV of a front, SVG, PNG, GIF.
 _BEGINNING = re.compile(
     "|".join((
         r"(?:#[^\n]*\n|\n)*?# *(?:made_by|imported_by): *['\"]?swimid [a-z]",
@@ -180,6 +180,7 @@ _BEGINNING = re.compile(
         r'\{\s*"\$schema": "[^"]*",\s*"\$comment": "written by swimid ',
         r'\{\s*"swimid": "[^"]*",\s*"python": ',
         r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d",
+        r'"""Written by swimid \d',
         r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
         r'<meta name="generator" content="swimid ',
         r"/\*(?:(?!\*/).)*\*/\s*#ifndef SWIMID_STIFFNESS_RULE_H\b",

@@ -20,13 +20,14 @@ from swimid.logs.kinematics import UNSTEADY
 from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import OptimiseGaitOptions
-from swimid.optimisation.problem import MAX_STEPS, Limit, Problem, drawn, interval95, merit
+from swimid.optimisation.problem import MAX_STEPS, Limit, Problem, interval95, merit
 from swimid.optimisation.study import BEAT, STROKE, Performance, Study, StudyFile, study_of
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
 from swimid.simulation.cases import value_text
+from swimid.simulation.draws import drawn
 
 #: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range, and relative
 #: tolerance within which a limit counts as active.

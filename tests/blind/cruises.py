@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
+from tests.blind import common
 from tests.blind.common import Catalogue, stages_of, write_parameters
 
 #: Height, length (cm); the last works like a smaller rectangle, unknown to the user.
@@ -251,7 +252,7 @@ def make_case(
     seeds = rng.integers(0, 2**31, 3)
     spread, watch = rng.uniform(0.006, 0.012), rng.uniform(0.04, 0.1)
 
-    def times(*, effects: bool) -> Array:
+    def times(effects: tuple[Act, ...]) -> Array:
         session = Session(
             fin,
             frequency,
@@ -265,11 +266,11 @@ def make_case(
             np.random.default_rng(seeds[0]),
             order,
         )
-        for act in (*acts, *more) if effects else ():
+        for act in effects:
             act(session)
         return session.times()
 
-    fair, plain = times(effects=True), times(effects=False)
+    fair, plain = times((*acts, *more)), times(())
     chance = np.random.default_rng(seeds[1])
     per_fin = dict(zip(fins, chance.normal(1.0, 0.004, len(fins)), strict=True))
     read = fair * chance.normal(1.0, spread, len(fair)) * np.array([per_fin[f] for f in fin])
@@ -306,10 +307,32 @@ def make_case(
     speed, nominal = 115.0 / fair, 115.0 / plain
     sd = nominal * np.sqrt(spread**2 + 0.004**2 + (watch / plain) ** 2)
     raw = float(np.sqrt(np.nanmean(((speed - nominal) / sd) ** 2)))
-    left, noncentrality = _refitted(
+    misfit, left, noncentrality = _refitted(
         fin, fins, frequency, np.radians(degrees), inertia, speed, sd, cd, added, efficiency, offset, prior
     )
+    good, singles = np.isfinite(speed), {}
+
+    def change_of(act: Act) -> list[Array]:
+        """Return the change of the speeds by another act, in standard deviations of the noise."""
+        change = ((115.0 / times((act,)) - nominal) / sd)[good]
+        if not np.isfinite(change).all():
+            raise FloatingPointError("a run does not arrive")
+        return [change]
+
+    if len(names) == 2:
+        candidates = common.candidates(
+            CATALOGUE["cruise"],
+            dict(zip(names, acts, strict=True)),
+            change_of,
+        )
+        singles = _singles(misfit, ((speed - nominal) / sd)[good], candidates)
     channel = "mean_speed_m_s"
+    motions = [rows[0]]
+    motions += [
+        f"{f},{hz:g},{a:g},1.15,{t:.8g}"
+        for f, hz, a, t in zip(fin, frequency, degrees, fair, strict=True)
+        if np.isfinite(t)
+    ]
     # that of these very runs: a few fast ones have most of it
     floor = float(np.sqrt(np.nanmean((115.0 / read - speed) ** 2))) / 100
     return {
@@ -325,6 +348,8 @@ def make_case(
         "gap_over_floor": {channel: raw, "overall": raw},
         "gap_refit": {channel: left, "overall": left},
         "noncentrality": noncentrality,
+        "singles": singles,
+        "noise_free": {"speeds.csv": "\n".join(motions) + "\n"},
         "arrays": {f"runs/{channel}": speed / 100, f"runs/{channel}_nominal": nominal / 100},
     }
 
@@ -354,7 +379,10 @@ def _write_prior(
 
 
 def _refitted(fin, fins, frequency, command, inertia, speed, sd, cd, added, efficiency, offset, prior):
-    """Gap over noise that is left when efficiency and offset are free, and its sum of squares."""
+    """Return the residual function of a refit of efficiency and offset, and the gap that its optimum leaves.
+
+    The gap is a root mean square over the noise, and the noncentrality.
+    """
     drag, mass = 0.5 * DENSITY * cd * AREA, MASS + added
     kappa = drag / mass * 115.0
     # mean over terminal speed of a run from rest: cosh(v_end * t * drag / mass) = exp(kappa)
@@ -376,4 +404,19 @@ def _refitted(fin, fins, frequency, command, inertia, speed, sd, cd, added, effi
         return np.concatenate([misfit(p), (p - 1) / scales])
 
     best = least_squares(residual, np.ones(3), bounds=([0.1, -2.0, 0.1], [5.0, 5.0, 5.0])).x
-    return float(np.sqrt(np.mean(misfit(best) ** 2))), float(np.sum(residual(best) ** 2))
+    return residual, float(np.sqrt(np.mean(misfit(best) ** 2))), float(np.sum(residual(best) ** 2))
+
+
+def _singles(residual: Callable[[Array], Array], change: Array, candidates: dict) -> dict[str, float]:
+    """Return the noncentrality that a refit with each single effect leaves of a change, to first order."""
+    base = residual(np.ones(3))
+    system = np.stack([(residual(1 + 0.01 * one) - base) / 0.01 for one in np.eye(3)], axis=1)
+    # without data of the arbitrary fin, its factor is unknown
+    system = system[:, np.any(system != 0, axis=0)]
+    extra = len(base) - len(change)
+
+    def padded(values: Array) -> Array:
+        return np.concatenate([values, np.zeros(extra)])
+
+    columns = {name: np.stack([padded(d[0]) for d in draws], axis=1) for name, draws in candidates.items()}
+    return common.left_by_each(system, padded(change), columns)

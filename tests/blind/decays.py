@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tests.blind.common import Catalogue, left_by_refit, stages_of, write_parameters
+from tests.blind import common
+from tests.blind.common import PARAMETER, Catalogue, left_by_refit, stages_of, write_parameters
 
 DURATION = 6.0
+#: Parameters that may change between the fit of the parameter file and the trials, with their units.
+PARAMETERS = {
+    "added_inertia": "kg m^2",
+    "quadratic_damping": "N m s^2/rad^2",
+    "linear_damping": "N m s/rad",
+}
+#: Relative prior standard deviation of each coefficient in a fit.
+PRIOR = 0.6
 
 
 @dataclass
@@ -132,6 +141,19 @@ EFFECTS: Catalogue = {
 OUTSIDE: Catalogue = {"loose-ballast": (_loose_ballast, SIZES)}
 
 
+def _changed(parameter: str, factor: float, body: float) -> Act:
+    """Return an act that multiplies a parameter. The inertia ``body`` (kg m2) without water stays."""
+
+    def act(decay: Decay) -> None:
+        if parameter == "added_inertia":
+            decay.inertia = body + factor * (decay.inertia - body)
+        else:
+            attribute = parameter.removesuffix("_damping")
+            setattr(decay, attribute, factor * getattr(decay, attribute))
+
+    return act
+
+
 def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.Generator) -> dict:
     """Write one blind roll decay (see :func:`tests.blind.rigs.make_case`)."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -140,12 +162,14 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
     critical = 2 * np.sqrt(stiffness * body * (1 + added))
     linear, quadratic = critical * rng.uniform(0.01, 0.02), critical * rng.uniform(0.01, 0.03)
     known = {**EFFECTS, **OUTSIDE}
-    acts = [known[name][0](size, rng) for name in names]
+    changed = [name.removeprefix(PARAMETER) for name in names if name.startswith(PARAMETER)]
+    acts = [known[name][0](size, rng) for name in names if name in known]
+    acts += [_changed(name, 1.0 + size, body) for name in changed]
     count, noise, rate = int(rng.integers(6, 9)), np.radians(rng.uniform(0.15, 0.4)), rng.uniform(40.0, 80.0)
     starts = np.radians(rng.uniform(8.0, 25.0, count)) * rng.choice([-1.0, 1.0], count)
     seeds = rng.integers(0, 2**31, (count, 3))
 
-    def decay(k: int, *, effects: bool, scatter: bool) -> Decay:
+    def decay(k: int, *, effects: Sequence[Act], scatter: bool) -> Decay:
         own = Decay(
             body * (1 + added), stiffness, quadratic, linear, starts[k], np.random.default_rng(seeds[k, 0])
         )
@@ -154,16 +178,16 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
             own.quadratic *= chance.normal(1.0, 0.02)
             own.linear *= chance.normal(1.0, 0.02)
             own.stiffness *= chance.normal(1.0, 0.001)
-        for act in acts if effects else ():
+        for act in effects:
             act(own)
         return own
 
     arrays: dict[str, np.ndarray] = {}
-    raw, drawn, changes, frames_of = [], [], [], []
+    raw, drawn, changes, frames_of, noise_free = [], [], [], [], {}
     lines = ["format: swimid-trials/1", "experiment: free-decay", "robot: hull.yaml", "trials:"]
     held = rng.choice(count, 1) if rng.random() < 0.4 else []
     for k in range(count):
-        t, roll = decay(k, effects=True, scatter=True).swing()
+        t, roll = decay(k, effects=acts, scatter=True).swing()
         chance = np.random.default_rng(seeds[k, 2])
         frames = np.arange(0.0, t[-1], 1.0 / rate)
         noisy = chance.normal(0.0, noise, len(frames))
@@ -174,11 +198,12 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         lines.append(f"  - {{log: {name}.csv, id: {name}{', role: validate' if k in held else ''}}}")
         fair, plain, moved = (
             np.interp(frames, *decay(k, effects=e, scatter=s).swing())
-            for e, s in ((True, False), (False, False), (False, True))
+            for e, s in ((acts, False), ((), False), ((), True))
         )
         raw.append((fair - plain) ** 2)
         changes.append(fair - plain)
         frames_of.append(frames)
+        noise_free[f"{name}.csv"] = common.log_text(t_s=frames, roll_rad=fair)
         # the noise of these very samples, and what scatter does there: of trials that errors are of
         if k in held or not len(held):
             drawn.append(noisy**2 + (moved - plain) ** 2)
@@ -189,12 +214,37 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         f"body: {{inertial_mass_kg: 1.2, roll_inertia_kg_m2: {body:.6g}}}\n"
         f"rig: {{roll_stiffness_N_m_rad: {stiffness:.6g}}}\n"
     )
-    prior = rng.random() < (0.85 if "linear-drag" in names else 0.35)
-    if prior:
+    truth = np.array([body * added, quadratic, linear])
+    plain_decays = [decay(k, effects=(), scatter=False) for k in range(count)]
+    # only the inertia of the water is estimated
+    scale = np.array([added / (1 + added), 1.0, 1.0])
+    if changed:
+        prior, known_to = True, _write_fit(folder, plain_decays, scale, truth, noise, rate, rng)
+    else:
+        prior = rng.random() < (0.85 if "linear-drag" in names else 0.35)
+        known_to = np.diag(np.full(3, 0.035 if prior else PRIOR))
+    if prior and not changed:
         _write_prior(folder, body * added, quadratic, linear, stiffness, rng)
     floor = float(np.sqrt(np.mean(np.concatenate(drawn))))
     gap = float(np.sqrt(np.mean(np.concatenate(raw)))) / floor
-    left, noncentrality = _refitted(decay, frames_of, changes, noise, 0.035 if prior else 0.6)
+
+    def change_of(act: Act) -> list[np.ndarray]:
+        """Return the change of each trial by another act, in rad."""
+        return [
+            np.interp(t, *decay(k, effects=[act], scatter=False).swing())
+            - np.interp(t, *plain_decays[k].swing())
+            for k, t in enumerate(frames_of)
+        ]
+
+    candidates = {}
+    if len(names) == 2:
+        candidates = common.candidates(EFFECTS, dict(zip(names, acts, strict=True)), change_of)
+    shared, own = _columns(plain_decays, frames_of)
+    if changed:
+        candidates = common.alone(PARAMETERS, shared, names)
+    shared = [slopes * scale @ known_to for slopes in shared]
+    sds = [np.full(len(t), noise) for t in frames_of]
+    left, noncentrality, singles = left_by_refit(changes, shared, own, sds, candidates)
     return {
         "robot": "free-decay",
         "effects": list(names),
@@ -207,35 +257,80 @@ def make_case(folder: Path, names: tuple[str, ...], size: float, rng: np.random.
         "gap_over_floor": {"roll_rad": gap, "overall": gap},
         "gap_refit": {"roll_rad": left / noise, "overall": left / noise},
         "noncentrality": noncentrality,
+        "singles": singles,
+        "truth": dict(zip(PARAMETERS, truth, strict=True)),
+        "factors": dict.fromkeys(changed, 1.0 + size),
         "arrays": arrays,
+        "noise_free": noise_free,
     }
 
 
-def _refitted(
-    decay: Callable[..., Decay],
-    frames: list[np.ndarray],
-    changes: list[np.ndarray],
-    noise: float,
-    known: float,
-) -> tuple[float, float]:
-    """`left_by_refit` with inertia and damping free within ``known`` (relative), and each trial's start."""
+def _columns(decays: Sequence[Decay], frames: Sequence[np.ndarray]) -> tuple[list, list]:
+    """Return the changes of each trial (rad) by the coefficients, and by what scatters between trials.
+
+    A change by inertia, quadratic or linear damping is for twice its value, to first order. The start of each
+    trial is free.
+    """
     shared, own = [], []
-    for k, t in enumerate(frames):
-
-        def roll(k: int = k, t: np.ndarray = t, **changed: float) -> np.ndarray:
-            trial = decay(k, effects=False, scatter=False)
-            for name, factor in changed.items():
-                setattr(trial, name, getattr(trial, name) * factor)
-            return np.interp(t, *trial.swing())
-
-        base = roll()
-        # the known body is three quarters of the inertia that is estimated
-        steps = {"inertia": 0.25 * known, "quadratic": known, "linear": known}
-        slopes = {name: (roll(**{name: 1.01}) - base) / 0.01 for name in (*steps, "stiffness", "start")}
-        shared.append(np.stack([slopes[name] * sd for name, sd in steps.items()], axis=1))
+    for trial, t in zip(decays, frames, strict=True):
+        base = np.interp(t, *trial.swing())
+        slopes = {}
+        for name in ("inertia", "quadratic", "linear", "stiffness", "start"):
+            moved = replace(trial, **{name: 1.01 * getattr(trial, name)})
+            slopes[name] = (np.interp(t, *moved.swing()) - base) / 0.01
+        shared.append(np.stack([slopes[name] for name in ("inertia", "quadratic", "linear")], axis=1))
         chance = [slopes["quadratic"] * 0.02, slopes["linear"] * 0.02, slopes["stiffness"] * 0.001]
         own.append(np.stack([*chance, slopes["start"], np.gradient(base, t)], axis=1))
-    return left_by_refit(changes, shared, own, [np.full(len(t), noise) for t in frames])
+    return shared, own
+
+
+def _write_fit(
+    folder: Path,
+    decays: Sequence[Decay],
+    scale: np.ndarray,
+    truth: np.ndarray,
+    noise: float,
+    rate: float,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Write the estimates of a fit to the decays of another day, and return the root of their covariance.
+
+    Parameters
+    ----------
+    decays : sequence of Decay
+        Trials like those of the other day, which begin at other angles.
+    scale : ndarray, shape (3,)
+        Relative change of inertia and dampings for a relative change of each parameter.
+    truth : ndarray, shape (3,)
+    noise, rate : float
+        Standard deviation of the noise (rad), and frames in a second.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Square root of the covariance of the relative errors.
+    """
+    starts = np.radians(rng.uniform(8.0, 25.0, len(decays)))
+    others = [replace(one, start=start) for one, start in zip(decays, starts, strict=True)]
+    frames = [np.arange(0.0, DURATION - 2e-3, 1.0 / rate) for _ in others]
+    shared, own = _columns(others, frames)
+    system = common.stacked(
+        [PRIOR * slopes * scale for slopes in shared], own, [np.full(len(t), noise) for t in frames]
+    )
+    covariance = PRIOR**2 * common.fit_covariance(system, 3)
+    estimates, stderr, correlation = common.draw_fit(truth, covariance, 3.0 * truth, rng)
+    rows = {}
+    for k, (name, unit) in enumerate(PARAMETERS.items()):
+        rows[name] = (estimates[k], stderr[k], unit, "estimated")
+    rows["stiffness"] = (others[0].stiffness, 0.0, "N m/rad", "fixed")
+    write_parameters(
+        folder / "params_prior.yaml",
+        model="free-decay",
+        robot="hull.yaml",
+        parameters=rows,
+        correlation=correlation,
+    )
+    return np.linalg.cholesky(covariance)
 
 
 def _write_prior(

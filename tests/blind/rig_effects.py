@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tests.blind.common import Catalogue
+from tests.blind.common import PARAMETER, Catalogue
 
 GRAVITY = 980.0
 MASS, PULLEY, AREA, DENSITY, LENGTH, VISCOSITY = 1196.0, 20.0, 69.8, 0.997, 26.4, 0.0100
@@ -335,4 +335,20 @@ OUTSIDE: Catalogue = {
     "string-slip": (_string_slip, SIZES),
     "friction-drift": (_friction_drift, SIZES),
     "stratification": (_stratification, SIZES),
+}
+#: Attribute of a rig for each parameter that may change.
+PARAMETERS = {"drag_coefficient": "drag", "added_mass": "added"}
+
+
+def _changed(attribute: str) -> Callable[[float, np.random.Generator], Act]:
+    """Return the maker of an act that changes an attribute of a rig by the share ``size``."""
+
+    def maker(size: float, _: np.random.Generator) -> Act:
+        return lambda rig: setattr(rig, attribute, getattr(rig, attribute) * (1.0 + size))
+
+    return maker
+
+
+CHANGES: Catalogue = {
+    f"{PARAMETER}{name}": (_changed(attribute), []) for name, attribute in PARAMETERS.items()
 }

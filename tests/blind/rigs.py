@@ -6,13 +6,14 @@ uncertain stamps, or a camera's frames.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from tests.blind import decays, rig_effects
-from tests.blind.common import Catalogue, left_by_refit, stages_of, write_parameters
-from tests.blind.rig_effects import AREA, DENSITY, GRAVITY, MASS, PULLEY, TRAVEL, Rig
+from tests.blind import common, decays, rig_effects
+from tests.blind.common import PARAMETER, Catalogue, left_by_refit, stages_of, write_parameters
+from tests.blind.rig_effects import AREA, DENSITY, GRAVITY, MASS, PULLEY, TRAVEL, Act, Rig
 
 CLICK = 0.785
 #: Scatter of the body at its release, cm.
@@ -32,6 +33,14 @@ CONFOUNDED = (
 
 CATALOGUE: dict[str, Catalogue] = {"falling-weight": rig_effects.EFFECTS, "free-decay": decays.EFFECTS}
 OUTSIDE: dict[str, Catalogue] = {"falling-weight": rig_effects.OUTSIDE, "free-decay": decays.OUTSIDE}
+#: Parameters that may change between the fit of the parameter file and the trials.
+CHANGED = {"falling-weight": tuple(rig_effects.PARAMETERS), "free-decay": tuple(decays.PARAMETERS)}
+#: Unit of each parameter of a falling weight, and its factor from centimetres, grams and dynes to SI.
+UNITS = {"drag_coefficient": ("1", 1.0), "added_mass": ("kg", 1e-3), "pulley_friction": ("N", 1e-5)}
+#: Relative prior standard deviation of each coefficient in a fit.
+PRIOR = 0.6
+#: Largest relative values of the estimates of a fit to other trials.
+UPPER = 3.0
 
 
 def nominal(t: np.ndarray, weight: float, drag: float, added: float, friction: float) -> np.ndarray:
@@ -51,9 +60,9 @@ def make_case(folder: Path, *, robot: str, effect: str | tuple[str, ...] | None,
         Where trials.yaml, the logs and perhaps params_prior.yaml go.
     robot : {"falling-weight", "free-decay"}
     effect : str, tuple of str or None
-        Of ``CATALOGUE[robot]`` or ``OUTSIDE[robot]``.
+        Of ``CATALOGUE[robot]`` or ``OUTSIDE[robot]``, or ``parameter:NAME`` for a name of ``CHANGED[robot]``.
     size : float
-        0.3 is barely visible, 1 clearly, 3 dominant.
+        0.3 is barely visible, 1 clearly, 3 dominant. Of a parameter, its relative change.
     rng : numpy.random.Generator
 
     Returns
@@ -74,15 +83,16 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
     weights = np.sort(rng.choice(np.arange(10.0, 46.0, 2.5), rng.integers(7, 11), replace=False))
     weights[0] = min(weights[0], 12.5)
     clicks = bool(rng.random() < 0.5) and "marker-dropout" not in names
-    known = {**rig_effects.EFFECTS, **rig_effects.OUTSIDE}
+    known = {**rig_effects.EFFECTS, **rig_effects.OUTSIDE, **rig_effects.CHANGES}
     acts = [known[name][0](size, rng) for name in names]
+    is_changed = any(name.startswith(PARAMETER) for name in names)
     order = rng.permutation(len(weights)) / max(len(weights) - 1, 1)
     spread, clock = rng.uniform(0.02, 0.03), rng.uniform(0.003, 0.008)
     seeds = rng.integers(0, 2**31, (len(weights), 3))
     rate, noise = rng.uniform(20.0, 50.0), rng.uniform(0.10, 0.20)
     jitter, pitch = 0.004, 0.02
 
-    def rig(k: int, *, effects: bool, scatter: bool) -> Rig:
+    def rig(k: int, *, effects: Sequence[Act], scatter: bool) -> Rig:
         own, chance = Rig(weights[k], drag, added, friction, clicks, np.random.default_rng(seeds[k, 0])), None
         own.order = float(order[k])
         if scatter:
@@ -91,18 +101,24 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
             own.late += chance.normal(0.0, clock)
             start = chance.normal(0.0, START_SD)
             own.seen.append(lambda _, x: x + start)
-        for act in acts if effects else ():
+        for act in effects:
             act(own)
         return own
+
+    def noise_of(speed: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of the noise at a speed (cm/s), in cm."""
+        if clicks:
+            return np.hypot(jitter * speed, pitch)
+        return np.full(len(speed), noise)
 
     arrays: dict[str, np.ndarray] = {}
     squares: dict[str, list[np.ndarray]] = {"raw": [], "scatter": [], "noise": []}
     drawn: list[np.ndarray] = []
-    grids, changes = [], []
+    grids, changes, noise_free = [], [], {}
     lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
     held = rng.choice(len(weights), rng.integers(1, 3), replace=False) if rng.random() < 0.4 else []
     for k, weight in enumerate(weights):
-        t, x = rig(k, effects=True, scatter=True).fall()
+        t, x = rig(k, effects=acts, scatter=True).fall()
         chance = np.random.default_rng(seeds[k, 2])
         stamps, read = _clicks(t, x, chance, jitter, pitch) if clicks else _camera(t, x, chance, rate, noise)
         name = f"run{k + 1:02d}"
@@ -112,7 +128,7 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         role = ", role: validate" if k in held else ""
         lines.append(f"  - {{log: {name}.csv, id: {name}, pulling_mass_kg: {weight / 1000:.4f}{role}}}")
         fair, plain, moved = (
-            rig(k, effects=e, scatter=s).fall() for e, s in ((True, False), (False, False), (False, True))
+            rig(k, effects=e, scatter=s).fall() for e, s in ((acts, False), ((), False), ((), True))
         )
         # the noise of these very samples, and what scatter does there: of trials that errors are of
         if k in held or not len(held):
@@ -123,20 +139,41 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         speed = np.gradient(on[1], grid)
         squares["raw"].append((on[0] - on[1]) ** 2)
         squares["scatter"].append((on[2] - on[1]) ** 2)
-        squares["noise"].append((jitter * speed) ** 2 + pitch**2 if clicks else np.full(150, noise**2))
+        squares["noise"].append(noise_of(speed) ** 2)
+        noise_free[f"{name}.csv"] = common.log_text(t_s=fair[0][::20], x_m=fair[1][::20] / 100)
         grids.append(grid)
         changes.append(on[0] - on[1])
         arrays |= {f"{name}/t_s": grid, f"{name}/x_m": on[0] / 100, f"{name}/x_m_nominal": on[1] / 100}
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
-    known_to = np.full(3, 0.6)
-    prior = bool(rng.random() < (0.85 if set(names) & set(CONFOUNDED) else 0.35))
-    if prior:
-        known_to = _write_prior(folder, np.array([cd, added, friction]), "pulley-friction" in names, rng)
+    truth = np.array([cd, added, friction])
+    scatter = (spread, clock, START_SD)
+    known_to = np.diag(np.full(3, PRIOR))
+    if is_changed:
+        known_to, prior = _write_fit(folder, truth, noise_of, scatter, rng), True
+    else:
+        prior = bool(rng.random() < (0.85 if set(names) & set(CONFOUNDED) else 0.35))
+    if prior and not is_changed:
+        known_to = np.diag(_write_prior(folder, truth, "pulley-friction" in names, rng))
     size_of = {key: float(np.sqrt(np.mean(value))) for key, value in squares.items()}
     floor = float(np.sqrt(np.mean(np.concatenate(drawn))))
-    truth = np.array([cd, added, friction])
     sds = [np.sqrt(value) for value in squares["noise"]]
-    left, noncentrality = _refitted(weights, grids, changes, truth, sds, (spread, clock, START_SD), known_to)
+
+    def change_of(act: Act) -> list[np.ndarray]:
+        """Return the change of each trial by another act, in cm."""
+        found = []
+        for k, grid in enumerate(grids):
+            bent, plain = (rig(k, effects=e, scatter=False).fall() for e in ((act,), ()))
+            found.append(np.interp(grid, *bent) - np.interp(grid, *plain))
+        return found
+
+    candidates = {}
+    if len(names) == 2:
+        candidates = common.candidates(rig_effects.EFFECTS, dict(zip(names, acts, strict=True)), change_of)
+    shared, own = _columns(weights, grids, truth, scatter)
+    if is_changed:
+        candidates = common.alone(UNITS, shared, names)
+    shared = [slopes @ known_to for slopes in shared]
+    left, noncentrality, singles = left_by_refit(changes, shared, own, sds, candidates)
     # chance differences are refitted, too: what is left is held against the noise within trials
     fair_gap = left / size_of["noise"]
     return {
@@ -146,14 +183,17 @@ def _falling_weight(folder: Path, names: tuple[str, ...], size: float, rng: np.r
         "size": size,
         "prior": prior,
         "clicks": clicks,
-        "truth": {"drag_coefficient": cd, "added_mass": added / 1000, "pulley_friction": friction / 1e5},
+        "truth": {name: value * UNITS[name][1] for name, value in zip(UNITS, truth, strict=True)},
+        "factors": {name.removeprefix(PARAMETER): 1.0 + size for name in names if name.startswith(PARAMETER)},
         "noise_sd": {"x_m": size_of["noise"] / 100},
         "floor": {"x_m": floor / 100},
         "range": {"x_m": TRAVEL / 100},
         "gap_over_floor": {"x_m": size_of["raw"] / floor, "overall": size_of["raw"] / floor},
         "gap_refit": {"x_m": fair_gap, "overall": fair_gap},
         "noncentrality": noncentrality,
+        "singles": singles,
         "arrays": arrays,
+        "noise_free": noise_free,
     }
 
 
@@ -192,26 +232,58 @@ def _write_prior(
         error[2] = 0.015
     value = truth * (1.0 + error * rng.normal(size=3))
     rows = {}
-    units = {"drag_coefficient": ("1", 1.0), "added_mass": ("kg", 1e-3), "pulley_friction": ("N", 1e-5)}
-    for k, (name, (unit, si)) in enumerate(units.items()):
+    for k, (name, (unit, si)) in enumerate(UNITS.items()):
         fixed = friction_known and name == "pulley_friction"
         rows[name] = (value[k] * si, error[k] * value[k] * si, unit, "fixed" if fixed else "estimated")
     write_parameters(folder / "params_prior.yaml", model="falling-weight", robot="boxfish", parameters=rows)
     return error
 
 
-def _refitted(
-    weights: np.ndarray,
-    grids: list[np.ndarray],
-    changes: list[np.ndarray],
+def _write_fit(
+    folder: Path,
     truth: np.ndarray,
-    noise: list[np.ndarray],
+    noise_of: Callable[[np.ndarray], np.ndarray],
     scatter: tuple[float, float, float],
-    known: np.ndarray,
-) -> tuple[float, float]:
-    """`left_by_refit` with drag, added mass and friction free within ``known`` (relative); rms in cm.
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Write the estimates of a fit to the drops of another day.
 
-    ``scatter``: standard deviations of friction (relative), clock (s) and start (cm).
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Square root of the covariance of the relative errors.
+    """
+    weights = np.sort(rng.choice(np.arange(10.0, 46.0, 2.5), rng.integers(7, 11), replace=False))
+    grids, sds = [], []
+    for weight in weights:
+        t = np.arange(0.0, 40.0, 1e-3)
+        x = nominal(t, weight, 0.5 * DENSITY * truth[0] * AREA, *truth[1:])
+        grids.append(np.linspace(0.0, t[np.searchsorted(x, TRAVEL) - 1], 150))
+        sds.append(noise_of(np.interp(grids[-1], t, np.gradient(x, t))))
+    shared, own = _columns(weights, grids, truth, scatter)
+    system = common.stacked([PRIOR * slopes for slopes in shared], own, sds)
+    covariance = PRIOR**2 * common.fit_covariance(system, 3)
+    estimates, stderr, correlation = common.draw_fit(truth, covariance, UPPER * truth, rng)
+    rows = {}
+    for k, (name, (unit, si)) in enumerate(UNITS.items()):
+        rows[name] = (estimates[k] * si, stderr[k] * si, unit, "estimated")
+    write_parameters(
+        folder / "params_prior.yaml",
+        model="falling-weight",
+        robot="boxfish",
+        parameters=rows,
+        correlation=correlation,
+    )
+    return np.linalg.cholesky(covariance)
+
+
+def _columns(
+    weights: np.ndarray, grids: list[np.ndarray], truth: np.ndarray, scatter: tuple[float, float, float]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the changes of each drop (cm) by the coefficients, and by what scatters between drops.
+
+    ``scatter`` has the standard deviations of friction (relative), clock (s) and start (cm). A change by a
+    coefficient is for twice its value, to first order.
     """
     shared, own = [], []
     for t, weight in zip(grids, weights, strict=True):
@@ -221,7 +293,7 @@ def _refitted(
 
         base = fall(*truth)
         slopes = [(fall(*(truth * (1 + 0.01 * one))) - base) / 0.01 for one in np.eye(3)]
-        shared.append(np.stack(slopes, axis=1) * known)
+        shared.append(np.stack(slopes, axis=1))
         late = -np.gradient(base, t) * scatter[1]
         own.append(np.stack([slopes[2] * scatter[0], late, np.full(len(t), scatter[2])], axis=1))
-    return left_by_refit(changes, shared, own, noise)
+    return shared, own

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -23,11 +22,20 @@ from typing import Any
 
 import numpy as np
 
+from tests.blind import noise_free
+from tests.blind.common import PARAMETER
+
 #: Modules of generators, each with CATALOGUE, OUTSIDE and make_case.
 GENERATORS = ("rigs", "cruises", "swimmers")
 #: Share of the cases; a family's robots divide its share evenly unless they have their own.
 SHARES = {"falling-weight": 0.21, "free-decay": 0.04, "cruise": 0.15, "tfish": 0.35, "dolphin": 0.25}
+#: Kinds of cases. A plan numbers its cases of a changed parameter from `CHANGED_FROM` on.
 KINDS = {"clean": 0.12, "single": 0.60, "pair": 0.13, "outside": 0.15}
+CHANGED_FROM = 5000
+#: Share of the cases of a changed parameter.
+CHANGED_SHARES = {"falling-weight": 0.2, "free-decay": 0.1, "tfish": 0.4, "dolphin": 0.3}
+#: Smallest and largest relative change of a parameter.
+CHANGE = (0.08, 0.25)
 #: A cause that makes a swim unstable is drawn so much smaller, so often at most.
 SMALLER, UNSTABLE = 0.7, 6
 FITS = {
@@ -40,7 +48,6 @@ FITS = {
 }
 #: Effects outside the catalogue of which a robot file asks: there the answer is another reading of it.
 READINGS = {"spread-drag": "reading:drag_point=strips"}
-KEPT_VARIABLES = ("PATH", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH", "NUMBA_CACHE_DIR", "SYSTEMROOT")
 #: Exit status of a command that has written a result and does not trust it.
 UNTRUSTED = 4
 PROGRAM = (sys.executable, "-m", "swimid")
@@ -110,6 +117,25 @@ def plan(
     return [{"number": i, **cases[int(k)]} for i, k in enumerate(order)]
 
 
+def plan_changed(total: int, seed: int, *, robots: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Return the plan of cases in which a parameter differs from the parameter file.
+
+    The size of a case is the relative change of the parameter. The cases depend neither on the number of the
+    other cases of a run nor change they them.
+    """
+    shares = {name: share for name, share in CHANGED_SHARES.items() if not robots or name in robots}
+    rng = np.random.default_rng([seed, 2])
+    cases = []
+    for robot, number in counts(total, shares).items():
+        names = itertools.cycle(rng.permutation(generators()[robot].CHANGED[robot]).tolist())
+        for _ in range(number):
+            change = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(*np.log(CHANGE))))
+            truth = [f"{PARAMETER}{next(names)}"]
+            cases.append({"robot": robot, "kind": "changed", "effects": truth, "size": round(change, 4)})
+    order = rng.permutation(len(cases))
+    return [{"number": CHANGED_FROM + i, **cases[int(k)]} for i, k in enumerate(order)]
+
+
 def separated(label: dict[str, Any], place: str = "") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What of a label JSON can hold, and its arrays by the place where they were."""
     arrays: dict[str, np.ndarray] = {}
@@ -168,6 +194,7 @@ def _made(case: dict[str, Any], out: Path, seed: int) -> Path:
         size=case["size"],
         rng=np.random.default_rng([seed, 1, case["number"]]),
     )
+    noise_free.write(folder, labels / name, label.pop("noise_free", {}))
     rest, arrays = separated({**label, **_left_by_refit(label)})
     np.savez_compressed(labels / f"{name}.npz", **arrays)  # type: ignore[arg-type]
     # what was asked for says what is true; the generator adds what it knows of it
@@ -185,7 +212,13 @@ def _left_by_refit(label: dict[str, Any]) -> dict[str, Any]:
     # no refit takes up samples of a marker that fails
     broken = any(act.broken is not None for act in label["acts"])
     left = label["gap_over_floor"] if broken else found["refit_over_floor"]
-    return {"noncentrality": found["noncentrality"], "gap_refit": left, "floor": floors(label)}
+    singles = found.get("singles", {})
+    return {
+        "noncentrality": found["noncentrality"],
+        "gap_refit": left,
+        "floor": floors(label),
+        "singles": singles,
+    }
 
 
 def commands(folder: Path) -> list[list[str]]:
@@ -221,11 +254,7 @@ def diagnose(
         work = Path(temporary) / "run"
         shutil.copytree(folder, work)
         given = {path.name for path in work.iterdir()}
-        environment = {key: os.environ[key] for key in KEPT_VARIABLES if key in os.environ}
-        if search is not None:
-            paths = [str(search), *filter(None, [environment.get("PYTHONPATH")])]
-            environment["PYTHONPATH"] = os.pathsep.join(paths)
-        environment |= {"HOME": temporary, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment = noise_free.environment(temporary, search)
         for command in commands(work):
             begun = time.perf_counter()
             try:
@@ -266,17 +295,28 @@ def run(
     keep: bool = False,
     program: Sequence[str] = PROGRAM,
     timeout_s: float = 900.0,
+    search: Path | None = None,
+    relabel: bool = False,
 ) -> None:
-    """Make and diagnose the cases that have no result yet."""
+    """Make and diagnose the cases that have no result yet.
+
+    With ``relabel`` the labels of the other cases, and the errors against their noise-free motions, are
+    written anew. See :func:`diagnose` for ``search``.
+    """
     begun = time.perf_counter()
 
     def one(case: dict[str, Any]) -> None:
         name = f"{case['number']:04d}"
         results = out / "results" / name
-        if (results / "result.json").exists():
+        is_done = (results / "result.json").exists()
+        if is_done and not relabel:
             return
         folder = make(case, out, seed)
-        record = diagnose(folder, results, program=program, timeout_s=timeout_s)
+        if is_done:
+            record = json.loads((results / "result.json").read_text())
+        else:
+            record = diagnose(folder, results, program=program, timeout_s=timeout_s, search=search)
+        noise_free.compare(out / "labels" / name, results, program=program, search=search)
         if not keep:
             shutil.rmtree(folder)
         told = " + ".join(case["effects"]) or "clean"
@@ -294,15 +334,22 @@ def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line of ``python -m tests.blind``."""
     parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
     parser.add_argument("--cases", type=int, default=160, help="how many")
+    parser.add_argument("--changed", type=int, default=0, help="how many more with a changed parameter")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--robots", nargs="+", default=[], help="only these")
     parser.add_argument("--effects", nargs="+", default=[], help="only single cases of these")
     parser.add_argument("--only", nargs="+", type=int, default=[], help="only the cases of these numbers")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--timeout", type=float, default=900.0, help="per command, s")
+    parser.add_argument("--search", type=Path, help="folder with another version of the program")
     parser.add_argument("--out", type=Path, required=True, help="folder; a run there is taken up again")
     parser.add_argument("--keep", action="store_true", help="keep the case folders")
+    parser.add_argument("--relabel", action="store_true", help="write the labels of finished cases anew")
+    parser.add_argument("--plan", action="store_true", help="print the cases of the plan and run nothing")
     parser.add_argument("--score", action="store_true", help="score what is there, run nothing")
+    parser.add_argument(
+        "--compare", type=Path, metavar="OUT", help="folder of the same cases to compare the score with"
+    )
     return parser.parse_args(argv)
 
 
@@ -314,8 +361,12 @@ def main(argv: Sequence[str] | None = None, *, program: Sequence[str] = PROGRAM)
     out: Path = chosen.out.resolve()
     if not chosen.score:
         cases = plan(chosen.cases, chosen.seed, robots=chosen.robots, effects=chosen.effects)
-        out.mkdir(parents=True, exist_ok=True)
+        cases += plan_changed(chosen.changed, chosen.seed, robots=chosen.robots)
         text = json.dumps({"seed": chosen.seed, "cases": cases}, indent=1) + "\n"
+        if chosen.plan:
+            print(text, end="")
+            return
+        out.mkdir(parents=True, exist_ok=True)
         kept = out / "plan.json"
         if kept.exists() and kept.read_text() != text:
             raise SystemExit(f"{out} holds a run of another plan")
@@ -329,5 +380,7 @@ def main(argv: Sequence[str] | None = None, *, program: Sequence[str] = PROGRAM)
             keep=chosen.keep,
             program=program,
             timeout_s=chosen.timeout,
+            search=chosen.search and chosen.search.resolve(),
+            relabel=chosen.relabel,
         )
-    print(score.write(out))
+    print(score.write(out, chosen.compare))

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from tests.blind import runner
-from tests.blind.common import STAGE_OF
+from tests.blind import figures, noise_free, runner
+from tests.blind.common import PARAMETER, STAGE_OF
+from tests.blind.figures import LARGEST_SET
 
-LARGEST_SET = 3
 PROBABILITIES = (0.0, 0.5, 0.8, 0.95, 1.0 + 1e-9)
 SURE = 0.9
 #: An error that exceeds the noise by less has no share of it closed to speak of.
@@ -39,7 +39,12 @@ def read(out: Path) -> list[Row]:
         path = place.parent / "gap.yaml"
         # a gap file that a failed command left is no answer
         gap = YAML(typ="safe").load(path.read_text()) if record["ended"] and path.exists() else None
-        rows.append(scored(label, gap, record))
+        row = scored(label, gap, record)
+        true = noise_free.closed_share(place.parent, label.get("floor") or {})
+        stated = (gap or {}).get("closed") or {}
+        if true is not None and stated.get("share") is not None:
+            row |= {"claimed": stated["share"], "closed": true, "interval": _interval(stated.get("ci95"))}
+        rows.append(row)
     return rows
 
 
@@ -76,7 +81,17 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
         "tool_ratio": None,
         "causes": 0,
         "one_suffices": False,
+        "gap": _largest(label.get("gap_refit")),
+        "singles": min((label.get("singles") or {}).values(), default=None),
+        "both": False,
+        "from": None,
+        "value": None,
+        "stated": None,
+        "stderr": None,
     }
+    for name, factor in (label.get("factors") or {}).items():
+        row["from"] = label["truth"][name]
+        row["value"] = row["from"] * factor
     if gap is None:
         return row
     ratios = [c["nrmse"] / c["floor"] for c in gap["where"]["channels"] if c.get("floor") and c.get("nrmse")]
@@ -85,13 +100,33 @@ def scored(label: Row, gap: Row | None, record: Row) -> Row:
     row["found"] = sum(any(name in named for named in sets) for name in truth)
     row["causes"] = len(causes)
     row["one_suffices"] = one_suffices(gap)
+    row["both"] = has_both(truth, sets)
     if causes:
         row["named"], row["probability"] = causes[0]["effect"], causes[0].get("probability")
         row["set"] = sorted(sets[0])
         row["first"] = row["named"] in truth
         row["within"] = row["first"] or (len(sets[0]) <= LARGEST_SET and bool(sets[0] & set(truth)))
         row["claimed"], row["closed"], row["interval"] = _shrinkage(causes[0], gap, label)
+        estimate = (causes[0].get("parameters") or {}).get(row["named"].removeprefix(PARAMETER)) or {}
+        if row["value"] is not None and row["first"]:
+            row["stated"], row["stderr"] = estimate.get("value"), estimate.get("stderr")
     return row
+
+
+def has_both(truth: Sequence[str], sets: Sequence[set[str]]) -> bool:
+    """Return whether two true effects are in different sets of at most `LARGEST_SET` effects."""
+    if len(truth) != 2:
+        return False
+    small = [named for named in sets if len(named) <= LARGEST_SET]
+    return any(truth[0] in a and truth[1] in b for a, b in itertools.permutations(small, 2))
+
+
+def _largest(gap: Any) -> float | None:
+    """Return the error in the worst channel over the noise, from what a refit leaves of the effect there."""
+    if not isinstance(gap, dict):
+        return None
+    left = [size for name, size in gap.items() if name != "overall" and np.isfinite(size)]
+    return max((float(np.hypot(1.0, size)) for size in left), default=None)
 
 
 def one_suffices(gap: Row) -> bool:
@@ -127,9 +162,15 @@ def _shrinkage(
     floor = (label.get("floor") or label.get("noise_sd") or {}).get(name)
     if not width or not floor:
         return best["closed"], None, None
-    low, high = best.get("ci95") or (None, None)
-    interval = None if low is None or high is None else (low, high)
-    return best["closed"], closed_share(best["before"], best["after"], floor / width), interval
+    true = closed_share(best["before"], best["after"], floor / width)
+    return best["closed"], true, _interval(best.get("ci95"))
+
+
+def _interval(stated: Sequence[float | None] | None) -> tuple[float, float] | None:
+    low, high = stated or (None, None)
+    if low is None or high is None:
+        return None
+    return low, high
 
 
 def closed_share(before: float, after: float, floor: float) -> float | None:
@@ -287,7 +328,7 @@ def summary(rows: Sequence[Row]) -> Row:
 def markdown(rows: Sequence[Row]) -> str:
     """All tables."""
     singles = [r for r in rows if r["kind"] == "single"]
-    parts = ["# Blind diagnosis", _table(["figure", "value"], summary(rows).items())]
+    parts = ["# Blind diagnosis", figures.table(rows), _table(["figure", "value"], summary(rows).items())]
     for title, text in (
         ("By robot, single effects", _groups(singles, "robot")),
         (
@@ -299,6 +340,7 @@ def markdown(rows: Sequence[Row]) -> str:
         ("By noncentrality", by_class(singles, "noncentrality", (0, 10, 50, 150, 500, np.inf))),
         ("By effect", by_effect(singles)),
         ("Stages", confusion(singles)),
+        ("Changed parameters", _changes([r for r in rows if r["kind"] == "changed"])),
         ("Clean", _groups([r for r in rows if r["kind"] == "clean"], "robot")),
         ("Outside the catalogue", _groups([r for r in rows if r["kind"] == "outside"], "truth")),
         ("Pairs", _pairs([r for r in rows if r["kind"] == "pair"])),
@@ -326,6 +368,18 @@ def _pairs(rows: Sequence[Row]) -> str:
     return _table(["case", "robot", "truth", "verdict", "first cause's set", "found"], body)
 
 
+def _changes(rows: Sequence[Row]) -> str:
+    body = []
+    for r in rows:
+        numbers = [f"{r[k]:.4g}" if r[k] is not None else "–" for k in ("from", "value", "stated", "stderr")]
+        size, seen = f"{r['size']:+.0%}", f"{r['noncentrality'] or 0.0:.0f}"
+        truth = r["truth"][0].removeprefix(PARAMETER)
+        named = " / ".join(r["set"])
+        body.append([r["number"], r["robot"], truth, size, seen, *numbers, r["verdict"], named])
+    head = ["case", "robot", "parameter", "change", "noncentrality", "before", "in the trials", "estimate"]
+    return _table([*head, "standard error", "verdict", "first cause's set"], body)
+
+
 def _failures(rows: Sequence[Row]) -> str:
     body = [
         [r["number"], r["robot"], " + ".join(r["truth"]), r["status"]]
@@ -335,10 +389,15 @@ def _failures(rows: Sequence[Row]) -> str:
     return _table(["case", "robot", "truth", "exit status"], body)
 
 
-def write(out: Path) -> str:
-    """Score a run: score.json and score.md in its folder, and the text of the latter."""
+def write(out: Path, other: Path | None = None) -> str:
+    """Score a run and return the text of its score.md, which is written with score.json into its folder.
+
+    ``other`` is the folder of a run of the same cases, with which the score is compared.
+    """
     rows = read(out)
     text = markdown(rows)
+    if other is not None:
+        text = f"{text}\n{figures.compared(rows, read(other))}"
     (out / "score.md").write_text(text)
     (out / "score.json").write_text(json.dumps({"summary": summary(rows), "cases": rows}, indent=1) + "\n")
     return text

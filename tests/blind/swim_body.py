@@ -91,7 +91,8 @@ def of(kind: str, coefficients: dict[str, float], slices: int = SLICES, drag_at:
     """A robot of `tests.generators.swimmer`, with other coefficients."""
     if kind == "tfish":
         robot = swimmer.tfish(coefficients, slices=slices, drag_at=drag_at)
-        passive = {3: law(spring=85.0, pretension=0.030, arm=0.032, crank=0.020)}
+        pretension = coefficients.get("d_p", 0.030)
+        passive = {3: law(spring=85.0, pretension=pretension, arm=0.032, crank=0.020)}
         foil = np.zeros(5)
     else:
         robot = swimmer.dolphin(coefficients, slices=slices)

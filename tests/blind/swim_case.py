@@ -67,6 +67,7 @@ class Act:
     broken : (trial, channels, time) -> channels, after it
     start : (trial, rng), in place: where the trials must be for it to matter
     gyro : whether it needs one in the log
+    factors : factor of each coefficient that has changed
     """
 
     joints: Callable[[Trial, np.ndarray, np.ndarray], np.ndarray] | None = None
@@ -78,6 +79,7 @@ class Act:
     broken: Callable[[Trial, Channels, np.ndarray], Channels] | None = None
     start: Callable[[Trial, np.random.Generator], None] | None = None
     gyro: bool = False
+    factors: dict[str, float] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
 
 

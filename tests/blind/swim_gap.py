@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 
-from tests.blind.swim_case import Channels, Trial, held_out
+from tests.blind.common import PARAMETER, candidates, fit_covariance, left_by_each
+from tests.blind.swim_case import Act, Channels, Maker, Trial, held_out
 from tests.blind.swim_sensing import UP
-from tests.blind.swimmers import Noise, swim
+from tests.blind.swimmers import CATALOGUE, Noise, swim
 
 #: Step of the differences in the logarithm of a coefficient, and its prior's standard deviation.
 STEP, PRIOR = 0.03, 0.6
@@ -39,7 +41,8 @@ class Refit:
     Parameters
     ----------
     label : dict
-        Of `swimmers.make_case`.
+        Of `swimmers.make_case`. With ``known``, the square root of a covariance, the coefficients have the
+        prior of a fit to other trials.
     """
 
     def __init__(self, label: dict[str, Any]) -> None:
@@ -54,12 +57,19 @@ class Refit:
             self.penalty[at + 4 : at + 7] = 1e-4
             for column, change in self._changes(trial, label["coefficients"], at).items():
                 for name in self.names:
-                    n = len(label["with"][trial.id]["t_s"])
+                    n = round(trial.duration_s * trial.rate_hz) + 1
                     block = self.blocks.setdefault((trial.id, name), np.zeros((n, self.width)))
                     block[:, column] = change.get(name, 0.0)
                     if (name, n) not in self.roots:
                         self.roots[name, n] = _whitener(self.noise, name, n)
         whitened = [self._whiten(key[1], block) for key, block in self.blocks.items()]
+        # changes by one coefficient each, for a comparison with the change of a coefficient
+        alone = np.vstack([*whitened, np.zeros((self.width, self.width))])
+        self.slopes = {f"{PARAMETER}{key}": alone[:, [k]] for k, key in enumerate(keys)}
+        known = label.get("known")
+        if known is not None:
+            for block in (*self.blocks.values(), *whitened):
+                block[:, : len(keys)] = block[:, : len(keys)] / PRIOR @ known
         self.system = np.vstack([*whitened, np.diag(self.penalty)])
 
     def _changes(self, trial: Trial, coefficients: dict[str, float], at: int) -> dict[int, Channels]:
@@ -76,6 +86,10 @@ class Refit:
             found[at + 4 + k] = change
         return found
 
+    def covariance(self, count: int) -> np.ndarray:
+        """Return the covariance of the relative errors of the first ``count`` coefficients in a fit."""
+        return PRIOR**2 * fit_covariance(self.system, count)
+
     def _whiten(self, name: str, values: np.ndarray) -> np.ndarray:
         return solve_triangular(self.roots[name, len(values)], values, lower=True)
 
@@ -90,8 +104,7 @@ class Refit:
             the noise.
         """
         change = {key: with_it[key[0]][key[1]] - without[key[0]][key[1]] for key in self.blocks}
-        white = [self._whiten(key[1], values) for key, values in change.items()]
-        whole = np.concatenate([*white, np.zeros(self.width)])
+        whole = self._stacked(change)
         answer, *_ = np.linalg.lstsq(self.system, whole, rcond=None)
         rest = whole - self.system @ answer
         over = {}
@@ -101,10 +114,68 @@ class Refit:
         total = {"noncentrality": float(rest @ rest), "raw": float(whole @ whole)}
         return {**total, "refit_over_floor": over}
 
+    def _stacked(self, change: dict[tuple[str, str], np.ndarray]) -> np.ndarray:
+        white = [self._whiten(key[1], values) for key, values in change.items()]
+        return np.concatenate([*white, np.zeros(self.width)])
+
+    def singles(self, label: dict[str, Any]) -> dict[str, float]:
+        """Return the noncentrality that a refit with each other explanation leaves of the case's causes.
+
+        Those of a pair are single effects; a failed marker is compared with the other effect alone. Those of
+        a changed parameter are changes of single other parameters.
+        """
+        robot, coefficients = label["robot"], label["coefficients"]
+        acts = dict(zip(label["effects"], label["acts"], strict=True))
+        others = {name: column for name, column in self.slopes.items() if name not in acts}
+        base = {t.id: swim(t, coefficients, step_s=COARSE_S) for t in self.trials}
+
+        def stacked(moved: dict[str, Channels], base: dict[str, Channels]) -> np.ndarray:
+            return self._stacked({k: moved[k[0]][k[1]] - base[k[0]][k[1]] for k in self.blocks})
+
+        def change_of(act: Act) -> list[np.ndarray]:
+            moved = {t.id: swim(t, coefficients, [act], step_s=COARSE_S) for t in self.trials}
+            return [stacked(moved, base)]
+
+        whole = stacked(label["with"], label["without"])
+        if len(acts) == 1:
+            return left_by_each(self.system, whole, others)
+        broken = [name for name, act in acts.items() if act.broken is not None]
+        if broken:
+            (other,) = acts.keys() - set(broken)
+            failed = self._failed(label)
+            left = left_by_each(self.system, whole, {broken[0]: np.zeros((len(whole), 1))})
+            return {**left, other: failed}
+        catalogue = {}
+        for name, entry in CATALOGUE[robot].items():
+            example = entry.make(np.random.default_rng(0), 1.0, robot)
+            if example.start is None and example.broken is None:
+                catalogue[name] = (partial(_make, entry.make, robot), [])
+        drawn = candidates(catalogue, acts, change_of)
+        columns = {name: np.stack([draw[0] for draw in draws], axis=1) for name, draws in drawn.items()}
+        return left_by_each(self.system, whole, columns)
+
+    def _failed(self, label: dict[str, Any]) -> float:
+        """Return the squared errors of a failed marker in units of the noise variance."""
+        samples = sum(len(block) for block in self.blocks.values())
+        squared = label["gap_over_floor"]["overall"] ** 2 * samples
+        for trial, name in self.blocks:
+            off = label["with"][trial][name] - label["without"][trial][name]
+            squared -= float(np.sum((off / self.noise.sd(name)) ** 2))
+        return max(squared, 0.0)
+
+
+def _make(maker: Maker, robot: str, size: float, rng: np.random.Generator) -> Act:
+    """Return an act by the maker of a swimmer, with the arguments of the makers of rigs."""
+    return maker(rng, size, robot)
+
 
 def refit_gap(label: dict[str, Any]) -> dict[str, Any]:
-    """`Refit.left` of a case's own causes."""
-    return Refit(label).left(label["with"], label["without"])
+    """Return :meth:`Refit.left` of a case, and :meth:`Refit.singles` of a pair or a changed parameter."""
+    refit = Refit(label)
+    found = refit.left(label["with"], label["without"])
+    if len(label["effects"]) == 2 or label["factors"]:
+        found["singles"] = refit.singles(label)
+    return found
 
 
 def floors(label: dict[str, Any]) -> dict[str, float]:

@@ -7,17 +7,18 @@ The cause stays in the label it returns.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from tests.blind import common, swim_body, swim_files
 from tests.blind import swim_actuation as actuation
-from tests.blind import swim_body, swim_files
 from tests.blind import swim_effects as effects
 from tests.blind import swim_sensing as sensing
+from tests.blind.common import PARAMETER
 from tests.blind.swim_case import Act, Channels, Entry, Trial, held_out
 from tests.blind.swim_sensing import UP
 from tests.blind.swim_tables import Water
@@ -102,6 +103,13 @@ FITTED = {
         for k in range(3)
     },
 }
+#: Spring of the passive joint: name, published value, unit and upper bound.
+SPRING = {"tfish": ("d_p", 0.030, "m", 0.2), "dolphin": ("K_s", swimmer.DOLPHIN["K_s"], "N m/rad", 20.0)}
+#: Parameters that may change between the fit of the parameter file and the trials: masses, drag, springs.
+CHANGED = {
+    "tfish": ("c_ma", "c_d0", "c_d4", "d_p"),
+    "dolphin": ("c_m0", "c_d1", "c_d2", "K_s"),
+}
 
 
 @dataclass(frozen=True)
@@ -133,7 +141,9 @@ def swim(
     drag_at: str = "mid-link",
 ) -> Channels:
     """All channels of a trial without noise, at the log's times."""
-    body = swim_body.of(trial.robot, coefficients, drag_at=drag_at)
+    factors = _factors(acts)
+    changed_to = {name: value * factors.get(name, 1.0) for name, value in coefficients.items()}
+    body = swim_body.of(trial.robot, changed_to, drag_at=drag_at)
     steps = int(np.ceil((trial.duration_s + 0.5) / step_s))
     t = np.arange(2 * steps + 1) * 0.5 * step_s
     drive = {**trial.drive, "amplitude_deg": trial.drive["amplitude_deg"] * (1.0 + trial.amplitude)}
@@ -253,9 +263,9 @@ def make_case(
         ``params_prior.yaml``: a calibration of another day.
     robot : {"tfish", "dolphin"}
     effect : str, tuple of str or None
-        Names in `CATALOGUE` or `OUTSIDE`.
+        Names in `CATALOGUE` or `OUTSIDE`, or ``parameter:NAME`` for a name in `CHANGED`.
     size : float, or one per effect
-        About 0.3 barely visible, 1 clearly, 3 dominant.
+        About 0.3 barely visible, 1 clearly, 3 dominant. Of a parameter, its relative change.
     rng : numpy Generator
 
     Returns
@@ -270,9 +280,14 @@ def make_case(
     """
     names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
     sizes = (size,) * len(names) if isinstance(size, int | float) else tuple(size)
-    known = {**CATALOGUE[robot], **OUTSIDE[robot]}
+    known = {**CATALOGUE[robot], **OUTSIDE[robot], **_changes(robot)}
     acts = [known[name].make(rng, s, robot) for name, s in zip(names, sizes, strict=True)]
     trials, noise, coefficients = plan(robot, rng), _noise(robot, rng), truth(robot, rng)
+    factors, upper = _factors(acts), _bounds(robot)
+    if factors:
+        coefficients[SPRING[robot][0]] = SPRING[robot][1]
+    for name, factor in factors.items():
+        coefficients[name] = min(coefficients[name], 0.95 * upper[name] / factor)
     for act in acts:
         for trial in trials if act.start is not None else ():
             act.start(trial, rng)  # type: ignore[misc]
@@ -297,7 +312,10 @@ def make_case(
         log = {name: clean[name] + drawn[trial.id][name] for name in columns}
         logs[trial.id] = _broken(trial, acts, {"t_s": clean["t_s"], **log})
     swim_files.write_case(Path(folder), robot, trials, logs)
-    if rng.random() < 2.0 / 3.0:
+    covariance = None
+    if factors:
+        covariance = _write_fit(Path(folder) / "params_prior.yaml", robot, coefficients, noise, channels, rng)
+    elif rng.random() < 2.0 / 3.0:
         swim_files.write_prior(Path(folder) / "params_prior.yaml", robot, coefficients, FITTED[robot], rng)
     sd = {name: noise.sd(name) for name in columns}
     of_held = {name: np.concatenate([drawn[t.id][name] for t in held_out(trials)]) for name in columns}
@@ -310,6 +328,9 @@ def make_case(
         "sizes": list(sizes),
         "facts": {name: act.facts for name, act in zip(names, acts, strict=True)},
         "coefficients": coefficients,
+        "truth": coefficients,
+        "factors": factors,
+        "known": covariance,
         "columns": columns,
         "channels": channels,
         "noise_sd": sd,
@@ -317,10 +338,76 @@ def make_case(
         "gap_over_floor": {**gap, "overall": float(np.sqrt(np.mean(np.square(list(gap.values())))))},
         "with": with_it,
         "without": without,
+        "noise_free": {f"{t.id}.csv": _noise_free(t, coefficients, acts, columns) for t in trials},
         "trials": trials,
         "acts": acts,
         "noise": noise,
     }
+
+
+def plain(trial: Trial) -> Trial:
+    """Return a trial without the scatter between trials."""
+    return replace(trial, amplitude=0.0, thrust=0.0, trim=0.0, late=0.0)
+
+
+def _factors(acts: Sequence[Act]) -> dict[str, float]:
+    """Return the factor of each coefficient that has changed."""
+    found: dict[str, float] = {}
+    for act in acts:
+        found |= act.factors
+    return found
+
+
+def _bounds(robot: str) -> dict[str, float]:
+    """Return the upper bound of each coefficient and of the spring."""
+    spring, _, _, bound = SPRING[robot]
+    return {name: upper for name, (_, upper) in FITTED[robot].items()} | {spring: bound}
+
+
+def _noise_free(trial: Trial, coefficients: dict[str, float], acts: Sequence[Act], columns: list[str]) -> str:
+    """Return the log of a trial without noise and without scatter between trials."""
+    fair = swim(plain(trial), coefficients, acts)
+    return common.log_text(**{name: fair[name] for name in ("t_s", *columns)})
+
+
+def _changes(robot: str) -> dict[str, Entry]:
+    """Return the changed parameters of a robot as entries of a catalogue."""
+
+    def entry(name: str) -> Entry:
+        return Entry(lambda rng, size, robot: Act(factors={name: 1.0 + size}), (), "parameter")
+
+    return {f"{PARAMETER}{name}": entry(name) for name in CHANGED[robot]}
+
+
+def _write_fit(
+    path: Path,
+    robot: str,
+    coefficients: dict[str, float],
+    noise: Noise,
+    channels: list[str],
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Write the estimates of a fit to the trials of another day, and return the root of their covariance.
+
+    The covariance is that of the relative errors, to first order. The other day has the same camera.
+    """
+    from tests.blind.swim_gap import Refit
+
+    day = {"trials": plan(robot, rng), "noise": noise, "channels": channels, "coefficients": coefficients}
+    covariance = Refit(day).covariance(len(coefficients))
+    spring, _, unit, _ = SPRING[robot]
+    upper = _bounds(robot)
+    values = np.array(list(coefficients.values()))
+    bounds = np.array([upper[name] for name in coefficients])
+    estimates, stderr, correlation = common.draw_fit(values, covariance, bounds, rng)
+    rows = {}
+    units = dict.fromkeys(coefficients, "1") | {spring: unit}
+    for name, value, error in zip(coefficients, estimates, stderr, strict=True):
+        rows[name] = (value, error, units[name], "estimated")
+    for name, value, unit in swim_files.FIXED[robot]:
+        rows.setdefault(name, (value, 0.0, unit, "fixed"))
+    common.write_parameters(path, model="multilink", robot=robot, parameters=rows, correlation=correlation)
+    return np.linalg.cholesky(covariance)
 
 
 def rms_change(with_it: dict[str, Channels], without: dict[str, Channels], name: str) -> float:

@@ -1,0 +1,234 @@
+"""Causes of a parameter file: effects whose parameters the file contains, as changes of the exported robot.
+
+The hooks of an effect change the exported robot as they change a simulation. ``tables`` change the masses,
+springs and force elements of every export. Forces and the motion of the water need a simulator that can apply
+them. Changes of the commands are left to the target, or to a filter of :mod:`swimid.exporters.filters`.
+"""
+
+from __future__ import annotations
+
+import copy
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from swimid.effects.base import Effect, Parameters
+from swimid.effects.catalogue import catalogue
+from swimid.errors import InputError, suggestion
+from swimid.exporters import filters
+from swimid.exporters.filters import Filter
+from swimid.fitting.drives import Beat
+from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
+from swimid.results.parameters import ParameterFile
+from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.tree import Axis
+
+#: Trial in place of those of the parameter file. It begins at the origin and has a command.
+NEUTRAL = Trial("export", "fit", np.linspace(0.0, 1.0, 51), {}, swim=SwimInput(Beat("sine", 1.0, 0.3)))
+#: Effects that depend on quantities of the trials. A function of the effect's constants in the file returns
+#: whether they contain these quantities. The text is the reason for which the effect is left out otherwise.
+OF_TRIALS: dict[str, tuple[Callable[[Mapping[str, Any]], bool], str]] = {
+    "drag-reynolds": (
+        lambda constants: "reference_m_s" in constants and not constants.get("whole"),
+        "its reference speed is that of the trials",
+    ),
+    "wall": (lambda constants: "extreme_m" in constants, "the place of the wall is that of the tracks"),
+    "waves": (lambda _: False, "their amplitudes and phases are those of single trials"),
+}
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Effect with the values of its parameters.
+
+    Attributes
+    ----------
+    name : str
+    values : mapping of str to float
+        Values of the effect's parameters.
+    effect : Effect
+    hooks : Hooks
+        Changes of a simulation that begins at the origin. There are none for an effect of the sensors, for
+        one that is left out, and for parameters without influence.
+    reason : str
+        Reason for which no export has the cause; empty otherwise.
+    """
+
+    name: str
+    values: Mapping[str, float]
+    effect: Effect
+    hooks: Hooks = NONE
+    reason: str = ""
+
+    @property
+    def rigid(self) -> bool:
+        """Whether a change of masses and inertias is one of the robot itself, and not of the water."""
+        return self.effect.stage == "structure" and not self.hooks.force
+
+
+def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[Cause]:
+    """Return the causes of a parameter file, in the order in which they act.
+
+    Parameters
+    ----------
+    model : MultilinkModel
+        Model of the robot, whose parameters start at the values of the file.
+
+    Raises
+    ------
+    InputError
+        If swimid has no such effect, or if the effect has other parameters, or one is negative that must not
+        be.
+    """
+    known = {effect.name: effect for effect in catalogue()}
+    causes = []
+    for name in file.effects:
+        if name not in known:
+            hint = suggestion(name, list(known))
+            raise InputError(f"swimid has no effect '{name}'", file=path, column="effects", hint=hint)
+        effect, start = known[name], f"{name}/"
+        own = {
+            key.removeprefix(start): e.value for key, e in file.parameters.items() if key.startswith(start)
+        }
+        constants = (file.settings.get("effects") or {}).get(name, {})
+        contained, reason = OF_TRIALS.get(name, (None, ""))
+        if effect.stage == "sensing" or (contained and not contained(constants)):
+            causes.append(Cause(name, own, effect, reason=reason))
+            continue
+        effect, needed = _form(effect, own, constants, model, path)
+        for p in needed:
+            if p.lower == 0.0 and own[p.name] < 0.0:
+                column = f"parameters.{name}/{p.name}"
+                raise InputError(f"{own[p.name]:g} is negative; it must not be", file=path, column=column)
+        hooks = NONE
+        if any(own[p.name] != p.start for p in needed):
+            hooks = effect.hooks(np.array([own[p.name] for p in needed]), NEUTRAL, model)
+        causes.append(Cause(name, own, effect, hooks))
+    return causes
+
+
+def _form(
+    effect: Effect,
+    own: Mapping[str, float],
+    constants: Mapping[str, Any],
+    model: MultilinkModel,
+    path: Path,
+) -> tuple[Effect, Parameters]:
+    """Return the form of an effect that has the given parameters, and these parameters in its order.
+
+    ``constants`` are attributes of the form that its parameters do not state, such as a reference speed.
+    """
+    found: Parameters = ()
+    for form in map(copy.copy, (effect, *effect.variants(model, [NEUTRAL]))):
+        vars(form).update(constants)
+        found = form.parameters(model, [NEUTRAL])
+        if {p.name for p in found} == set(own):
+            return form, found
+    raise InputError(
+        f"the effect '{effect.name}' has other parameters on this robot than {', '.join(own) or 'none'}",
+        file=path,
+        column="parameters",
+        hint=f"it has: {', '.join(f'{effect.name}/{p.name}' for p in found)}",
+    )
+
+
+def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: bool) -> list[str]:
+    """Return sentences on the causes that an export does not contain, or only beside its file.
+
+    Parameters
+    ----------
+    filtered : sequence of Cause
+        Causes that are filters of the commands.
+    forces : bool
+        Whether the target applies the forces of causes.
+    """
+    applied = [cause for cause in causes if cause.hooks.force and not forces]
+    sensing = [cause for cause in causes if cause.effect.stage == "sensing"]
+    limits = [f"{cause.name} is left out: {cause.reason}" for cause in causes if cause.reason]
+    for several, words in (
+        (applied, "left out, because the target has no such force"),
+        (sensing, "an error of the measurement, not a part of the robot"),
+        (
+            filtered,
+            "the target has no such law of a servo; a Python file beside the output filters the commands, "
+            "and without it the joints follow them exactly",
+        ),
+    ):
+        if several:
+            limits.append(f"{', '.join(cause.name for cause in several)}: {words}")
+    return limits
+
+
+# ---------------------------------------------------------------- filters of the commands
+
+
+#: Type of a function from a cause, a driven joint and the model to the arguments of a filter.
+Arguments = Callable[[Cause, Axis, MultilinkModel], Mapping[str, float]]
+
+
+def _own_values(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
+    return cause.values
+
+
+def _offset(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
+    if axis.driven is None or axis.driven.gain == 0.0:
+        return {}
+    return cause.values
+
+
+def _lock(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
+    name = f"locked_{axis.column.removesuffix('_rad')}"
+    if name not in cause.values:
+        return {}
+    return {"lock": cause.values[name]}
+
+
+def _load(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
+    inertia, drag = model.body.carried(model.body.tables(), model.driven.index(axis))
+    return {**cause.values, "inertia_kg_m2": inertia, "drag_N_m_s2": drag}
+
+
+#: Filter of the commands for each effect of the actuators, with the function that returns its arguments. A
+#: joint for which there are no arguments has no filter.
+FILTERS: dict[str, tuple[type[Filter], Arguments]] = {
+    "amplitude-loss": (filters.AmplitudeLoss, _own_values),
+    "amplitude-offset": (filters.AmplitudeOffset, _offset),
+    "joint-locked": (filters.JointLocked, _lock),
+    "load-friction": (filters.LoadFriction, _load),
+    "rate-limit": (filters.RateLimit, _own_values),
+    "servo-backlash": (filters.ServoBacklash, _own_values),
+    "servo-delay": (filters.ServoDelay, _own_values),
+    "servo-lag": (filters.ServoLag, _own_values),
+    "slip": (filters.Slip, _own_values),
+    "stribeck": (filters.Stribeck, _own_values),
+}
+
+
+def filters_text(filtered: Sequence[Cause], model: MultilinkModel, origin: Mapping[str, str]) -> str:
+    """Return a Python file that filters the commands of the joints, and that does not import swimid."""
+    joints = {}
+    for axis in model.driven:
+        calls = []
+        for cause in filtered:
+            kind, arguments = FILTERS[cause.name]
+            values = arguments(cause, axis, model)
+            if values:
+                words = ", ".join(f"{name}={value!r}" for name, value in values.items())
+                calls.append(f"{kind.__name__}({words})")
+        joints[axis.joint.name] = calls
+    kinds: list[type[Filter]] = [Filter, *dict.fromkeys(FILTERS[cause.name][0] for cause in filtered)]
+    sources = [inspect.getsource(kind) for kind in kinds]
+    environment = Environment(
+        loader=PackageLoader("swimid.exporters"),
+        autoescape=False,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    template = environment.get_template("causes.jinja")
+    return template.render(origin=origin, filtered=filtered, joints=joints, sources=sources)
