@@ -219,6 +219,10 @@ def test_a_form_is_restored_by_its_parameters_and_its_constants() -> None:
         ),
         (lambda: fish(servo_lag__time_constant_s=0.1), ["parameters.servo-lag/time_constant_s"]),
         (lambda: rig("wake-lift"), ["'effects'", "falling-weight"]),
+        (
+            lambda: fish("drag-reynolds", drag_reynolds__exponent=0.2),
+            ["'settings.effects.drag-reynolds'", "needs reference_m_s"],
+        ),
     ],
 )
 def test_a_file_with_wrong_effects_is_refused(

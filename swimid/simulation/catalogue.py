@@ -263,8 +263,8 @@ def with_effects(
     Raises
     ------
     InputError
-        If there is no such effect, if no form of it has the parameters of the file, or if its parameters
-        differ from trial to trial.
+        If there is no such effect, if no form of it has the parameters of the file, or if the file lacks
+        constants of the effect that only measured trials show.
     """
     own = [e for place in own_effects for e in effect_catalogue.from_file(place)]
     known = {e.name: e for e in (*effect_catalogue.catalogue(), *own)}
@@ -274,8 +274,8 @@ def with_effects(
             hint = suggestion(name, list(known))
             raise InputError(f"there is no effect '{name}'", file=path, column="effects", hint=hint)
         names = [n.partition("/")[2] for n in file.parameters if n.startswith(f"{name}/")]
-        constants = (file.settings.get("effects") or {}).get(name, {})
-        form = effect_catalogue.restored(known[name], names, constants, model, trials)
+        given = (file.settings.get("effects") or {}).get(name, {})
+        form = effect_catalogue.restored(known[name], names, given, model, trials)
         if form is None or file.effects.count(name) > 1:
             raise InputError(
                 f"no form of the effect '{name}' has these parameters in the model '{model.name}': "
@@ -283,6 +283,14 @@ def with_effects(
                 file=path,
                 column="effects",
                 hint="name each effect once, and give all of its parameters as 'effect/parameter'",
+            )
+        sizes = [n for n, v in effect_catalogue.constants(form).items() if isinstance(v, float)]
+        lacking = [n for n in sizes if n not in given]
+        if lacking and not any(trial.measured for trial in trials):
+            raise InputError(
+                f"the effect '{name}' needs {', '.join(lacking)} of the trials of its diagnosis",
+                file=path,
+                column=f"settings.effects.{name}",
             )
         acting.append(form)
     affected = Affected(model, acting, trials)
