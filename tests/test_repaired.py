@@ -381,6 +381,9 @@ def test_a_diagnosis_writes_only_where_it_may(swimid: Run, friction: Path, tmp_p
     assert ran.status == 2
     assert "is an input of this diagnosis" in ran.err
     assert "--repaired FILE" in ran.err
+    ran = swimid("diagnose", trials, "--params", friction / "ideal.yaml", "-o", friction / "repaired.yaml")
+    assert ran.status == 2
+    assert "two outputs would be written to" in ran.err
     (tmp_path / "own.yaml").write_text("mine: true\n")
     ran = swimid(*words, "--repaired", tmp_path / "own.yaml")
     assert ran.status == 2
