@@ -196,7 +196,8 @@ RECORDED = {
     "max_step_s method",
     "compare": "channels refit_start start_state set readings dt",
     "sensitivity": "samples range coefficients set readings seed dt",
-    "diagnose": "effects own_effects seed max_causes readings max_step_s",
+    "diagnose": "effects own_effects seed max_causes readings max_step_s tank_length_m max_frequency_hz"
+    " max_amplitude_deg",
     "import": "",
     "track video": "setup fps max_gap_s from_s to_s",
 }

@@ -247,7 +247,7 @@ def test_an_effect_that_needs_the_measured_speed_says_so() -> None:
 
 def test_a_drag_file_with_effects_is_taken_without_them() -> None:
     drag = rig("linear-drag", **{"linear-drag/linear_N_s_m": 0.1})
-    with pytest.warns(package.SwimidWarning, match="SWM075"):
+    with pytest.warns(package.SwimidWarning, match="SWM076"):
         fin = package.fit_propulsion(SAMPLES / "cruise" / "trials.yaml", drag=drag)
     assert 0.0 < fin["recoil_efficiency"].value < 1.0
 

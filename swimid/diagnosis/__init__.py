@@ -7,6 +7,7 @@ priors, ``readings`` the other readings of the robot, ``settings`` the settings,
 estimates both. ``context`` fits a hypothesis, ``candidates`` screens effects, ``search`` fits effects and
 sets of effects, ``posterior`` computes their probabilities. ``crossval`` and ``shrinkage`` evaluate
 held-out data, ``floor`` the noise floor. ``remainder`` describes the remaining residuals, ``dropouts``
-failed samples, ``places`` where the gap is. ``judgement`` and ``answer`` give the verdict, ``advice`` the
-next experiment, ``repaired`` the model with the causes, ``power`` what the trials could show.
+failed samples, ``places`` where the gap is. ``judgement`` and ``answer`` give the verdict. ``proposals``
+lists trials that could be run next, and ``advice`` selects the best one. ``repaired`` writes the
+model with the causes. ``power`` computes what the trials could show.
 """

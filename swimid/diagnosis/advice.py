@@ -1,153 +1,247 @@
-"""Propose the next experiment: the setting that best distinguishes rival causes."""
+"""Propose the next experiment: the trial that best distinguishes rival causes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
-from swimid.diagnosis import crossval, settings
-from swimid.diagnosis.context import Fit, FitContext
+import swimid
+from swimid.diagnosis import crossval, proposals
+from swimid.diagnosis.candidates import within
+from swimid.diagnosis.context import Fit, FitContext, Mixed
 from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.proposals import Limits, Segment
 from swimid.fitting.model import Array, Trial
-from swimid.fitting.problem import Problem
+from swimid.fitting.problem import map_in_processes
+from swimid.logs.log import Log
 
 #: Maximum number of proposed experiments in a report.
 MOST = 4
+#: Probability with which noise alone makes a smaller difference than :func:`threshold`.
+LEVEL = 0.95
+#: Name of the command file of a proposed trial if the user gives none.
+COMMAND_FILE = "next.csv"
 
 
-def proposals(trials: Sequence[Trial]) -> list[tuple[str, Trial]]:
-    """Return experiments that could be done next, each with its description and a trial to simulate.
+class Command(NamedTuple):
+    """Proposed trial in which the simulations of the rivals have been compared.
 
-    A proposed trial differs from the given trials in its beat or its driving force.
+    Attributes
+    ----------
+    text, entry, columns
+        As in :class:`~swimid.diagnosis.proposals.Proposal`.
+    differences : list of float
+        Difference between the first rival and each other one, in noise standard deviations.
     """
-    template = max(trials, key=lambda t: len(t.time_s))
-    found: list[tuple[str, Trial]] = []
-    beat = template.swim.beat
-    if beat is not None:
-        beats = [t.swim.beat for t in trials if t.swim.beat is not None]
-        f = sorted({b.frequency_hz for b in beats})
-        a = sorted({b.amplitude_rad for b in beats})
-        changes: list[dict[str, Any]] = [
-            {"frequency_hz": 0.6 * f[0]}, {"frequency_hz": 1.4 * f[-1]}, {"amplitude_rad": 0.6 * a[0]},
-            {"amplitude_rad": 1.4 * a[-1]}, {"bias_rad": math.radians(20.0)},
-            {"frequency_hz": 1.4 * f[-1], "amplitude_rad": 1.4 * a[-1]},
-            {"frequency_hz": 0.6 * f[0], "amplitude_rad": 1.4 * a[-1]},
-        ]  # fmt: skip
-        for change in changes:
-            moved = replace(beat, **change)
-            trial = replace(template, swim=replace(template.swim, beat=moved))
-            says = settings.words(trial)
-            found.append((", ".join(f"{k} {v}" for k, v in says.items()), trial))
-    elif template.rig.force is not None and "force_N" not in template.inputs:
-        forces = [t.rig.pull for t in trials]
-        for force in (0.5 * min(forces), 2.0 * max(forces)):
-            if force > 0:
-                trial = replace(template, rig=replace(template.rig, force=force))
-                found.append((f"a driving force of {force:.3g} N", trial))
-    elif all(len(t.inputs.get("frequency_hz", ())) == 1 for t in trials):
-        f = [float(t.inputs["frequency_hz"][0]) for t in trials]
-        a = [float(t.inputs["amplitude_rad"][0]) for t in trials]
-        for fx, ax in (
-            (0.7 * min(f), max(a)),
-            (1.3 * max(f), max(a)),
-            (max(f), 0.6 * min(a)),
-            (max(f), 1.4 * max(a)),
-        ):
-            inputs = {**template.inputs, "frequency_hz": np.array([fx]), "amplitude_rad": np.array([ax])}
-            trial = replace(template, inputs=inputs)
-            found.append((f"a run at {fx:.3g} Hz and {math.degrees(ax):.3g} deg", trial))
-    # Give each proposed trial an id of its own, because simulations are cached by the id of the trial.
-    return [(words, replace(trial, id=f"proposed {n}")) for n, (words, trial) in enumerate(found)]
+
+    text: str
+    entry: Mapping[str, Any]
+    columns: dict[str, Array]
+    differences: list[float]
+
+
+def threshold(rivals: Sequence[Fit]) -> float:
+    """Return the difference between two rivals that noise alone may make, in noise standard deviations.
+
+    A refit to pure noise lowers the squared residuals by a chi-square variable. Its degrees of freedom are
+    the number of parameters that act on one trial.
+    """
+    most = max(len(fit.problem.taken[0][1]) for fit in rivals)
+    return math.sqrt(float(chdtri(most, 1.0 - LEVEL)))
 
 
 def advise(
-    context: FitContext,
-    rivals: Sequence[Fit],
-    noise_model: NoiseModel,
-    floors: Mapping[str, float],
-    now: float,
+    context: FitContext, rivals: Sequence[Fit], noise_model: NoiseModel, limits: Limits, now: float
 ) -> list[Advice]:
-    """Rank experiments by how well they would distinguish the first rival cause from the others.
+    """Rank proposed trials by how well they would distinguish the first rival cause from the others.
+
+    A trial distinguishes two rivals if their difference exceeds what noise alone may make. Trials that
+    distinguish more rivals come first, then those with a larger difference. The last advice names the rivals
+    that no trial distinguishes.
 
     Parameters
     ----------
     rivals : sequence of Fit
         At least two fits, each with one of the rival causes.
-    floors : mapping of channel to float
-        Noise floor, in the channel's unit.
     now : float
         Difference between the first two rival fits on the present trials, in noise standard deviations. It is
         the square root of the difference of their held-out squared residuals.
     """
-    known = information(context, rivals[0], noise_model)
-    measured = sorted({c for t in context.trials for c in t.measured})
-    found = []
-    for words, trial in proposals(context.trials):
-        sizes = [apart(context, rivals[0], other, trial, floors, known, measured) for other in rivals[1:]]
-        found.append((min(sizes), f"run {words}"))
-    found.sort(key=lambda pair: -pair[0])
-    names = [f.effects[-1].name for f in rivals]
-    return [Advice(text=words, separates=names, difference=size, now=now) for size, words in found[:MOST]]
+    protocol = proposals.protocol_of(context.model, context.trials, limits)
+    if protocol is None:
+        return []
+    models = [Rival.of(context, fit, noise_model) for fit in rivals]
+    length_m = proposals.tank_length(context.trials, limits)
+
+    def compared(segments: Sequence[Segment]) -> Command | None:
+        found = proposals.shortened(
+            protocol, segments, length_m, lambda trial: [one.simulated(trial) for one in models]
+        )
+        if found is None:
+            return None
+        sizes = [difference(models[0], other, found.trial) for other in models[1:]]
+        return Command(found.text, found.entry, dict(found.columns), sizes)
+
+    made = map_in_processes(compared, proposals.PROPOSALS, context.jobs)
+    commands = {c.text: c for c in made if c is not None}
+    first, *others = [fit.effects[-1].name for fit in rivals]
+    least, found = threshold(rivals), []
+    for command in commands.values():
+        apart = {n: d for n, d in zip(others, command.differences, strict=True) if d > least}
+        if apart:
+            advice = Advice(
+                text=command.text,
+                separates=[first, *apart],
+                difference=min(apart.values()),
+                noise=least,
+                now=now,
+            )
+            advice.hold(_log(command, advice, limits))
+            found.append(advice)
+    found.sort(key=lambda a: (-len(a.separates), -(a.difference or 0.0)))
+    left = [name for name in others if not any(name in advice.separates for advice in found)]
+    found = found[:MOST]
+    if left:
+        found.append(Advice(text=_nothing(first, left, len(commands), length_m, least), noise=least))
+    return found
 
 
-def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple[list[str], Array]:
-    """Return the labels and the normal matrix (information) of the parameters that all trials share.
+def _nothing(first: str, left: Sequence[str], count: int, length_m: float, least: float) -> str:
+    """Return a clause about rivals that no proposed trial distinguishes."""
+    rivals = f"{first} from {' or '.join(left)}"
+    if not count:
+        return (
+            f"none: no trial of {proposals.MIN_BEATS:g} beats and {proposals.MIN_SAMPLES} samples keeps the "
+            f"limits (a path of at most {length_m:.3g} m), so that none separates {rivals}"
+        )
+    return (
+        f"none: of {count} possible trials none separates {rivals} by more than noise may "
+        f"({least:.2g} standard deviations)"
+    )
 
-    The normal matrix is computed from the present trials. Parameters of single trials (initial states, random
-    effects) are projected out.
+
+def _log(command: Command, advice: Advice, limits: Limits) -> Log:
+    """Return the command file of a proposed trial."""
+    metadata = {
+        "made_by": "swimid diagnose",
+        "version": swimid.__version__,
+        "robot": limits.experiment.robot.name,
+        "experiment": limits.experiment.name,
+        "run": command.text,
+        "separates": advice.separates,
+        "difference": float(f"{advice.difference:.3g}"),
+        "noise": float(f"{advice.noise:.3g}"),
+        "now": float(f"{advice.now:.3g}"),
+        "trial": {"id": Path(COMMAND_FILE).stem, "log": COMMAND_FILE, **command.entry},
+    }
+    return Log(Path(COMMAND_FILE), metadata, command.columns, None)
+
+
+# ---------------------------------------------------------------- difference between rivals
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Fitted model with a rival cause, which predicts proposed trials.
+
+    Attributes
+    ----------
+    values : mapping of str to float
+        Estimate of each parameter by name. A parameter with a value for each trial has its mean.
+    sd : mapping of channel to float
+        Typical noise of each measured channel.
+    shared : list of str
+        Names of the parameters that all trials share.
+    precision : ndarray, shape (shared, shared)
+        Precision matrix of these parameters from the present trials and the priors.
     """
-    shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
-    normal = np.zeros((len(shared), len(shared)))
-    for k, rows in enumerate(fit.rows):
-        # The function project_out() expects the residuals in the last column.
-        block = np.column_stack((rows[:, shared], fit.residuals[k]))
-        seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
-        normal += seen.T @ seen
-    return [fit.labels[j] for j in shared], normal
+
+    context: FitContext
+    fit: Fit
+    noise_model: NoiseModel
+    values: Mapping[str, float]
+    sd: Mapping[str, float]
+    shared: list[str]
+    precision: Array
+
+    @classmethod
+    def of(cls, context: FitContext, fit: Fit, noise_model: NoiseModel) -> Rival:
+        """Return the rival of a fit. The parameters of single trials are projected out of the precision."""
+        problem = fit.problem
+        values: dict[str, list[float]] = {}
+        for (index, _), value in zip(problem.slots, fit.theta, strict=True):
+            values.setdefault(problem.parameters[index].name, []).append(float(value))
+        sd: dict[str, list[Array]] = {}
+        for channels, series in zip(problem.channels, problem.sd, strict=True):
+            for channel, own in zip(channels, series, strict=True):
+                sd.setdefault(channel, []).append(own)
+        shared = [j for j, (_, owner) in enumerate(problem.slots) if owner is None]
+        precision = context.precision(problem)[np.ix_(shared, shared)]
+        for k, rows in enumerate(fit.rows):
+            # The function project_out() expects the residuals in the last column.
+            block = np.column_stack((rows[:, shared], fit.residuals[k]))
+            seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
+            precision = precision + seen.T @ seen
+        return cls(
+            context,
+            fit,
+            noise_model,
+            {name: float(np.mean(own)) for name, own in values.items()},
+            {channel: float(np.median(np.concatenate(own))) for channel, own in sd.items()},
+            [fit.labels[j] for j in shared],
+            precision,
+        )
+
+    def problem(self, trial: Trial) -> tuple[Mixed, Array]:
+        """Return the residual problem of a proposed trial, measured as zero, and its estimates."""
+        measured = {channel: np.zeros(len(trial.time_s)) for channel in self.sd}
+        trial = replace(trial, measured=measured)
+        random_effects = self.fit.problem.random_effects
+        problem = self.context.problem(self.fit.effects, random_effects, jobs=1, trials=[trial])
+        problem.sd[0] = [np.full(len(trial.time_s), self.sd[c]) for c in problem.channels[0]]
+        own = [self.values.get(problem.parameters[index].name, math.nan) for index, _ in problem.slots]
+        return problem, np.where(np.isnan(own), problem.start, own)
+
+    def simulated(self, trial: Trial) -> dict[str, Array]:
+        """Return all channels of a proposed trial, measured or not."""
+        problem, theta = self.problem(trial)
+        return problem.model.simulate_many([(problem.vector(theta, 0), problem.trials[0])])[0]
+
+    def predicted(self, trial: Trial) -> tuple[Array, Array, Array]:
+        """Return the whitened samples of a proposed trial, their derivatives, and the prior precision.
+
+        The derivatives have one column for each parameter that acts on the trial.
+        """
+        problem, theta = self.problem(trial)
+        samples = -self.noise_model.whiten(problem, 0, problem.trial_residuals(theta, 0))
+        rows = -self.noise_model.whiten(problem, 0, problem.trial_jacobians(theta)[0])
+        _, weight = self.context.expected(problem)
+        precision = np.diag(weight**2)
+        at = [problem.labels.index(name) for name in self.shared]
+        precision[np.ix_(at, at)] = self.precision
+        return samples, rows, precision
 
 
-def apart(
-    context: FitContext,
-    first: Fit,
-    second: Fit,
-    trial: Trial,
-    floors: Mapping[str, float],
-    known: tuple[Sequence[str], Array],
-    channels: Sequence[str],
-) -> float:
-    """Return the difference between two rival models on a proposed trial, in noise standard deviations.
+def difference(first: Rival, second: Rival, trial: Trial) -> float:
+    """Return the difference between two rivals in a proposed trial, in noise standard deviations.
 
-    It is the square root of the sum of squared differences that remain after the parameters of the first
-    model have been refitted to the simulation of the second model.
+    It is the root of the squared residuals that one rival has if the other one is right, after its parameters
+    have been refitted to the present trials and this one. The smaller value of both cases is returned.
     """
-    proposed = replace(trial, measured={c: np.zeros(len(trial.time_s)) for c in channels})
-
-    def posed(fit: Fit) -> Problem:
-        model = context.affected(fit.effects)
-        values = {label: v for label, v in zip(fit.labels, fit.theta, strict=True) if "[" not in label}
-        parameters = (*context.parameters, *model.parameters[len(context.parameters) :])
-        parameters = tuple(replace(p, start=values.get(p.name, p.start)) for p in parameters)
-        problem = Problem(model, parameters, [proposed], jobs=1)
-        for i, channel in enumerate(problem.channels[0]):
-            problem.sd[0][i] = np.full(len(trial.time_s), max(floors.get(channel, 1.0), 1e-12))
-        return problem
-
-    problem, other = posed(first), posed(second)
-    difference = problem.trial_residuals(problem.start, 0) - other.trial_residuals(other.start, 0)
-    if not np.isfinite(difference).all() or np.max(np.abs(difference), initial=0.0) > 1e5:
+    one, other = first.predicted(trial), second.predicted(trial)
+    apart = one[0] - other[0]
+    if not within(apart):
         return 0.0
-    rows, labels = -problem.trial_jacobians(problem.start)[0], problem.labels
-    normal = rows.T @ rows
-    names, prior = known
-    where = [labels.index(name) for name in names if name in labels]
-    take = [i for i, name in enumerate(names) if name in labels]
-    normal[np.ix_(where, where)] += prior[np.ix_(take, take)]
-    normal += 1e-9 * np.diag(np.diag(normal) + 1e-12)
-    right = rows.T @ difference
-    left = float(difference @ difference - right @ np.linalg.solve(normal, right))
-    return math.sqrt(max(left, 0.0))
+    left = []
+    for _, rows, precision in (one, other):
+        right = (rows.T @ apart)[:, None]
+        taken = right.T @ crossval.solved(rows.T @ rows + precision, right)
+        left.append(float(apart @ apart - taken[0, 0]))
+    return math.sqrt(max(min(left), 0.0))

@@ -179,7 +179,7 @@ def answer(
         closed=closed,
         causes=causes,
         remaining=left,
-        advice=_advice(state, told, left.where, floor),
+        advice=_advice(state, told, left.where),
         odd_trial=told.odd_trial,
         refuted=list(told.refuted),
         unpredicted=dict(told.unpredicted),
@@ -489,7 +489,7 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
     return found
 
 
-def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]) -> list[Advice]:
+def _advice(state: State, told: Judgement, left: str) -> list[Advice]:
     repeat = [Advice(text=f"{REPEAT} (now left: {left})")]
     if told.odd is not None:
         text = f"check the entry of {told.odd.trial}; diagnose without it (role: validate)"
@@ -499,20 +499,24 @@ def _advice(state: State, told: Judgement, left: str, floor: Mapping[str, float]
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
     rivals = []
     if told.causes:
-        first = state.rounds[0]
+        found = next(r for r in state.rounds if r.ranked[0] is told.causes[0].best)
         # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
         # way.
-        names = [n for n in told.causes[0].alike if n not in first.same]
-        rivals = [next(r for r in first.ranked if r.tried.effect.name == n) for n in names]
+        ranked = [r for r in found.ranked if r.tried.effect.name not in found.same]
+        rivals = [r for r in ranked if r.tried.effect.name in told.causes[0].alike]
         if len(rivals) == 1:
-            rivals += [r for r in first.ranked if r.tried.effect.name != names[0]][:1]
+            rivals = ranked[:2]
     if len(rivals) < 2 and told.verdict == "unexplained":
         return repeat
-    if len(rivals) < 2:
+    if len(rivals) < 2 or state.limits is None:
         return []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
+    fits = [r.fit for r in rivals]
+    if len(told.causes[0].alike) == 1 and now > advice.threshold(fits):
+        # The present trials already exclude the next best rival.
+        return []
     try:
-        return advice.advise(state.context, [r.fit for r in rivals], state.noise_model, floor, now)
+        return advice.advise(state.context, fits, state.noise_model, state.limits, now)
     except (ArithmeticError, np.linalg.LinAlgError):
         return []
 

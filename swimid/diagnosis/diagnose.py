@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,6 +16,7 @@ from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
+from swimid.diagnosis.proposals import Limits
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Affected
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
@@ -38,6 +40,8 @@ NOT_GIVEN = (
     "no parameter file was given: the refit began at the values of the robot file, of which nothing is taken "
     "as known, and no change of a parameter can be named"
 )
+#: Text that says why there is no proposed trial if the answer leaves no rival causes.
+NO_RIVALS = "the answer leaves no rival causes that a trial could separate"
 
 
 def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
@@ -74,29 +78,45 @@ def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequen
     return effects
 
 
-def _place_of_repaired(options: DiagnoseOptions, output: Path | None, inputs: Sequence[Input]) -> Path | None:
-    """Return the path of the parameter file with the causes; None if none is written.
+def _checked_place(
+    options: DiagnoseOptions, output: Path | None, inputs: Sequence[Input], allow: Callable[[Path], object]
+) -> Path | None:
+    """Check all outputs, and return the path of the parameter file with the causes; None if none is written.
 
     Raises
     ------
-    UsageError
-        If the path is an input or the gap file, or if the option is given beside ``--power``.
+    InputError, UsageError
+        If an output cannot be written, is an input or another output, or is given beside ``--power``.
     """
-    if options.power:
-        if options.repaired is not None:
-            raise UsageError("--repaired has no place beside --power, which names no causes")
-        return None
+    if options.next is not None and options.power:
+        raise UsageError("--next has no place beside --power, which compares no rival causes")
+    if options.repaired is not None and options.power:
+        raise UsageError("--repaired has no place beside --power, which names no causes")
     place = options.repaired
-    if place is None and output is not None and not atomic.is_device(output):
+    if place is None and output is not None and not (options.power or atomic.is_device(output)):
         place = evidence.beside(output)
-    if place is None:
-        return None
-    hint = "name another file for the model with the causes: --repaired FILE"
-    if output is not None and place.resolve() == output.resolve():
-        raise UsageError(f"two outputs would be written to {place}", hint=hint)
-    if any(isinstance(i, str | Path) and Path(i).resolve() == place.resolve() for i in inputs):
-        raise UsageError(f"{place} is an input of this diagnosis", hint=hint)
+    if place is not None:
+        hint = "name another file for the model with the causes: --repaired FILE"
+        if output is not None and place.resolve() == output.resolve():
+            raise UsageError(f"two outputs would be written to {place}", hint=hint)
+        if any(isinstance(i, str | Path) and Path(i).resolve() == place.resolve() for i in inputs):
+            raise UsageError(f"{place} is an input of this diagnosis", hint=hint)
+    for path in (output, place, options.next):
+        if path is not None:
+            allow(atomic.check_writable(path, inputs=inputs))
     return place
+
+
+def _written(made: Diagnosis, output: Path | None, place: Path | None, command: Path | None) -> Diagnosis:
+    """Write all outputs of a diagnosis or none, and return it with their paths."""
+    with atomic.together():
+        if output is not None:
+            made = made.save(output, place)
+        elif place is not None:
+            made = made.with_repaired(place)
+        if command is not None and made.next is not None:
+            made = made.with_command(command)
+    return made
 
 
 @takes(DiagnoseOptions)
@@ -134,7 +154,8 @@ def diagnose(
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
         parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
         with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
-        channel.
+        channel. ``.repaired`` has the parameters of the model with the causes, or is None. ``.next`` is the
+        command file of the trial that separates rival causes best, or None.
 
     Raises
     ------
@@ -182,10 +203,7 @@ def diagnose(
         experiment = loaded.experiment
         model = experiment.model
         inputs = [*experiment.inputs, *options.own_effects]
-        place = _place_of_repaired(options, output, inputs)
-        for path in (output, place):
-            if path is not None:
-                allow(atomic.check_writable(path, inputs=inputs))
+        place = _checked_place(options, output, inputs, allow)
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # The noise is estimated with the whole catalogue, even if only some effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
@@ -234,6 +252,12 @@ def diagnose(
             context, effects, asked=asked, seed=options.seed, most=options.max_causes, checkpoint=keep,
             progress=progress,
         )  # fmt: skip
+        state.limits = Limits(
+            experiment,
+            options.tank_length_m,
+            options.max_frequency_hz or math.inf,
+            math.radians(options.max_amplitude_deg or math.inf),
+        )
         with threadpool_limits(limits=1, user_api="blas"):
             file, worst = answer.answer(
                 state, validation, begun, fitted, seed=options.seed, progress=progress
@@ -246,6 +270,9 @@ def diagnose(
         )
         if repaired_file is None and place is not None and place.exists():
             warn("SWM061", f"{place.name} belongs to an earlier run: this one found no cause to write to it")
+        if options.next is not None and all(a.command is None for a in file.advice):
+            why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
+            warn("SWM075", f"{options.next.name} is not written: {why[0]}")
     left_out = {name: why for name, why in alike.items() if asked is None or name in asked}
     about |= {
         "reasons": [*file.reasons, *reasons],
@@ -255,9 +282,6 @@ def diagnose(
     file = file.model_copy(update=about)
     rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
     made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file)
-    if output is not None:
-        made = made.save(output, place)
-    elif place is not None:
-        made = made.with_repaired(place)
+    made = _written(made, output, place, options.next)
     keep.done()
     return made

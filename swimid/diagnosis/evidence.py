@@ -23,6 +23,8 @@ from swimid.diagnosis.gap_file import (
 )
 from swimid.errors import in_words_of_the_caller
 from swimid.files import atomic
+from swimid.logs import log as log_format
+from swimid.logs.log import Log
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.numbers import number, percent
@@ -96,7 +98,7 @@ def evidence(
         _waterfall(file), _errors(file), _causes(file), _coefficients(file), _scores(file), _parts(file),
     ]  # fmt: skip
     cited = [*sources, *REFERENCES]
-    if file.advice:
+    if any(a.separates for a in file.advice):
         cited.append(BOX)
     return ev.Evidence(
         command="diagnose",
@@ -635,7 +637,7 @@ def methods(file: GapFile) -> list[str]:
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
     said.append(answer_text(file))
-    if file.advice:
+    if any(a.separates for a in file.advice):
         said.append("The next experiment separates the rivals' predictions most (Box and Hill 1967).")
     return said
 
@@ -660,6 +662,9 @@ class Diagnosis(FileResult[GapFile]):
         One row for each channel. Columns: error ``nrmse`` of the refitted model, noise ``floor``, error
         ``within`` trials without between-trial variation (all divided by the measured range), ``share``
         (fraction of the squared gap), ``rmse`` (in ``unit``).
+    next : Log or None
+        Command file of the best proposed trial. None if no trial separates rival causes, and for a result
+        that was read from a file.
     file : GapFile
         Content of the file that :meth:`save` writes. It also has rival causes, remaining residuals, proposed
         experiments and the scores of all effects.
@@ -717,6 +722,19 @@ class Diagnosis(FileResult[GapFile]):
         said = f"The model with {names} is in {Path(path).name}: give it as --params to any command."
         noted = shown.model_copy(update={"notes": [*shown.notes, in_words_of_the_caller(said)]})
         return replace(self, evidence=noted, outputs=[*self.outputs, *fitted.outputs])
+
+    @property
+    def next(self) -> Log | None:
+        """Return the command file of the best proposed trial; None without one, and for a read file."""
+        return next((a.command for a in self.file.advice if a.command is not None), None)
+
+    def with_command(self, path: Path) -> Self:
+        """Write the command file of the best proposed trial, and return the result with it in ``outputs``."""
+        assert self.next is not None
+        metadata = dict(self.next.metadata)
+        metadata["trial"] = {**metadata["trial"], "id": path.stem, "log": path.name}
+        log_format.write(path, self.next.columns, metadata)
+        return replace(self, outputs=[*self.outputs, path])
 
     @property
     def answer(self) -> str:

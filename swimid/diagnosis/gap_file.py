@@ -6,11 +6,12 @@ import math
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from swimid.effects.base import Stage
 from swimid.files import yamlio
 from swimid.files.yamlio import Number, Pair
+from swimid.logs.log import Log
 from swimid.results.parameters import Status
 from swimid.simulation.compare_series import ChannelScore
 
@@ -199,13 +200,26 @@ class Remaining(yamlio.Document):
 class Advice(yamlio.Document):
     """Proposed next experiment."""
 
+    #: Command file of the proposed trial, in memory. The gap file does not contain it.
+    _command: Log | None = PrivateAttr(default=None)
+
     text: str
     #: Rival causes that the experiment would distinguish.
     separates: list[str] = []
-    #: Difference between the rival causes in noise standard deviations: predicted for the experiment, and on
-    #: the present trials.
+    #: Difference between the rival causes in noise standard deviations: predicted for the experiment, the
+    #: largest one that noise alone makes with 95 % probability, and the one on the present trials.
     difference: Number = None
+    noise: Number = None
     now: Number = None
+
+    @property
+    def command(self) -> Log | None:
+        """Return the command file of the proposed trial; None if there is none, or if a file was read."""
+        return self._command
+
+    def hold(self, command: Log) -> None:
+        """Keep the command file of the proposed trial."""
+        self._command = command
 
 
 class Score(yamlio.Document):

@@ -30,6 +30,7 @@ class DiagnoseOptions(
       swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml
       swimid diagnose trials.yaml --params tfish.yaml --effects servo-lag,servo-delay,time-offset
       swimid diagnose trials.yaml --params drag.yaml --effect my_effect.py -o gap.yaml
+      swimid diagnose trials.yaml --params tfish.yaml -o gap.yaml --next next.csv --tank-length-m 3
       swimid diagnose trials.yaml --params tfish.yaml --power -o power.yaml
       swimid report gap.yaml -o gap.html
     """
@@ -68,6 +69,22 @@ class DiagnoseOptions(
         help="Parameter file to write for the model with the causes  [default: repaired.yaml beside the gap "
         "file].",
     )
+    next: Path | None = option(
+        None,
+        written=True,
+        recorded=False,
+        help="Write the trial that would separate rival causes best, as a log (.csv or .parquet) of commands."
+        " It stays within 1.4 times the settings of the trials and the joint limits of the robot file.",
+    )
     robot: str | None = simulations.robot()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step("max_step_s")
+    tank_length_m: float | None = option(
+        None, gt=0, help="Longest path of a proposed trial. Default: the longest of the trials."
+    )
+    max_frequency_hz: float | None = option(None, gt=0, help="Highest beat frequency of a proposed trial.")
+    max_amplitude_deg: float | None = option(
+        None,
+        gt=0,
+        help="Largest beat amplitude of a proposed trial; for strokes and logged commands of each joint.",
+    )

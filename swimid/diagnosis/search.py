@@ -24,6 +24,7 @@ from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.diagnosis.posterior import TENTH, UNSURE, Candidate, Posterior, Record
+from swimid.diagnosis.proposals import Limits
 from swimid.diagnosis.random_effects import RandomEffect
 from swimid.diagnosis.readings import OtherReading
 from swimid.diagnosis.remainder import Left, LowFrequency
@@ -171,6 +172,8 @@ class State:
     predictive: Fit | None = None
     #: Number of effects that apply to the model and that the user requested.
     tried: int = 0
+    #: Limits of a proposed trial; None proposes none.
+    limits: Limits | None = None
 
     @property
     def changed(self) -> bool:

@@ -155,6 +155,10 @@ class Driven(yamlio.Document):
     #: Phase lag of this joint behind the drive, degrees.
     phase_lag_deg: float = 0.0
     servo: Servo | None = None
+    #: Largest angle and rate that may be commanded, in either direction. Proposed trials respect them.
+    #: Recorded trials are not checked.
+    max_angle_deg: PositiveFloat | None = None
+    max_rate_deg_s: PositiveFloat | None = None
 
 
 class Yielding(yamlio.Document):

@@ -1,0 +1,623 @@
+"""Propose trials that a lab could run next, within the limits of the robot and of the tank.
+
+A proposed trial is a sequence of segments of equal duration. :data:`PROPOSALS` lists all of them. A protocol
+(:class:`Protocol`) turns the segments into the command of one kind of experiment: a beat or joint commands, a
+pulling force, an input column, a cruise, or a release.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from swimid.diagnosis import settings
+from swimid.fitting.drives import Beat, Cycle, eased, straight
+from swimid.fitting.fit_common import Experiment
+from swimid.fitting.model import Array, Model, SurgeInput, SwimInput, Trial
+from swimid.logs.trials import Drive
+from swimid.simulation.cases import drive_block
+from swimid.swimmer import drive as driven
+from swimid.swimmer.model import Swimmer
+
+#: Factors on the lowest and on the highest setting of the trials.
+LOWER, HIGHER = 0.6, 1.4
+#: Turning bias of a proposed beat, as a fraction of its amplitude. Amplitude and bias together then reach at
+#: most :data:`HIGHER` times the largest amplitude of the trials.
+BIAS = HIGHER - 1.0
+#: Sample rate of the joint commands in a command file, Hz.
+COMMAND_RATE_HZ = 100.0
+#: Minimum number of beats in each segment of a proposed trial, after the ramp.
+MIN_BEATS = 2.0
+#: Minimum number of samples of a proposed trial.
+MIN_SAMPLES = 5
+#: Maximum number of times that a proposed trial is shortened until its path fits into the tank.
+MAX_CUTS = 8
+#: Number of directions in a half circle along which the extent of a path is measured.
+DIRECTIONS = 36
+
+
+class Segment(NamedTuple):
+    """Segment of a proposed trial: factors on the settings of the trials.
+
+    A factor below one multiplies the lowest setting of the trials, a factor above one the highest. The factor
+    one stands for the setting of the longest trial. With the amplitude zero the robot coasts. The bias is a
+    fraction of the amplitude. For a force, a signal or a release, the amplitude is its size. The frequency is
+    then the speed at which a recorded signal is played.
+    """
+
+    frequency: float = 1.0
+    amplitude: float = 1.0
+    bias: float = 0.0
+
+
+#: Proposed trials. Each is a sequence of segments that last equally long.
+PROPOSALS: tuple[tuple[Segment, ...], ...] = (
+    (Segment(),),
+    (Segment(frequency=LOWER),),
+    (Segment(frequency=HIGHER),),
+    (Segment(amplitude=LOWER),),
+    (Segment(amplitude=HIGHER),),
+    (Segment(frequency=HIGHER, amplitude=HIGHER),),
+    (Segment(frequency=LOWER, amplitude=HIGHER),),
+    (Segment(bias=BIAS),),
+    (Segment(frequency=LOWER), Segment(frequency=HIGHER)),
+    (Segment(amplitude=LOWER), Segment(amplitude=HIGHER)),
+    (Segment(bias=-BIAS), Segment(bias=BIAS)),
+    (Segment(amplitude=HIGHER), Segment(amplitude=0.0)),
+)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a proposed trial.
+
+    The driven joints of the robot file may state further limits.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    tank_length_m : float or None
+        Maximum extent of the path. None stands for the largest extent in the trials.
+    max_frequency_hz : float
+        Maximum frequency of a beat or stroke.
+    max_amplitude_rad : float
+        Maximum amplitude of a beat. For strokes and recorded commands, that of each joint.
+    """
+
+    experiment: Experiment
+    tank_length_m: float | None = None
+    max_frequency_hz: float = math.inf
+    max_amplitude_rad: float = math.inf
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Proposed trial with its command.
+
+    Attributes
+    ----------
+    text : str
+        Text that says what to run.
+    trial : Trial
+        Trial to simulate, without measured channels.
+    entry : mapping
+        Keys of the trial's entry in a trials file besides ``id`` and ``log``, or the row of a cruise table.
+    columns : mapping of str to ndarray, each shape (n,)
+        Columns of the command file, ``t_s`` first.
+    """
+
+    text: str
+    trial: Trial
+    entry: Mapping[str, Any]
+    columns: Mapping[str, Array]
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the trial, s; 0 for a cruise, which ends at its distance."""
+        return float(self.trial.time_s[-1] - self.trial.time_s[0])
+
+
+class Protocol(ABC):
+    """Kind of experiment for which trials are proposed.
+
+    Parameters
+    ----------
+    model : Model
+    trials : sequence of Trial
+        Trials of the experiment, whose settings the segments multiply.
+    limits : Limits
+    """
+
+    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits) -> None:
+        self.model, self.limits = model, limits
+        self.trials = list(trials)
+        self.template = max(self.trials, key=_duration)
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of a proposed trial that the tank does not shorten, s."""
+        return _duration(self.template)
+
+    @abstractmethod
+    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
+        """Return a trial of these segments; None if this experiment cannot run them within its limits."""
+
+    def constant(self, segments: Sequence[Segment]) -> Segment | None:
+        """Return the only segment, if it is one that an experiment without a bias can run; None otherwise."""
+        if len(segments) > 1 or segments[0].bias:
+            return None
+        return segments[0]
+
+
+def _duration(trial: Trial) -> float:
+    return float(trial.time_s[-1] - trial.time_s[0])
+
+
+def rounded_down(value: float) -> float:
+    """Return a value with three significant digits that is not larger in size.
+
+    >>> rounded_down(2.5199), rounded_down(-0.12345)
+    (2.51, -0.123)
+    """
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    digits = 2 - math.floor(math.log10(abs(value)))
+    size = math.floor(abs(value) * (1.0 + 1e-9) * 10.0**digits) / 10.0**digits
+    return math.copysign(round(size, max(digits, 0)), value)
+
+
+def level(factor: float, values: Sequence[float], usual: float, most: float = math.inf) -> float:
+    """Return the setting for a factor of a segment, at most ``most`` in size."""
+    chosen = usual
+    if factor > 1.0:
+        chosen = rounded_down(factor * max(values))
+    elif factor < 1.0:
+        chosen = rounded_down(factor * min(values))
+    return math.copysign(min(abs(chosen), most), chosen)
+
+
+def stepped(time_s: Array, levels: Sequence[float], edges_s: Sequence[float], ramp_s: float) -> Array:
+    """Return a setting that changes smoothly from one segment to the next, shape (n,).
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Setting of each segment.
+    edges_s : sequence of float
+        Start of each segment but the first.
+    ramp_s : float
+        Duration of each change.
+    """
+    found = np.full(len(time_s), levels[0], dtype=float)
+    for change, at in zip(np.diff(levels), edges_s, strict=True):
+        found += change * eased(time_s - at, ramp_s)
+    return found
+
+
+# ---------------------------------------------------------------- robots with links
+
+
+def _size(drive: Beat | Cycle) -> float:
+    """Return the amplitude of a beat in degrees, or the scale of a stroke."""
+    if isinstance(drive, Beat):
+        return math.degrees(drive.amplitude_rad)
+    return drive.scale
+
+
+class Swim(Protocol):
+    """Robot with links that starts from rest under a beat, a stroke or joint commands."""
+
+    def __init__(self, model: Swimmer, trials: Sequence[Trial], limits: Limits) -> None:
+        moved = [t for t in trials if t.swim.drive is not None]
+        longest = max(moved or trials, key=_duration).swim
+        alike = [t for t in moved if type(t.swim.drive) is type(longest.drive)]
+        super().__init__(model, alike or trials, limits)
+        self.swimmer, self.swim = model, self.template.swim
+        if self.swim.beat is not None and self.swim.steady:
+            # A trial from rest begins with the ramp that a trials file has by default.
+            ramp_s = Drive.model_fields["ramp_s"].default
+            self.swim = replace(self.swim, beat=replace(self.swim.beat, steady=False, ramp_s=ramp_s))
+        self.beat, self.stroke = self.swim.beat, self.swim.stroke
+        drives = [t.swim.drive for t in self.trials if t.swim.drive is not None]
+        #: Frequencies (Hz) and sizes of the drives of the trials; 1 for recorded commands.
+        self.frequencies = [float(d.frequency_hz) for d in drives] or [1.0]
+        self.sizes = [_size(d) for d in drives] or [1.0]
+        #: Frequency of a beat in recorded commands, Hz; NaN if it is unknown.
+        self.recorded_hz = math.nan
+        found = settings.quantities(self.template).get("frequency")
+        if not drives and isinstance(found, settings.Quantity):
+            self.recorded_hz = found.value
+
+    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
+        """Return a trial of these segments; its amplitude is lowered to the limits of the joints."""
+        if self.beat is None and any(s.bias for s in segments):
+            return None
+        found, excess = self._at_size(segments, duration_s, 1.0)
+        if excess > 1.0:
+            found, excess = self._at_size(segments, duration_s, 0.999 / excess)
+        if excess > 1.0:
+            return None
+        return found
+
+    def _at_size(
+        self, segments: Sequence[Segment], duration_s: float, factor: float
+    ) -> tuple[Proposal | None, float]:
+        """Return a trial with all amplitudes multiplied by ``factor``, and the excess over the joint limits.
+
+        The excess is the largest ratio of an angle or a rate to its limit.
+        """
+        limits, usual = self.limits, self.swim.drive
+        hz, size = 1.0, 1.0
+        most_hz, most = limits.max_frequency_hz, math.inf
+        if usual is not None:
+            hz, size = float(usual.frequency_hz), _size(usual)
+        elif math.isfinite(self.recorded_hz):
+            most_hz /= self.recorded_hz
+        if self.beat is not None:
+            most = math.degrees(limits.max_amplitude_rad)
+        f = [level(s.frequency, self.frequencies, hz, most_hz) for s in segments]
+        a = [level(s.amplitude, self.sizes, size, most) for s in segments]
+        if factor < 1.0:
+            a = [rounded_down(factor * one) for one in a]
+        b = [rounded_down(s.bias * one) for s, one in zip(segments, a, strict=True)]
+        if self.swim.joints is not None and usual is None:
+            # A record that is played faster ends earlier.
+            duration_s = min(duration_s, _duration(self.template) * len(f) / sum(f))
+        ramp_s = getattr(usual, "ramp_s", 0.0)
+        beats = self._beats(f, a, duration_s / len(f), ramp_s)
+        count = int(np.sum(self.template.time_s - self.template.time_s[0] <= duration_s + 1e-9))
+        if min(beats, default=math.inf) < MIN_BEATS - 1e-3 or count < MIN_SAMPLES:
+            return None, 0.0
+        time = np.arange(round(duration_s * COMMAND_RATE_HZ) + 1) / COMMAND_RATE_HZ
+        entry: dict[str, Any] = {}
+        own = {name: float(v) for name, v in (self.swim.coefficients or {}).items()}
+        if own:
+            entry["coefficients"] = own
+        swim = self._simple(f, a, b)
+        if swim is None:
+            swim = self._joined(f, a, b, time, duration_s)
+        angles = [self.swimmer.command(k, swim, time, 0.0) for k in range(len(self.swimmer.driven))]
+        names = [axis.column.replace("joint", "cmd") for axis in self.swimmer.driven]
+        held = {"drive_phase", *(p.name for p in self.model.parameters if p.name.startswith("initial_"))}
+        trial = Trial(
+            "proposed",
+            "fit",
+            self.template.time_s[:count] - self.template.time_s[0],
+            {},
+            swim=replace(swim, pose=self.swim.pose),
+            held=tuple(sorted(held)),
+        )
+        if swim.drive is not None:
+            entry = {"drive": drive_block(trial), **entry}
+        text = f"{self._words(f, a, b)}, from rest, for {_duration(trial):.3g} s"
+        columns = {"t_s": time, **dict(zip(names, angles, strict=True))}
+        return Proposal(text, trial, entry, columns), self._excess(angles)
+
+    def _beats(self, f: Sequence[float], a: Sequence[float], each_s: float, ramp_s: float) -> list[float]:
+        """Return the number of beats in each segment with a beat. It is unknown for recorded commands."""
+        if self.swim.drive is None:
+            f = [one * self.recorded_hz for one in f]
+        lengths = [each_s - ramp_s, *[each_s] * (len(f) - 1)]
+        parts = zip(lengths, f, a, strict=True)
+        return [length * hz for length, hz, size in parts if size and math.isfinite(hz)]
+
+    def _simple(self, f: Sequence[float], a: Sequence[float], b: Sequence[float]) -> SwimInput | None:
+        """Return a drive that a trials file can state, a single beat or stroke; None for several segments."""
+        if self.beat is not None and len(f) == 1:
+            beat = replace(
+                self.beat,
+                frequency_hz=f[0],
+                amplitude_rad=math.radians(a[0]),
+                bias_rad=math.radians(b[0]),
+                steady=False,
+            )
+            return replace(self.swim, beat=beat)
+        if self.stroke is not None and len(f) == 1:
+            stroke = replace(self.stroke, frequency_hz=f[0], scale=a[0], steady=False)
+            return replace(self.swim, stroke=stroke)
+        return None
+
+    def _joined(
+        self, f: Sequence[float], a: Sequence[float], b: Sequence[float], time_s: Array, duration_s: float
+    ) -> SwimInput:
+        """Return the joint commands of several segments, as they are read from their command file."""
+        drive = self.swim.drive
+        edges = [duration_s * k / len(f) for k in range(1, len(f))]
+        begin_s, ramp_s, unit_hz, shift_s = 0.0, 0.5, 1.0, float(self.template.time_s[0])
+        if drive is not None:
+            unit_hz, shift_s = drive.frequency_hz, 0.0
+            begin_s, ramp_s = drive.ramp_s, max(drive.ramp_s, 0.5 / max(f))
+        frequency, size, bias = (stepped(time_s, levels, edges, ramp_s) for levels in (f, a, b))
+        if begin_s > 0.0:
+            size, bias = (series * eased(time_s, begin_s) for series in (size, bias))
+        played_s = shift_s + cumulative_trapezoid(frequency / unit_hz, time_s, initial=0.0)
+        if self.beat is not None:
+            size, bias = np.radians(size), np.radians(bias)
+            beat = replace(self.beat, amplitude_rad=1.0, bias_rad=0.0, steady=True)
+            full, idle = (replace(self.swim, beat=replace(beat, amplitude_rad=a)) for a in (1.0, 0.0))
+        elif self.stroke is not None:
+            stroke = replace(self.stroke, steady=True)
+            full, idle = (replace(self.swim, stroke=replace(stroke, scale=a)) for a in (1.0, 0.0))
+        else:
+            full = self.swim
+            idle = replace(full, joints=[straight for _ in full.joints or ()])
+        motions = []
+        for k, axis in enumerate(self.swimmer.driven):
+            law = axis.driven
+            assert law is not None
+            rest, moved = (self.swimmer.command(k, one, played_s, 0.0) for one in (idle, full))
+            turn = driven.given(law.bias_gain, law.gain) * bias
+            motions.append(driven.spline_motion(driven.measured(time_s, rest + size * (moved - rest) + turn)))
+        commanded = self.swim.commanded or drive is not None
+        return replace(self.swim, beat=None, stroke=None, joints=motions, commanded=commanded)
+
+    def _excess(self, angles: Sequence[Array]) -> float:
+        """Return the largest ratio of a joint angle or rate to its limit."""
+        found = [0.0]
+        for axis, angle in zip(self.swimmer.driven, angles, strict=True):
+            rate = float(np.max(np.abs(np.diff(angle)))) * COMMAND_RATE_HZ
+            if axis.driven is not None and axis.driven.max_angle_deg is not None:
+                found.append(math.degrees(float(np.max(np.abs(angle)))) / axis.driven.max_angle_deg)
+            if axis.driven is not None and axis.driven.max_rate_deg_s is not None:
+                found.append(math.degrees(rate) / axis.driven.max_rate_deg_s)
+            if self.beat is None:
+                found.append(0.5 * float(np.ptp(angle)) / self.limits.max_amplitude_rad)
+        return max(found)
+
+    def _words(self, f: Sequence[float], a: Sequence[float], b: Sequence[float]) -> str:
+        """Return text that says what to run, for the frequency, size and bias of each segment."""
+        run, speed, unit = "swim", "Hz", "deg"
+        if self.stroke is not None:
+            run, unit = f"swim with the stroke {self.stroke.name}", "times its angles"
+        elif self.beat is None:
+            run = f"play the commands of {self.template.id}"
+            speed, unit = "times the speed", "times the angles"
+        said = []
+        for hz, size, bias in zip(f, a, b, strict=True):
+            turn = f" with a bias of {bias:.3g} deg" * bool(bias)
+            word = f"at {hz:.3g} {speed} and {size:.3g} {unit}{turn}"
+            if size == 0.0:
+                word = "without a beat (coast)"
+            said.append(word)
+        return f"{run} {', then '.join(said)}"
+
+
+# ---------------------------------------------------------------- other experiments
+
+
+class Weight(Protocol):
+    """Body that a falling weight or a known constant force pulls."""
+
+    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits) -> None:
+        super().__init__(model, trials, limits)
+        self.forces = [t.rig.pull for t in trials]
+
+    @property
+    def duration_s(self) -> float:
+        """Infinite duration, because each force has a duration of its own."""
+        return math.inf
+
+    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
+        """Return a trial with another pulling mass or force.
+
+        Under quadratic drag, a force passes through the same positions as another force, in times that are
+        proportional to the inverse square root of the force. The samples of the trial with the nearest force
+        are therefore moved in time.
+        """
+        only = self.constant(segments)
+        if only is None or only.frequency != 1.0 or not only.amplitude or not min(self.forces) > 0:
+            return None
+        gravity = self.limits.experiment.robot.fluid.gravity_m_s2
+        key, unit, per = "driving_force_N", "N", 1.0
+        if self.template.rig.pulley:
+            key, unit, per = "pulling_mass_kg", "kg", gravity
+        pull = level(only.amplitude, [one / per for one in self.forces], self.template.rig.pull / per)
+        force = pull * per
+        near = min(self.trials, key=lambda t: abs(math.log(t.rig.pull / force)))
+        rig = replace(near.rig, force=force)
+        if rig.pulley:
+            rig = replace(rig, inertia=rig.inertia + (force - near.rig.pull) / gravity)
+        slower = math.sqrt(near.rig.pull / force)
+        time = rig.begin_s + slower * (near.time_s - rig.begin_s)
+        time = time[time <= time[0] + duration_s + 1e-9]
+        if len(time) < MIN_SAMPLES:
+            return None
+        trial = Trial("proposed", "fit", time, {}, rig=rig, held=near.held)
+        columns = {"t_s": time, "force_N": np.full(len(time), force)}
+        text = f"pull with {pull:.3g} {unit}, for {_duration(trial):.3g} s"
+        return Proposal(text, trial, {key: round(pull, 9)}, columns)
+
+
+class Signal(Protocol):
+    """Experiment with a recorded input column: a towing force, or the input of a black-box model."""
+
+    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits, column: str) -> None:
+        super().__init__(model, trials, limits)
+        self.column = column
+
+    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
+        """Return a trial in which the input of the longest trial is scaled and played at another speed."""
+        if any(s.bias for s in segments):
+            return None
+        f, a = [s.frequency for s in segments], [s.amplitude for s in segments]
+        duration_s = min(duration_s, self.duration_s * len(f) / sum(f))
+        time = self.template.time_s[self.template.time_s <= self.template.time_s[0] + duration_s + 1e-9]
+        if len(time) < MIN_SAMPLES:
+            return None
+        # A step of the input takes one sampling interval.
+        step_s = float(time[1] - time[0])
+        edges = [time[0] + duration_s * k / len(f) for k in range(1, len(f))]
+        speed, size = (stepped(time, levels, edges, step_s) for levels in (f, a))
+        played = time[0] + cumulative_trapezoid(speed, time, initial=0.0)
+        column = size * np.interp(played, self.template.time_s, self.template.inputs[self.column])
+        trial = Trial(
+            "proposed", "fit", time, {}, {self.column: column}, self.template.rig, held=self.template.held
+        )
+        parts = ["at zero"] * len(segments)
+        for k, s in enumerate(segments):
+            if s.amplitude:
+                parts[k] = f"{s.amplitude:g} times as large and {s.frequency:g} times as fast"
+        text = f"play {self.column} of {self.template.id} {', then '.join(parts)}"
+        columns = {"t_s": time, self.column: column}
+        return Proposal(f"{text}, for {_duration(trial):.3g} s", trial, {}, columns)
+
+
+class Cruise(Protocol):
+    """Steady beat for a model that averages over beats: a timed cruise, or straight swimming."""
+
+    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits) -> None:
+        super().__init__(model, trials, limits)
+        known = [np.concatenate(parts) for parts in zip(*(t.steady for t in trials), strict=True)]
+        self.frequencies, self.sizes = known[0].tolist(), np.degrees(known[1]).tolist()
+
+    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
+        """Return a trial with another frequency or amplitude."""
+        only, limits, template = self.constant(segments), self.limits, self.template
+        if only is None or not only.amplitude:
+            return None
+        hz, size = (float(values[0]) for values in template.steady)
+        hz = level(only.frequency, self.frequencies, hz, limits.max_frequency_hz)
+        most = math.degrees(limits.max_amplitude_rad)
+        deg = level(only.amplitude, self.sizes, math.degrees(size), most)
+        text = f"swim at {hz:.3g} Hz and {deg:.3g} deg"
+        setting = {"frequency_hz": hz, "amplitude_deg": round(deg, 9)}
+        if not self.model.timed_runs:
+            time = template.time_s[template.time_s <= template.time_s[0] + duration_s + 1e-9]
+            beats = _duration(template) * hz
+            if len(time) < MIN_SAMPLES or beats < MIN_BEATS:
+                return None
+            surge = SurgeInput(hz, math.radians(deg), float(time[0]))
+            trial = Trial("proposed", "fit", time, {}, surge=surge, held=template.held)
+            facts = limits.experiment.facts
+            shape = {name: facts[name] for name in ("waveform", "asymmetry") if facts.get(name)}
+            entry: dict[str, Any] = {"drive": {**shape, **setting}}
+            end_s = float(time[-1])
+            text += f", for {_duration(trial):.3g} s"
+        else:
+            distance_m = min(float(template.inputs["distance_m"][0]), limits.tank_length_m or math.inf)
+            inputs = {
+                "frequency_hz": np.array([hz]),
+                "amplitude_rad": np.array([math.radians(deg)]),
+                "distance_m": np.array([distance_m]),
+            }
+            trial = Trial("proposed", "fit", np.zeros(1), {}, inputs, cruise=template.cruise)
+            entry = {"fin": template.cruise.fin, **setting, "distance_m": distance_m}
+            # Estimate the duration from the slowest cruise. The run ends at its distance.
+            speeds = np.concatenate([v for t in self.trials for v in t.measured.values()])
+            end_s = distance_m / float(np.nanmin(speeds))
+            text += f" with the fin {template.cruise.fin}, over {distance_m:.3g} m"
+        columns = {"t_s": np.array([0.0, end_s]), **{name: np.full(2, v) for name, v in setting.items()}}
+        return Proposal(text, trial, entry, columns)
+
+
+class Release(Protocol):
+    """Free decay after a release from rest."""
+
+    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
+        """Return a release from another position or angle."""
+        only, template, rig = self.constant(segments), self.template, self.model.rig
+        if only is None or rig is None or only.frequency != 1.0 or not only.amplitude:
+            return None
+        away = [abs(t.rig.x0) for t in self.trials]
+        x0 = math.copysign(level(only.amplitude, away, abs(template.rig.x0)), template.rig.x0)
+        trial = Trial(
+            "proposed", "fit", template.time_s, {}, rig=replace(template.rig, x0=x0), held=template.held
+        )
+        begin_s = template.rig.begin_s
+        ends = np.array([begin_s, float(template.time_s[-1])])
+        columns = {"t_s": ends, rig.displacement.name: np.array([x0, np.nan])}
+        text = f"release at {x0:.3g} {rig.displacement.unit}, for {_duration(trial):.3g} s"
+        return Proposal(text, trial, {}, columns)
+
+
+def protocol_of(model: Model, trials: Sequence[Trial], limits: Limits) -> Protocol | None:
+    """Return the protocol of an experiment; None if nothing in it can be commanded."""
+    swimmer = model.swimmer
+    if swimmer is not None:
+        moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
+        if not moved or not swimmer.driven:
+            return None
+        return Swim(swimmer, moved, limits)
+    if all(len(t.steady[0]) == 1 and np.isfinite(t.steady).all() for t in trials):
+        return Cruise(model, trials, limits)
+    if model.rig is not None and model.rig.swings:
+        return Release(model, trials, limits)
+    column = getattr(model, "source", "force_N")
+    if all(column in t.inputs for t in trials):
+        return Signal(model, trials, limits, column)
+    if model.rig is not None and all(t.rig.force is not None for t in trials):
+        return Weight(model, trials, limits)
+    return None
+
+
+# ---------------------------------------------------------------- tank
+
+
+def extents(columns: Mapping[str, Array]) -> Array:
+    """Return the largest distance between two positions so far, at each sample, m, shape (n,).
+
+    The positions are horizontal. The result is 0 without a position.
+    """
+    x, y = (columns.get(name) for name in ("x_m", "y_m"))
+    known = [axis for axis in (x, y) if axis is not None]
+    if not known:
+        return np.zeros(1)
+    if len(known) == 1:
+        along = known
+    else:
+        angles = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        along = [known[0] * np.cos(angle) + known[1] * np.sin(angle) for angle in angles]
+    ends = [np.fmax.accumulate(one) - np.fmin.accumulate(one) for one in along]
+    return np.asarray(np.max(ends, axis=0))
+
+
+def time_inside(time_s: Array, columns: Mapping[str, Array], length_m: float) -> float:
+    """Return the duration for which a simulated path is no longer than ``length_m``, s.
+
+    The duration is infinite if the whole path fits.
+    """
+    outside = np.flatnonzero(extents(columns) > length_m)
+    if not len(outside):
+        return math.inf
+    return float(time_s[max(outside[0] - 1, 0)] - time_s[0])
+
+
+def tank_length(trials: Sequence[Trial], limits: Limits) -> float:
+    """Return the maximum extent of a path, m: the stated one, or else the largest extent in the trials."""
+    if limits.tank_length_m is not None:
+        return limits.tank_length_m
+    found = [float(np.nanmax(extents(t.measured), initial=0.0)) for t in trials]
+    return max(found) or math.inf
+
+
+def shortened(
+    protocol: Protocol,
+    segments: Sequence[Segment],
+    length_m: float,
+    paths: Callable[[Trial], Sequence[Mapping[str, Array]]],
+) -> Proposal | None:
+    """Return a proposed trial that is so short that no simulated path leaves the tank; None if none is.
+
+    Parameters
+    ----------
+    paths : callable
+        Function that returns the channels that each rival simulates in a trial.
+    """
+    duration_s = protocol.duration_s
+    for _ in range(MAX_CUTS):
+        found = protocol.proposal(segments, duration_s)
+        if found is None:
+            return None
+        # Give each trial an id of its own, because simulations are cached by the id of the trial.
+        found = replace(found, trial=replace(found.trial, id=found.text))
+        inside_s = min(time_inside(found.trial.time_s, columns, length_m) for columns in paths(found.trial))
+        if inside_s == math.inf:
+            return found
+        duration_s = min(inside_s, 0.999 * found.duration_s)
+    return None
