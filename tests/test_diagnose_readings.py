@@ -20,7 +20,9 @@ from swimid.fitting.drives import Beat
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, RigInput, SwimInput, Trial
 from swimid.results import evidence
+from swimid.results.parameters import ParameterFile
 from swimid.robots import file as robot_format
+from swimid.simulation.compare_series import ComparisonFile
 from swimid.swimmer import trials as swimmer_trials
 from swimid.swimmer.model import Swimmer
 from tests.blind import swim_effects
@@ -309,6 +311,13 @@ def test_trials_of_a_robot_in_another_reading_name_that_reading(tmp_path: Path, 
     for name, bound in file.at_bound.items():
         assert any(name in check.value + check.text + check.reason for check in checks)
         assert refitted[name] == pytest.approx(bound)
+    repaired = ParameterFile.read(tmp_path / "repaired.yaml")
+    assert (repaired.effects, repaired.settings["readings"]) == ([], dict([option.split("=")]))
+    assert (
+        command("compare", tmp_path / "trials.yaml", "--params", tmp_path / "repaired.yaml", "-o", out).status
+        == 0
+    )
+    assert ComparisonFile.read(out).channels["yaw_rad"].rmse == pytest.approx(noise["yaw_rad"], rel=0.2)
 
 
 @pytest.mark.slow

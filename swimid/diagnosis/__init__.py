@@ -9,6 +9,5 @@ sets of effects, ``posterior`` computes their probabilities. ``crossval`` and ``
 held-out data, ``floor`` the noise floor. ``remainder`` describes the remaining residuals, ``dropouts``
 failed samples, ``places`` where the gap is. ``facts`` collects the facts from which ``verdict`` decides.
 ``answer`` assembles the gap file. ``proposals`` lists trials that could be run next, and ``advice`` selects
-the best one. ``power`` computes what the trials
-could show.
+the best one. ``repaired`` writes the model with the causes. ``power`` computes what the trials could show.
 """

@@ -283,7 +283,11 @@ def _predictions(
             )
             for models in fits
         ]
-    return shrinkage.better(found, floor)
+    best = shrinkage.better(found, floor)
+    for models, one in zip(fits, found, strict=True):
+        if one and one[0].after is best[0].after:
+            state.predictive = models[-1]
+    return best
 
 
 def _waterfall(state: State, told: Told, held: Sequence[Piece], floor: Mapping[str, float]) -> list[Step]:

@@ -352,14 +352,14 @@ class FitContext:
             p = problem.parameters[index]
             if problem.differs(j):
                 mean[j], weight[j] = p.start, 1.0 / p.scale
-            elif "/" in p.name:
-                mean[j], weight[j] = p.start, 1.0 / (EFFECT_PRIOR * p.scale)
-            elif owner is not None:
-                weight[j] = 1.0 / (START_PRIOR * p.scale)
             elif owner is None and p.name in known:
                 mean[j], sd = known[p.name]
                 if sd > 0:
                     weight[j] = 1.0 / sd
+            elif "/" in p.name:
+                mean[j], weight[j] = p.start, 1.0 / (EFFECT_PRIOR * p.scale)
+            elif owner is not None:
+                weight[j] = 1.0 / (START_PRIOR * p.scale)
         return mean, weight
 
     def root(self, problem: Mixed) -> Array:

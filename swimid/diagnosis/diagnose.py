@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, evidence, nominal, power, readings, search
+from swimid.diagnosis import answer, evidence, nominal, power, readings, repaired, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
 from swimid.diagnosis.proposals import Limits
 from swimid.effects import catalogue as effect_catalogue
+from swimid.effects.base import Affected
 from swimid.errors import NoTrustworthyResult, UsageError, suggestion
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
+from swimid.files.provenance import Input
+from swimid.fitting.model import Model
+from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
@@ -55,12 +61,71 @@ def _as_given(loaded: Loaded) -> dict[str, ChannelScore]:
     return compare_series.pool(done, experiment.model)
 
 
+def _requested(effects: Sequence[str], names: list[str], model: Model) -> Sequence[str]:
+    """Return the effects that the user requests, after checking that they are hypotheses.
+
+    Raises
+    ------
+    UsageError
+        If an effect does not exist, or acts in the model already.
+    """
+    acting = [e.name for e in model.effects] if isinstance(model, Affected) else []
+    for name in effects:
+        if name in acting:
+            raise UsageError(f"the effect '{name}' is part of the model in the parameter file")
+        if name not in names:
+            raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
+    return effects
+
+
+def _checked_place(
+    options: DiagnoseOptions, output: Path | None, inputs: Sequence[Input], allow: Callable[[Path], object]
+) -> Path | None:
+    """Check all outputs, and return the path of the parameter file with the causes; None if none is written.
+
+    Raises
+    ------
+    InputError, UsageError
+        If an output cannot be written, is an input or another output, or is given beside ``--power``.
+    """
+    if options.next is not None and options.power:
+        raise UsageError("--next has no place beside --power, which compares no rival causes")
+    if options.repaired is not None and options.power:
+        raise UsageError("--repaired has no place beside --power, which names no causes")
+    place = options.repaired
+    if place is None and output is not None and not (options.power or atomic.is_device(output)):
+        place = evidence.beside(output)
+    if place is not None:
+        hint = "name another file for the model with the causes: --repaired FILE"
+        if output is not None and place.resolve() == output.resolve():
+            raise UsageError(f"two outputs would be written to {place}", hint=hint)
+        if any(isinstance(i, str | Path) and Path(i).resolve() == place.resolve() for i in inputs):
+            raise UsageError(f"{place} is an input of this diagnosis", hint=hint)
+    for path in (output, place, options.next):
+        if path is not None:
+            allow(atomic.check_writable(path, inputs=inputs))
+    return place
+
+
+def _written(made: Diagnosis, output: Path | None, place: Path | None, command: Path | None) -> Diagnosis:
+    """Write all outputs of a diagnosis or none, and return it with their paths."""
+    with atomic.together():
+        if output is not None:
+            made = made.save(output, place)
+        elif place is not None:
+            made = made.with_repaired(place)
+        if command is not None and made.next is not None:
+            made = made.with_command(command)
+    return made
+
+
 @takes(DiagnoseOptions)
 def diagnose(
     trials: str | Path | TrialSet,
     *,
     options: DiagnoseOptions,
     output: Path | None = None,
+    allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
 ) -> Diagnosis | power.DetectionPower:
     """Find the effect behind the gap between a model and its trials.
@@ -74,7 +139,11 @@ def diagnose(
     trials : path or TrialSet
         Trials of any experiment: a file, or the result of :func:`swimid.load`.
     output : path, optional
-        Gap file to write. The evidence file is written next to it.
+        Gap file to write. The evidence file, and the parameter file of the model with the causes, are written
+        next to it.
+    allow : callable
+        Function that is called with every file before it is written. It raises an error if the file must not
+        be written.
     progress : Progress
         Progress display of the fitted effects.
 
@@ -85,7 +154,8 @@ def diagnose(
         ``.answer`` is ``"none"``, ``"explained"``, ``"ambiguous"`` or ``"unexplained"``. ``.causes`` has the
         parameters of each cause with their units. ``.shrinkage`` has the errors on held-out data without and
         with the causes, divided by the measured range. ``.where`` has the gap and the noise floor of each
-        channel. ``.next`` is the command file of the trial that separates rival causes best, or None.
+        channel. ``.repaired`` has the parameters of the model with the causes, or is None. ``.next`` is the
+        command file of the trial that separates rival causes best, or None.
 
     Raises
     ------
@@ -122,32 +192,34 @@ def diagnose(
     >>> cause = gap.causes.iloc[0]
     >>> gap.answer, cause["effect"], round(float(cause["value"]), 3), cause["unit"]
     ('explained', 'pulley-friction', 0.031, 'N')
+
+    The model with the cause follows the drops:
+
+    >>> bool((swimid.compare(trials, params=gap.repaired).scores["nrmse"] < 0.002).all())
+    True
     """
     with recorded(repeat=True) as notices:
         loaded = experiment_catalogue.load(trials, options)
         experiment = loaded.experiment
         model = experiment.model
+        inputs = [*experiment.inputs, *options.own_effects]
+        place = _checked_place(options, output, inputs, allow)
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # The noise is estimated with the whole catalogue, even if only some effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
+        if isinstance(model, Affected):
+            # An effect of the parameter file is part of the model, and no hypothesis.
+            known = [e for e in known if e.joins(model.effects)]
         as_given = _as_given(loaded)
         begun = nominal.begun(loaded)
         asked = None
         if options.effects:
             names = [*(e.name for e in (*known, *begun.changes)), *readings.names(experiment)]
-            for name in options.effects:
-                if name not in names:
-                    raise UsageError(f"there is no effect '{name}'", hint=suggestion(name, names))
-            asked = {*options.effects, *(e.name for e in own)}
+            asked = {*_requested(options.effects, names, model), *(e.name for e in own)}
         fitted = [t for t in begun.trials if t.role == "fit"]
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
-        inputs = [*experiment.inputs, *options.own_effects]
-        if options.next is not None and options.power:
-            raise UsageError("--next has no place beside --power, which compares no rival causes")
-        for place in [path for path in (output, options.next) if path is not None]:
-            atomic.check_writable(place, inputs=inputs)
         origin = provenance.collect(inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         search.prepared(model, experiment.trials, progress, keep)
@@ -190,6 +262,14 @@ def diagnose(
             file, worst = answer.answer(
                 state, validation, begun, fitted, seed=options.seed, progress=progress
             )
+        folder = trials_format.place(trials).parent
+        if place is not None:
+            folder = place.parent
+        repaired_file = repaired.parameters(
+            state, file, loaded, folder, readings=options.readings, provenance=origin
+        )
+        if repaired_file is None and place is not None and place.exists():
+            warn("SWM061", f"{place.name} belongs to an earlier run: this one found no cause to write to it")
         if options.next is not None and all(a.command is None for a in file.advice):
             why = [a.text for a in file.advice if a.noise is not None] or [NO_RIVALS]
             warn("SWM075", f"{options.next.name} is not written: {why[0]}")
@@ -201,10 +281,7 @@ def diagnose(
     }
     file = file.model_copy(update=about)
     rests_on = evidence.evidence(file, worst, sources=experiment.robot.sources, notices=ev.notices(notices))
-    made = Diagnosis.of(file, rests_on)
-    with atomic.together():
-        made = made.saved(output)
-        if options.next is not None and made.next is not None:
-            made = made.with_command(options.next)
+    made = replace(Diagnosis.of(file, rests_on), repaired=repaired_file)
+    made = _written(made, output, place, options.next)
     keep.done()
     return made

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -21,11 +21,14 @@ from swimid.diagnosis.gap_file import (
     Value,
 )
 from swimid.diagnosis.verdict import interval_text
+from swimid.errors import in_words_of_the_caller
+from swimid.files import atomic
 from swimid.logs import log as log_format
 from swimid.logs.log import Log
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.numbers import listed, number, percent, probability_text
+from swimid.results.parameters import Fitted, ParameterFile
 from swimid.results.result import FileResult
 
 if TYPE_CHECKING:
@@ -56,6 +59,15 @@ BOX = (
     "Box, G. E. P., & Hill, W. J. (1967). Discrimination among mechanistic models. Technometrics, 9(1), "
     "57-71."
 )
+
+
+#: Name of the parameter file with the causes, in the folder of the gap file.
+REPAIRED = "repaired.yaml"
+
+
+def beside(path: Path) -> Path:
+    """Return the default path of the parameter file with the causes for a gap file."""
+    return path.with_name(REPAIRED)
 
 
 def evidence(
@@ -586,9 +598,60 @@ class Diagnosis(FileResult[GapFile]):
     file : GapFile
         Content of the file that :meth:`save` writes. It also has rival causes, remaining residuals, proposed
         experiments and the scores of all effects.
+    repaired : ParameterFile or None
+        Parameters of the model with the causes, which every command takes as ``params``. None without a
+        cause, and for a result that was read from a file.
     """
 
+    repaired: ParameterFile | None = field(default=None, repr=False)
+
     file_type = GapFile
+
+    def save(self, path: str | Path, repaired: str | Path | None = None) -> Self:
+        """Write the gap file, its evidence, and the parameter file of the model with the causes.
+
+        Parameters
+        ----------
+        repaired : path, optional
+            Path of the parameter file; by default ``repaired.yaml`` in the folder of the gap file.
+
+        Returns
+        -------
+        Diagnosis
+            Copy of this result with the written files in :attr:`outputs`.
+
+        Raises
+        ------
+        InputError, UsageError
+            As for every result (:meth:`Result.save`).
+        """
+        with atomic.together():
+            made = self
+            if repaired is not None or not atomic.is_device(Path(path)):
+                made = self.with_repaired(repaired or beside(Path(path)))
+            saved = super(Diagnosis, replace(made, outputs=self.outputs)).save(path)
+        return replace(saved, outputs=[*saved.outputs, *made.outputs[len(self.outputs) :]])
+
+    def with_repaired(self, path: str | Path) -> Self:
+        """Write the parameter file of the model with the causes, if there is one, and name it in the notes.
+
+        Returns
+        -------
+        Diagnosis
+            Copy of this result with the written files in :attr:`outputs`.
+        """
+        if self.repaired is None:
+            return self
+        shown = self.evidence or self.bare()
+        names = listed([c.effect for c in self.file.causes])
+        about = {
+            "title": f"Model of {self.file.robot} with {names}",
+            "tables": [], "figures": [], "methods": [], "notes": [],
+        }  # fmt: skip
+        fitted = Fitted.of(self.repaired, shown.model_copy(update=about)).save(path)
+        said = f"The model with {names} is in {Path(path).name}: give it as --params to any command."
+        noted = shown.model_copy(update={"notes": [*shown.notes, in_words_of_the_caller(said)]})
+        return replace(self, evidence=noted, outputs=[*self.outputs, *fitted.outputs])
 
     @property
     def next(self) -> Log | None:

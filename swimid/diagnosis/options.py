@@ -62,6 +62,13 @@ class DiagnoseOptions(
         help="Say what these trials could show, not what they do: the smallest size of each effect that is "
         "seen, and which effects are never distinguished.",
     )
+    repaired: Path | None = option(
+        None,
+        written=True,
+        recorded=False,
+        help="Parameter file to write for the model with the causes  [default: repaired.yaml beside the gap "
+        "file].",
+    )
     next: Path | None = option(
         None,
         written=True,

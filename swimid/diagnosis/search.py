@@ -168,6 +168,8 @@ class State:
     random_effects: list[RandomEffect] = field(default_factory=list)
     low_frequency: dict[str, LowFrequency] = field(default_factory=dict)
     nuisance_residuals: list[Array] = field(default_factory=list)
+    #: The model with the causes as it predicts held-out data best: with random effects, or without them.
+    predictive: Fit | None = None
     #: Number of effects that apply to the model and that the user requested.
     tried: int = 0
     #: Limits of a proposed trial; None proposes none.
@@ -642,7 +644,7 @@ class Search:
 
 def _belongs(label: str, effects: Sequence[Effect]) -> bool:
     """Return whether a parameter belongs to one of the given effects."""
-    return label.split("/")[0] in {e.name for e in effects}
+    return label.rpartition("/")[0] in {e.name for e in effects}
 
 
 def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext, NoiseModel, Fit, Dropouts]:

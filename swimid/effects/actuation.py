@@ -349,7 +349,7 @@ class Slip(base.Actuation):
         because the loss lasts for a part of each trial only.
         """
         lasting = model.scales(trials).duration
-        longest = max(float(t.time_s[-1] - t.time_s[0]) for t in trials) or lasting
+        longest = max((float(t.time_s[-1] - t.time_s[0]) for t in trials), default=0.0) or lasting
         when = "time after the first sample at which half of it is lost"
         return (
             parameter("loss", "1", 0.1, "share of the command lost", 0.0, 0.95),

@@ -20,6 +20,7 @@ import numba
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from swimid.files.atomic import Checkpoint
 from swimid.fitting.model import (
     MEAN_SPEED,
     NONE,
@@ -30,11 +31,14 @@ from swimid.fitting.model import (
     Hooks,
     Model,
     Parameter,
+    Rig,
+    Scales,
     Stroke,
     Trial,
     typical,
     unless_broken,
 )
+from swimid.notices import Progress, silent
 
 if TYPE_CHECKING:
     from swimid.swimmer.planar.model import Body
@@ -182,7 +186,8 @@ class Affected(Model):
 
     The parameters are those of the model, followed by those of each effect as ``effect/parameter``. With the
     effect parameters at their start values, the simulation is that of the model. An effect may replace this
-    model by another one (:meth:`Effect.in_place_of`).
+    model by another one (:meth:`Effect.in_place_of`). Further effects may act on the result, because the
+    given model may be an affected model as well. All other properties are those of the given model.
 
     Parameters
     ----------
@@ -201,6 +206,11 @@ class Affected(Model):
         self.channels = model.channels
         self.abscissa = model.abscissa
         self.offers = model.offers
+        self.force_unit = model.force_unit
+        self.timed_runs = model.timed_runs
+        self.has_gaps = model.has_gaps
+        self.in_space = model.in_space
+        self.groups = model.groups
         self._trials = tuple(trials)
         self.own = [effect.parameters(model, trials) for effect in self.effects]
         self._contents = [effect.content() for effect in self.effects]
@@ -213,6 +223,70 @@ class Affected(Model):
                 self._added.append((model.index(effect.adds_to), len(model.parameters) + len(renamed)))
             renamed += [replace(p, name=f"{effect.name}/{p.name}") for p in parameters]
         self.parameters = (*model.parameters, *renamed)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a property of the model that effects do not change, for example the robot with links."""
+        if name.startswith("_") or "model" not in vars(self):
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+    @property
+    def rig(self) -> Rig | None:
+        """Coordinate of the body if the model is a test rig (see :attr:`Model.rig`)."""
+        return self.model.rig
+
+    @property
+    def body(self) -> Any:
+        """Body of a planar robot with links, without effects (see :attr:`Model.body`)."""
+        return self.model.body
+
+    @property
+    def swimmer(self) -> Any:
+        """The affected model if it is a robot with links (see :attr:`Model.swimmer`)."""
+        return None if self.model.swimmer is None else self
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """World axes along which the body can travel."""
+        return self.model.axes
+
+    def scales(self, trials: Sequence[Trial]) -> Scales:
+        """Return the typical scales in the given trials, at the start values of this model."""
+        found = self.model.scales(trials)
+        found.model = self
+        return found
+
+    def origin(self, trial: Trial) -> dict[str, float]:
+        """Return the initial position in a trial (see :meth:`Model.origin`)."""
+        return self.model.origin(trial)
+
+    def stated(self) -> dict[str, float]:
+        """Return the parameter values of the robot file (see :meth:`Model.stated`)."""
+        return self.model.stated()
+
+    def commanded(self, trial: Trial) -> bool:
+        """Return whether the input of a trial is a command (see :meth:`Model.commanded`)."""
+        return self.model.commanded(trial)
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """Yield times, command and maximum rate of each actuator, before any effect acts on the command."""
+        return self.model.commands(trial)
+
+    def onset(self, trial: Trial) -> float:
+        """Return the start time of the simulation, s (see :meth:`Model.onset`)."""
+        return self.model.onset(trial)
+
+    def beats(self, trials: Sequence[Trial]) -> list[float]:
+        """Return the known drive frequencies of the trials, Hz."""
+        return self.model.beats(trials)
+
+    def given(self, trial: Trial) -> list[str]:
+        """Return the measured channels of a trial that are inputs of the model."""
+        return self.model.given(trial)
+
+    def apart(self, trial: Trial) -> list[Trial]:
+        """Return one trial for each row of a table of timed cruising (see :meth:`Model.apart`)."""
+        return self.model.apart(trial)
 
     def hooks(self, values: Array, trial: Trial) -> Hooks:
         """Return the combined hooks of all effects for one trial at the given parameter values."""
@@ -257,27 +331,88 @@ class Affected(Model):
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Simulate one trial with all effects (see :meth:`Model.simulate`)."""
+        return self.hooked(values, trial, NONE)
+
+    def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
+        """Simulate one trial with all effects of this model, followed by further effects."""
         own = self.shifted(values)
-        hooks = self.hooks(values, trial)
-        if hooks is NONE:
+        acting = joined(self.hooks(values, trial), hooks)
+        if acting is NONE:
             return self.model.simulate(own, trial)
-        return self.model.hooked(own, trial, hooks)
+        return self.model.hooked(own, trial, acting)
+
+    def motion(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Simulate one trial without the effects of sensors and clocks (see :meth:`Model.motion`)."""
+        return self.model.hooked(self.shifted(values), trial, self.hooks(values, trial).unmeasured())
 
     @property
     def together(self) -> int:
         """Return the number of simulations that the model runs as one batch in the time of one."""
         return self.model.together
 
-    def simulate_many(self, runs: Sequence[tuple[Array, Trial]]) -> list[dict[str, Array]]:
-        """Simulate several trials with all effects (see :meth:`Model.simulate_many`)."""
-        hooks = unless_broken(self.hooks, runs)
-        asked = zip(runs, hooks, strict=True)
-        sound = [(self.shifted(values), trial, h) for (values, trial), h in asked if h is not None]
+    def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
+        """Simulate several trials with all effects of this model, each followed by further effects."""
+        own = unless_broken(self.hooks, [(values, trial) for values, trial, _ in runs])
+        asked = zip(runs, own, strict=True)
+        sound = [(self.shifted(v), trial, joined(h, more)) for (v, trial, more), h in asked if h is not None]
         simulated = iter(self.model.hooked_many(sound))
         return [
             self.broken_down(trial) if h is None else next(simulated)
-            for (_, trial), h in zip(runs, hooks, strict=True)
+            for (_, trial, _), h in zip(runs, own, strict=True)
         ]
+
+    def with_energetics(
+        self,
+        runs: Sequence[tuple[Array, Trial]],
+        last_s: Sequence[float],
+        hooks: Sequence[Hooks] | None = None,
+    ) -> list[Any]:
+        """Simulate the motion of a robot with links in several trials, with torques and powers.
+
+        The effects act on the motion, but not those of sensors and clocks
+        (:meth:`swimid.swimmer.model.Swimmer.with_energetics`).
+        """
+        more = hooks or [NONE] * len(runs)
+        acting = [
+            joined(self.hooks(*run), further).unmeasured() for run, further in zip(runs, more, strict=True)
+        ]
+        own = [(self.shifted(values), trial) for values, trial in runs]
+        found: list[Any] = self.model.swimmer.with_energetics(own, last_s, acting)
+        return found
+
+    def cruise(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Any:
+        """Return the steady swimming of a robot with links, with all effects."""
+        acting = joined(self.hooks(values, trial), hooks)
+        return self.model.swimmer.cruise(self.shifted(values), trial, acting)
+
+    def at_own_level(
+        self, values: Array, trial: Trial, hooks: Hooks = NONE
+    ) -> tuple[Model, dict[str, float]]:
+        """Return the model with the output offset of one trial (see :meth:`Model.at_own_level`)."""
+        acting = joined(self.hooks(values, trial), hooks)
+        model, level = self.model.at_own_level(self.shifted(values), trial, acting)
+        if model is self.model:
+            return self, level
+        return self._upon(model), level
+
+    def forget(self, trials: Sequence[Trial]) -> None:
+        """Remove the cached results of trials that will not be simulated again."""
+        for trial in trials:
+            self._latest.pop(trial.id, None)
+        self.model.swimmer.forget(trials)
+
+    def prepare(
+        self,
+        progress: Progress = silent,
+        *,
+        simulated_s: float = 0.0,
+        affected_s: float = 0.0,
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        """Compile the simulation if this saves time. All simulations have the effects of this model."""
+        if any(effect.stage not in ("actuation", "sensing") for effect in self.effects):
+            affected_s = simulated_s
+        self.model.prepare(progress, simulated_s=simulated_s, affected_s=affected_s, checkpoint=checkpoint)
 
     def refined(self) -> Affected | None:
         """Return the model with its effects and half the integration step.
@@ -285,7 +420,32 @@ class Affected(Model):
         Return None if the model does not integrate in time.
         """
         finer = self.nominal.refined()
-        return None if finer is None else Affected(finer, self.effects, self._trials)
+        return None if finer is None else self._upon(finer)
+
+    def coarser(self) -> Affected | None:
+        """Return the model with its effects and twice the integration step; None if that saves no time."""
+        quick = self.nominal.coarser()
+        return None if quick is None else self._upon(quick)
+
+    def read_otherwise(self, robot: Any) -> Affected:
+        """Return the model with its effects for another interpretation of the robot's source."""
+        other = self.nominal.swimmer.read_otherwise(robot)
+        if [p.name for p in other.parameters] == [p.name for p in self.nominal.parameters]:
+            return self._upon(other)
+        return Affected(other, self.effects, self._trials)
+
+    def _upon(self, model: Model) -> Affected:
+        """Return the effects, with the parameters of this model, on another model with equal parameters."""
+        other = Affected(model, self.effects, self._trials)
+        other.parameters = self.parameters
+        return other
+
+
+def joined(first: Hooks, second: Hooks) -> Hooks:
+    """Return the hooks of effects that act one after the other."""
+    if first is NONE:
+        return second
+    return first if second is NONE else first + second
 
 
 # ---------------------------------------------------------------- parts of effects
@@ -478,10 +638,12 @@ def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:
 
     def command(time_s: Array, angle: Array, joint: int) -> Array:
         nonlocal last
-        if last is None or last[0] is not time_s or last[1] is not angle:
-            last = time_s, angle, change(time_s, angle)
-            last[2].flags.writeable = False
-        return last[2]
+        # Read the stored result once, because another thread may replace it.
+        kept = last
+        if kept is None or kept[0] is not time_s or kept[1] is not angle:
+            kept = last = time_s, angle, change(time_s, angle)
+            kept[2].flags.writeable = False
+        return kept[2]
 
     return command
 

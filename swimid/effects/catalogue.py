@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import importlib
 import importlib.util
@@ -9,9 +10,11 @@ import inspect
 import pkgutil
 import sys
 import traceback
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, suggestion
@@ -34,6 +37,48 @@ def catalogue() -> tuple[Effect, ...]:
 def applicable(effects: Iterable[Effect], model: Model, trials: Sequence[Trial]) -> list[Effect]:
     """Return those forms of the given effects that apply to a model and its trials."""
     return [variant for effect in effects for variant in effect.variants(model, trials)]
+
+
+def constants(effect: Effect) -> dict[str, Any]:
+    """Return the constants of a form of an effect that its parameters do not state, such as a reference.
+
+    They are the attributes of the effect that a YAML file can hold.
+    """
+    return {
+        name: value
+        for name, value in vars(effect).items()
+        if isinstance(value, bool | int | float | str | tuple) and not name.startswith("_")
+    }
+
+
+def restored(
+    effect: Effect,
+    names: Collection[str],
+    given: Mapping[str, Any],
+    model: Model,
+    trials: Sequence[Trial],
+) -> Effect | None:
+    """Return the form of an effect that has the given parameters; None if no form has them.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect of the catalogue.
+    names : collection of str
+        Names of the parameters of the form.
+    given : mapping of name to value
+        Constants of the form (see :func:`constants`). Without them the form is that for the given trials.
+    """
+    own = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    kind = type(effect)
+    for form in [*effect.variants(model, trials), *(one() for one in (kind, *kind.__subclasses__()))]:
+        form = copy.copy(form)
+        vars(form).update(own)
+        # A form that cannot act on the model has no parameters there.
+        with suppress(AttributeError, IndexError, TypeError, ValueError):
+            if {p.name for p in form.parameters(model, trials)} == set(names):
+                return form
+    return None
 
 
 def from_file(path: str | Path) -> list[Effect]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from swimid.effects import base
 from swimid.effects.base import Effect, Effects, Parameters, Trials, parameter
+from swimid.errors import UsageError
 from swimid.fitting.model import Array, Hooks, Model, Trial, traceable
 from swimid.logs.log import FREQUENCY_RTOL
 
@@ -140,6 +141,11 @@ class DragReynolds(Effect):
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that change the model's axial quadratic drag, or all its drag coefficients."""
         body = model.body
+        if self.whole and not trial.measured:
+            raise UsageError(
+                f"the effect '{self.name}' with a factor for each trial needs the measured speed of trials",
+                hint="the commands compare and diagnose have it",
+            )
         if self.whole:
             factor = (model.scales([trial]).speed / self.reference_m_s) ** -float(values[0])
             return Hooks(tables=(lambda tables: body.drag_times(tables, factor),))

@@ -115,7 +115,7 @@ class _Lens(CameraScale):
         They are the relative scale error at the centre of the image, the radial distortion (1/m2) and the
         coordinates of the centre (m).
         """
-        places = np.concatenate([_places(model, t) for t in trials])
+        places = np.concatenate([np.empty(0), *(_places(model, t) for t in trials)])
         places = places[np.isfinite(places)]
         middle = complex(np.mean(places)) if len(places) else 0j
         reach = max(float(np.max(np.abs(places - middle), initial=0.0)), 1e-3)

@@ -7,7 +7,6 @@ them. Changes of the commands are left to the target, or to a filter of :mod:`sw
 
 from __future__ import annotations
 
-import copy
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.effects.base import Effect, Parameters
-from swimid.effects.catalogue import catalogue
+from swimid.effects.catalogue import catalogue, restored
 from swimid.errors import InputError, suggestion
 from swimid.exporters import filters
 from swimid.exporters.filters import Filter
@@ -123,17 +122,16 @@ def _form(
 
     ``constants`` are attributes of the form that its parameters do not state, such as a reference speed.
     """
-    found: Parameters = ()
-    for form in map(copy.copy, (effect, *effect.variants(model, [NEUTRAL]))):
-        vars(form).update(constants)
-        found = form.parameters(model, [NEUTRAL])
-        if {p.name for p in found} == set(own):
-            return form, found
+    form = restored(effect, own, constants, model, [NEUTRAL])
+    if form is not None:
+        return form, form.parameters(model, [NEUTRAL])
+    first = next(iter(effect.variants(model, [NEUTRAL])), effect)
+    names = (f"{effect.name}/{p.name}" for p in first.parameters(model, [NEUTRAL]))
     raise InputError(
         f"the effect '{effect.name}' has other parameters on this robot than {', '.join(own) or 'none'}",
         file=path,
         column="parameters",
-        hint=f"it has: {', '.join(f'{effect.name}/{p.name}' for p in found)}",
+        hint=f"it has: {', '.join(names)}",
     )
 
 

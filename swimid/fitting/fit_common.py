@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -39,6 +40,7 @@ from swimid.notices import Progress, recorded, silent, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
+from swimid.robots import file as robot_format
 from swimid.robots.file import Robot, locate
 
 #: Minimum absolute correlation of two parameters that are reported as hard to separate.
@@ -594,6 +596,21 @@ def parameter_file(
         ),
         provenance=provenance,
     )
+
+
+def robot_reference(experiment: Experiment, folder: Path) -> str:
+    """Return the reference to the robot that a parameter file in a folder stores.
+
+    It is the name of a built-in robot, or the path of a robot file relative to the folder. If the experiment
+    does not know the path of the robot file, it is the name of the robot.
+    """
+    name = experiment.robot.name
+    if experiment.robot_path is None:
+        return name
+    path = experiment.robot_path.resolve()
+    if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
+        return name
+    return Path(os.path.relpath(path, folder.resolve())).as_posix()
 
 
 def prepare(

@@ -441,6 +441,12 @@ class Hooks:
             self.command or self.stroke or self.tables or self.coefficients or self.force or self.flow
         )
 
+    def unmeasured(self) -> Hooks:
+        """Return the hooks without the effects of sensors and clocks, which change only the measurement."""
+        if not (self.output or self.late):
+            return self
+        return replace(self, output=(), clock_s=0.0, clock_drift=0.0)
+
     def actuated(self, time_s: Array, command: Array, joint: int = 0) -> Array:
         """Return the output of the actuator of a driven joint, after all ``command`` hooks."""
         for change in self.command:
@@ -599,10 +605,13 @@ class Model(ABC):
 
     # -------------------------------------------------------- simulation
 
-    def at_own_level(self, values: Array, trial: Trial) -> tuple[Model, dict[str, float]]:
+    def at_own_level(
+        self, values: Array, trial: Trial, hooks: Hooks = NONE
+    ) -> tuple[Model, dict[str, float]]:
         """Return the model with the output offset of one trial, and this offset by parameter name.
 
-        A model whose output has no offset for each trial is returned unchanged.
+        The effects that ``hooks`` describe act in the trial. A model whose output has no offset for each
+        trial is returned unchanged.
         """
         return self, {}
 
@@ -648,6 +657,10 @@ class Model(ABC):
         """Simulate one trial, and suppress numpy's warnings if the simulation diverges."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self.simulate(values, trial)
+
+    def motion(self, values: Array, trial: Trial) -> dict[str, Array]:
+        """Simulate the motion of the robot itself in one trial, without effects of sensors and clocks."""
+        return self.simulate(values, trial)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Simulate one trial with effects.

@@ -207,6 +207,10 @@ class RecoilModel(Model):
             ),
         )
 
+    def resistance(self) -> dict[str, float]:
+        """Return the coefficients of drag and friction, and the moving mass, without effects."""
+        return {"quadratic": self.drag_area_kg_m, "linear": 0.0, "dry": 0.0, "mass": self.moving_mass_kg}
+
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
         """Return the average speed of each cruise run of a trial (see :meth:`Model.simulate`)."""
         return self.hooked(values, trial, NONE)
@@ -236,10 +240,7 @@ class RecoilModel(Model):
         # compute the propulsive power of each run, W (boxfish paper, Eqs 5, 27)
         factor = 8 * efficiency * np.pi**2 * stroke.inertia_kg_m2
         power = stroke.thrust * (factor * f_mid**3 * f**p * a_mid**2 * a**q)
-        c = hooks.changed(
-            {"quadratic": self.drag_area_kg_m, "linear": 0.0, "dry": 0.0, "mass": self.moving_mass_kg},
-            "coefficients",
-        )
+        c = hooks.changed(self.resistance(), "coefficients")
         if c["quadratic"] <= 0 or c["mass"] <= 0:
             return self.broken_down(trial)
         if c["linear"] == c["dry"] == 0:

@@ -117,6 +117,9 @@ def recoil_model(
         File that names the fins, for error messages.
     """
     file = parameters_format.read(drag, model=RIGS)
+    if file.effects:
+        names, place = ", ".join(file.effects), parameters_format.place(drag).name
+        warn("SWM076", f"{place}: the law of propulsion takes drag and added mass only, without {names}")
     coefficient, added = parameters_format.require(
         file, ("drag_coefficient", "added_mass"), parameters_format.place(drag)
     )

@@ -261,7 +261,7 @@ class Fitted(FileResult[ParameterFile]):
 
     def _own_facts(self) -> dict[str, str]:
         file = self.file
-        facts = {"Model": file.model, "Robot": file.robot or ""}
+        facts = {"Model": file.model, "Robot": file.robot or "", "Effects": ", ".join(file.effects)}
         if file.fit is not None:
             facts["Trials"] = str(len(file.fit.trials))
         if file.sample_time_s is not None:

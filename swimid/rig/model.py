@@ -196,6 +196,19 @@ class RigModel(Model):
             "cubic": self._value(values, "cubic_stiffness"),
         }
 
+    def equation(self, values: Array, trial: Trial) -> dict[str, float]:
+        """Return the coefficients of a trial, with its constant force and its initial state.
+
+        They are ``force`` (N), ``drift`` (N/s), ``x0`` and ``v0``.
+        """
+        return {
+            **self.coefficients(values, trial.rig),
+            "force": self._value(values, "force_offset") + trial.rig.pull,
+            "drift": self._value(values, "force_drift"),
+            "x0": trial.rig.x0 + self._value(values, "start_offset"),
+            "v0": self._value(values, "initial_speed"),
+        }
+
     def _moved(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
         """Return displacement and speed of a trial for the coefficients and the initial state ``c``."""
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
@@ -232,8 +245,7 @@ class RigModel(Model):
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
         """Return displacement and speed of a trial, simulated with effects (see :meth:`Model.hooked`).
 
-        ``coefficients`` hooks change the values of :meth:`coefficients`, the constant ``force`` (N), and the
-        initial state ``x0`` and ``v0``. Forces of effects are added afterwards.
+        ``coefficients`` hooks change the values of :meth:`equation`. Forces of effects are added afterwards.
 
         Raises
         ------
@@ -249,15 +261,9 @@ class RigModel(Model):
             return self.broken_down(trial)
         if len(hooks.force) > MOST_FORCES:
             raise ValueError(f"{len(hooks.force)} forces act at once, at most {MOST_FORCES} may")
-        equation = {
-            **self.coefficients(values, trial.rig),
-            "force": self._value(values, "force_offset") + trial.rig.pull,
-            "drift": self._value(values, "force_drift"),
-            "x0": trial.rig.x0 + self._value(values, "start_offset"),
-            "v0": self._value(values, "initial_speed"),
-        }
         release = trial.rig.begin_s + self._value(values, "clock_offset")
-        moved = self._moved(hooks.changed(equation, "coefficients"), late, release, hooks)
+        equation = hooks.changed(self.equation(values, trial), "coefficients")
+        moved = self._moved(equation, late, release, hooks)
         return hooks.seen(moved, trial.time_s)
 
     def refined(self) -> RigModel:

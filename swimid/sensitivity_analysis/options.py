@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import swimid.options as fits
 from swimid.options import Options, Source, option
@@ -41,6 +42,7 @@ class SensitivityOptions(
     )
     coefficients: tuple[str, ...] = option((), separated=True, metavar="A,B", help="Vary these only.")
     chosen: Mapping[str, float] = simulations.chosen("Hold a parameter at this value. Repeatable.")
+    own_effects: tuple[Path, ...] = simulations.own_effects()
     readings: Mapping[str, str] = swimmers.readings()
     seed: int = option(0, ge=0, help="Seed of the design.")
     jobs: int | None = fits.jobs()

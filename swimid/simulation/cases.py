@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from swimid.logs.kinematics import PER_CYCLE, QUANTITIES, Window
 from swimid.logs.trials import StrokeDrive
 from swimid.notices import warn
 from swimid.propulsion import trials as propulsion
-from swimid.propulsion.model import SPEED, RecoilModel, velocity_ratio
+from swimid.propulsion.model import SPEED, RecoilModel
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import ParameterFile
@@ -631,14 +631,17 @@ def _falling_weight(options: SimulateOptions, file: ParameterFile, path: Path, r
     factor = 0.5 * robot.fluid.density_kg_m3 * (area or 0.0)
     on_rig = RigInput(inertia, force, pulley=True, area_factor=factor, release_s=0.0)
     trial = Trial("run", "fit", _times(options), {}, rig=on_rig)
+    applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)
 
     def compute(values: Array) -> list[float]:
-        simulated = model.simulate(values, trial)
-        top = rig.terminal_speed(model.coefficients(values, on_rig), force)
+        simulated, hooks = applied.model.motion(values, trial), applied.hooks(values, trial)
+        top = math.nan
+        if not (hooks.force or hooks.flow):
+            balance = hooks.changed(model.equation(values, trial), "coefficients")
+            top = rig.terminal_speed(balance, balance["force"])
         return [top, float(simulated[model.speed][-1]), float(simulated["x_m"][-1])]
 
     units = {"terminal_speed_m_s": "m/s", "last_speed_m_s": "m/s", "distance_m": "m"}
-    applied = Applied(model, file, path, options.chosen)
     metadata = _metadata(options, robot.name, experiment="falling-weight", pulling_mass_kg=pulling)
     return Case(applied, applied.values(), trial, metadata, {}, units, _each(compute))
 
@@ -659,7 +662,7 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
         trial = Trial("run", "fit", np.linspace(0.0, count * model.sample_time_s, count + 1), {})
     else:
         raise UsageError(f"this model runs on the column '{model.source}': give a log with --input run.csv")
-    applied = Applied(model, file, path, options.chosen)
+    applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)
     return Case(applied, applied.values(), trial, metadata, trial.inputs)
 
 
@@ -671,13 +674,6 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
     unknown = [n.removeprefix("inertia_") for n in file.parameters if n.startswith("inertia_")]
     drag, place = catalogue.drag_file(file, path), robot_format.locate(robot.name)
     model = propulsion.recoil_model(robot, [fin, *unknown], drag, unknown=unknown, path=place)
-    applied = Applied(model, file, path, options.chosen)
-    values = applied.values()
-    for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
-        if values[model.index(name)] != law:
-            raise UsageError(
-                f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
-            )
     distance = options.distance_m or FAR_M
     inputs = {
         "frequency_hz": np.array([frequency]),
@@ -685,13 +681,24 @@ def _cruise(options: SimulateOptions, file: ParameterFile, path: Path, robot: Ro
         "distance_m": np.array([distance]),
     }
     trial = Trial(fin, "fit", np.zeros(1), {}, inputs=inputs, cruise=CruiseInput(fin, model.fins[fin]))
+    far = replace(trial, id=f"{fin} (far)", inputs={**inputs, "distance_m": np.array([FAR_M])})
+    applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)
+    values = applied.values()
+    for name, law in (("frequency_exponent", 3.0), ("amplitude_exponent", 2.0)):
+        if values[model.index(name)] != law:
+            raise UsageError(
+                f"{name} is not that of the law; its reference is in the fitted table: give it with --trials"
+            )
 
     def compute(values: Array) -> list[float]:
-        mean = float(model.simulate(values, trial)[SPEED][0])
-        terminal = mean / float(velocity_ratio(model.b1, 0.0, distance))
+        mean, terminal = (float(applied.model.motion(values, one)[SPEED][0]) for one in (trial, far))
         if options.distance_m is None:
             mean = math.nan
-        return [terminal, mean, model.drag_area_kg_m * terminal**2]
+        hooks, force = applied.hooks(values, far), math.nan
+        if not hooks.flow:
+            c = hooks.changed(model.resistance(), "coefficients")
+            force = c["dry"] + terminal * (c["linear"] + terminal * c["quadratic"])
+        return [terminal, mean, force]
 
     units = {"terminal_speed_m_s": "m/s", SPEED: "m/s", "propulsive_force_N": "N"}
     extra = _table(fin, {**inputs, "distance_m": np.array([options.distance_m or math.nan])})

@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swimid.blackbox import model as arma
+from swimid.effects import catalogue as effect_catalogue
+from swimid.effects.base import Affected
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, Parameter
+from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import warn
@@ -59,12 +61,17 @@ class Applied:
     Attributes
     ----------
     model : Model
+        Model with the effects that the file names.
     file : ParameterFile or None
         Parameter file; None if the values come from the robot file.
     path : Path or None
         Path of ``file``.
     chosen : dict of str to float
         Values set by the user. They replace the values of the file and have no uncertainty.
+    trials : sequence of Trial
+        Trials of the model, from which the effects of the file take the scales of their parameters.
+    own_effects : sequence of path
+        Python files with effects of the user, which the file may name.
     stated : dict of str to float
         Values of the coefficients that the robot file states. They may differ from the start values of a fit.
     known : dict of str to Estimate
@@ -75,8 +82,12 @@ class Applied:
     file: ParameterFile | None = None
     path: Path | None = None
     chosen: Mapping[str, float] = field(default_factory=dict)
+    trials: Sequence[Trial] = ()
+    own_effects: Sequence[Path] = ()
 
     def __post_init__(self) -> None:
+        if self.file is not None and self.file.effects:
+            self.model = with_effects(self.model, self.file, self.path, self.trials, self.own_effects)
         names = [p.name for p in self.model.parameters]
         self.stated = self.model.stated()
         self.known = {} if self.file is None else self.file.parameters
@@ -148,6 +159,12 @@ class Applied:
         if label in self.known:
             return self.known[label].value
         return self.stated.get(p.name, p.start)
+
+    def hooks(self, values: Array, trial: Trial) -> Hooks:
+        """Return the hooks of all effects in the simulation of a trial."""
+        if isinstance(self.model, Affected):
+            return self.model.hooks(values, trial)
+        return NONE
 
     def fitted_per_trial(self) -> set[str]:
         """Return the names of the parameters that have values for single trials in the parameter file."""
@@ -234,6 +251,62 @@ class Applied:
         return table[0], np.sqrt(np.maximum(np.sum(slopes * (covariance @ slopes), axis=0), 0.0))
 
 
+def with_effects(
+    model: Model,
+    file: ParameterFile,
+    path: Path | None,
+    trials: Sequence[Trial],
+    own_effects: Sequence[Path] = (),
+) -> Affected:
+    """Return a model with the effects of a parameter file, at the parameter values of the file.
+
+    Raises
+    ------
+    InputError
+        If there is no such effect, if no form of it has the parameters of the file, or if the file lacks
+        constants of the effect that only measured trials show.
+    """
+    own = [e for place in own_effects for e in effect_catalogue.from_file(place)]
+    known = {e.name: e for e in (*effect_catalogue.catalogue(), *own)}
+    acting = []
+    for name in file.effects:
+        if name not in known:
+            hint = suggestion(name, list(known))
+            raise InputError(f"there is no effect '{name}'", file=path, column="effects", hint=hint)
+        names = [n.partition("/")[2] for n in file.parameters if n.startswith(f"{name}/")]
+        given = (file.settings.get("effects") or {}).get(name, {})
+        form = effect_catalogue.restored(known[name], names, given, model, trials)
+        if form is None or file.effects.count(name) > 1:
+            raise InputError(
+                f"no form of the effect '{name}' has these parameters in the model '{model.name}': "
+                f"{', '.join(names) or 'none'}",
+                file=path,
+                column="effects",
+                hint="name each effect once, and give all of its parameters as 'effect/parameter'",
+            )
+        sizes = [n for n, v in effect_catalogue.constants(form).items() if isinstance(v, float)]
+        lacking = [n for n in sizes if n not in given]
+        if lacking and not any(trial.measured for trial in trials):
+            raise InputError(
+                f"the effect '{name}' needs {', '.join(lacking)} of the trials of its diagnosis",
+                file=path,
+                column=f"settings.effects.{name}",
+            )
+        acting.append(form)
+    affected = Affected(model, acting, trials)
+    count = len(model.parameters)
+    affected.parameters = (*model.parameters, *(_stated(p, file) for p in affected.parameters[count:]))
+    return affected
+
+
+def _stated(p: Parameter, file: ParameterFile) -> Parameter:
+    """Return the parameter of an effect with its value and bounds in a parameter file."""
+    estimate = file.parameters[p.name]
+    lower, upper = estimate.bounds
+    lower, upper = -math.inf if lower is None else lower, math.inf if upper is None else upper
+    return replace(p, start=estimate.value, lower=lower, upper=upper)
+
+
 #: Experiments whose trials each model can simulate.
 EXPERIMENTS = {
     "multilink": ("free-swim", "multibody"),
@@ -275,8 +348,8 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         Options of a command: ``params`` (a parameter file; None for the values of the robot file, or else the
         start values of the model), ``robot`` (robot for which the parameters are accepted), ``readings``
         (interpretations of the source, which replace those of the parameter file), ``dt`` (integration step
-        of a robot with links, s), and, if the command has them, ``chosen`` (values that replace those of the
-        file) and ``start_state``.
+        of a robot with links, s), ``own_effects`` (Python files with effects of the user), and, if the
+        command has them, ``chosen`` (values that replace those of the file) and ``start_state``.
 
     Raises
     ------
@@ -313,8 +386,9 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         experiment = arma.load(trials, file, path)
     else:
         experiment = _propulsion(trials, file, path)
-    experiment = replace(experiment, inputs=[*experiment.inputs, parameters_format.origin(parameters)])
-    return Loaded(experiment, Applied(experiment.model, file, path, chosen))
+    applied = Applied(experiment.model, file, path, chosen, experiment.trials, options.own_effects)
+    inputs = [*experiment.inputs, parameters_format.origin(parameters), *options.own_effects]
+    return Loaded(replace(experiment, model=applied.model, inputs=inputs), applied)
 
 
 def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step: float) -> Experiment:
@@ -344,7 +418,7 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
     Parameters
     ----------
     options : Options
-        ``params``, ``robot``, ``readings``, ``dt`` and ``chosen``, as for :func:`load`.
+        ``params``, ``robot``, ``readings``, ``dt``, ``chosen`` and ``own_effects``, as for :func:`load`.
     file : ParameterFile or None
         Parameters of ``options.params``; None for the values of the robot file.
 
@@ -365,7 +439,7 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
     else:
         name = str(options.robot)
     _, model = swimmer.robot_model(name, folder, readings=readings, max_step=options.dt)
-    applied = Applied(model, file, path, options.chosen)
+    applied = Applied(model, file, path, options.chosen, own_effects=options.own_effects)
     try:
         model.check(applied.values())
     except InputError as error:

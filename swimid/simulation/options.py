@@ -20,6 +20,13 @@ def chosen(help: str = "Use this value of a parameter. Repeatable.") -> Any:
     return option({}, flag="--set", metavar="NAME=VALUE", help=help, recorded="set")
 
 
+def own_effects(
+    help: str = "Python file with effects of one's own that the parameter file names. Repeatable.",
+) -> Any:
+    """Return the option ``--effect``, which reads effects that a user defines."""
+    return option((), flag="--effect", metavar="FILE", help=help, recorded=False)
+
+
 class CompareOptions(
     Options,
     command="compare",
@@ -48,6 +55,7 @@ class CompareOptions(
     )
     start_state: swimmers.SwimStart = swimmers.start_state()
     chosen: Mapping[str, float] = chosen()
+    own_effects: tuple[Path, ...] = own_effects()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()
 
@@ -67,6 +75,7 @@ class DriveOptions(Options):
     stroke: str | None = option(None, metavar="NAME", help="Stroke of the robot file instead of a beat.")
     scale: float | None = option(None, ge=0, help="Factor on the angles of the stroke.")
     chosen: Mapping[str, float] = chosen("Hold a parameter at this value. Repeatable.")
+    own_effects: tuple[Path, ...] = own_effects()
     readings: Mapping[str, str] = swimmers.readings()
     dt: float = swimmers.step()
 

@@ -453,7 +453,8 @@ def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
     """Return the motion of an actuator whose angle deviates from its command.
 
     The deviation may have corners. It is smoothed by a cubic B-spline kernel and added to the command, so
-    that the angle has a rate and an acceleration.
+    that the angle has a rate and an acceleration. Before the first sample the deviation counts as constant.
+    After the last sample it continues with its rate, as the mirror image of its end.
 
     Parameters
     ----------
@@ -469,7 +470,8 @@ def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
         return motion
     bells = _bells(step_s)
     reach = len(bells[0]) // 2
-    padded = np.concatenate((np.full(reach, deviation[0]), deviation, np.full(reach, deviation[-1])))
+    mirrored = np.pad(deviation, (0, reach), mode="reflect", reflect_type="odd")
+    padded = np.concatenate((np.full(reach, deviation[0]), mirrored))
     parts = [np.convolve(padded, bell, mode="valid") for bell in bells]
     return motion[0] + parts[0], motion[1] + parts[1], motion[2] + parts[2]
 

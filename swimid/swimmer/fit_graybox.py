@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,6 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Fitted, ParameterFile
-from swimid.robots import file as robot_format
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.options import FitGrayboxOptions
 
@@ -459,7 +457,9 @@ def _parameter_file(
     options: FitGrayboxOptions,
 ) -> ParameterFile:
     """Return the parameter file of a fit."""
-    model = result.model
+    model, folder = result.model, trials_format.place(source).parent
+    if output is not None:
+        folder = output.parent
     settings: dict[str, Any] = {
         "readings": dict(options.readings),
         "shared": {name: list(members) for name, members in model.groups.items()},
@@ -471,7 +471,7 @@ def _parameter_file(
         method = "point of a Pareto front"
     file = fit_common.parameter_file(
         result,
-        robot=_robot_reference(experiment, source, output),
+        robot=fit_common.robot_reference(experiment, folder),
         provenance=origin,
         settings={name: value for name, value in settings.items() if value},
         method=method,
@@ -482,19 +482,6 @@ def _parameter_file(
     if file.fit is not None and file.fit.model_extra is not None and drives:
         file.fit.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
     return file.model_copy(update={"parameters": model.expanded(file.parameters)})
-
-
-def _robot_reference(experiment: Experiment, source: str | Path | TrialSet, output: Path | None) -> str:
-    """Return the reference to the robot that the parameter file stores.
-
-    It is the name of a built-in robot, or the path of a robot file relative to the parameter file.
-    """
-    assert experiment.robot_path is not None
-    name, path = experiment.robot.name, experiment.robot_path.resolve()
-    if name in robot_format.built_in() and path == robot_format.locate(name).resolve():
-        return name
-    folder = output.parent if output else trials_format.place(source).parent
-    return Path(os.path.relpath(path, folder.resolve())).as_posix()
 
 
 def _track(experiment: Experiment, result: FitResult) -> list[ev.Figure]:

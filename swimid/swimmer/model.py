@@ -353,7 +353,10 @@ class Swimmer(Model):
         return [own or self.broken_down(trial) for own, (_, trial, _) in zip(channels, runs, strict=True)]
 
     def with_energetics(
-        self, runs: Sequence[tuple[Array, Trial]], last_s: Sequence[float]
+        self,
+        runs: Sequence[tuple[Array, Trial]],
+        last_s: Sequence[float],
+        hooks: Sequence[Hooks] | None = None,
     ) -> list[tuple[dict[str, Array], Energetics | None]]:
         """Simulate several trials, and compute torques and powers over the last part of each simulation.
 
@@ -362,20 +365,22 @@ class Swimmer(Model):
         runs : sequence of (values, trial)
         last_s : sequence of float
             Length of the last part of each simulation, s. It is rounded to whole integration steps.
+        hooks : sequence of Hooks, optional
+            Hooks of the effects in each simulation; by default no effect acts.
 
         Returns
         -------
         list of (channels, Energetics)
             If a simulation breaks down, its channels are NaN and its energetics are None.
         """
-        simulated = self._simulated([(values, trial, NONE) for values, trial in runs])
+        acting = hooks or [NONE] * len(runs)
+        asked = [(values, trial, own) for (values, trial), own in zip(runs, acting, strict=True)]
         found: list[tuple[dict[str, Array], Energetics | None]] = []
-        for (run, trajectory), (values, trial), length_s in zip(simulated, runs, last_s, strict=True):
+        for (run, trajectory), one, length_s in zip(self._simulated(asked), asked, last_s, strict=True):
             if run is None or trajectory is None or not np.isfinite(trajectory.states[-1]).all():
-                found.append((self.broken_down(trial), None))
+                found.append((self.broken_down(one[1]), None))
                 continue
-            columns = self._at_samples(values, trial, NONE, trajectory)
-            found.append((columns, _energetics(self, run.values, trajectory, length_s)))
+            found.append((self._at_samples(*one, trajectory), _energetics(self, run, trajectory, length_s)))
         return found
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
@@ -385,8 +390,8 @@ class Swimmer(Model):
         """
         return self._trajectories_of([self.request(values, trial, hooks)])[0]
 
-    def cruise(self, values: Array, trial: Trial) -> Cruise | None:
-        """Return the steady swimming of the model under the drive of a trial.
+    def cruise(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Cruise | None:
+        """Return the steady swimming of the model under the drive of a trial, with effects.
 
         Returns
         -------
@@ -395,7 +400,7 @@ class Swimmer(Model):
         """
         if trial.swim.drive is None or not self.free_base or self.in_space:
             return None
-        return self.steady.cruise(values, trial)
+        return self.steady.cruise(values, trial, hooks)
 
     @property
     def steady(self) -> SteadySwimming:
@@ -428,24 +433,42 @@ class Swimmer(Model):
             start[self.coordinates + k] = self.value(values, f"initial_angle_{axis.name}")
             rate = self.value(values, f"initial_rate_{axis.name}")
             start[self.coordinates + passives + self.speeds + k] = rate
-        tables = self.tree.tables(values[: len(self.coefficients)])
-        if hooks.tables:
-            # copy the cached input arrays, because an effect writes into them
-            own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
-            tables = hooks.changed(own, "tables")
+        tables = self._tables(values, hooks)
         run = Run(values, trial, hooks, key, grid, None, start, motion, tables)
         return replace(run, start=self.steady.initial_state(run)) if trial.swim.steady else run
 
+    def _tables(self, values: Array, hooks: Hooks) -> dict[str, Any]:
+        """Return the input arrays of the equations of motion, as effects change them, by name."""
+        tables = self.tree.tables(values[: len(self.coefficients)])
+        if not hooks.tables:
+            return tables
+        # copy the cached input arrays, because an effect writes into them
+        own = {name: t.copy() if isinstance(t, np.ndarray) else t for name, t in tables.items()}
+        return hooks.changed(own, "tables")
+
+    def _forced(self, run: Run) -> tuple[Any, ...] | None:
+        """Return the forces of effects as the engine takes them; None if there are none."""
+        if not run.hooks.force:
+            return None
+        return outside(run.hooks.force, self.frame(run), len(self.tree.links))
+
     def integrate(self, run: Run) -> tuple[Array, Array]:
         """Integrate the equations of motion, and return the states and their time derivatives."""
-        forced = None
-        if run.hooks.force:
-            forced = outside(run.hooks.force, self.frame(run), len(self.tree.links))
         tables = tuple(run.tables.values())
         states, rates = self.engine.integrate(
-            run.start, run.grid.step_s, run.drive.table, tables, forced, run.grid.begin_s
+            run.start, run.grid.step_s, run.drive.table, tables, self._forced(run), run.grid.begin_s
         )
         return states, rates
+
+    def torques(self, run: Run, trajectory: Trajectory, first: int) -> Array:
+        """Return the torques on the links from step ``first`` of a trajectory on, shape (m, links), N m."""
+        tables, grid = tuple(self._tables(run.values, run.hooks).values()), trajectory.grid
+        drive = trajectory.drive.table[::2][first:]
+        more: tuple[Any, ...] = ()
+        if run.hooks.force:
+            more = self._forced(run), grid.begin_s + first * grid.step_s, grid.step_s
+        found = self.engine.torques(trajectory.states[first:], trajectory.rates[first:], drive, tables, *more)
+        return np.asarray(found)
 
     def value(self, values: Array, name: str) -> float:
         """Return the value of a parameter, or 0 if the model does not have the parameter."""
@@ -567,15 +590,13 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
     return tuple(found)
 
 
-def _energetics(model: Swimmer, values: Array, run: Trajectory, last_s: float) -> Energetics:
+def _energetics(model: Swimmer, run: Run, trajectory: Trajectory, last_s: float) -> Energetics:
     """Return torques and powers of the driven joints over the last ``last_s`` seconds of a trajectory."""
-    count = min(max(round(last_s / run.grid.step_s), 1), len(run.states) - 1) + 1
-    rows = slice(len(run.states) - count, None)
-    tables = model.tree.tables(values[: len(model.coefficients)])
-    states, drive = run.states[rows], run.drive.table[::2][rows]
-    torque = model.engine.torques(states, run.rates[rows], drive, tuple(tables.values()))
-    driven = [a.link for a in model.driven]
-    return Energetics(run.grid.times(1)[rows], torque[:, driven], drive[:, :, 1])
+    steps = max(round(last_s / trajectory.grid.step_s), 1)
+    first = max(len(trajectory.states) - 1 - steps, 0)
+    torque = model.torques(run, trajectory, first)[:, [a.link for a in model.driven]]
+    rates = trajectory.drive.table[::2][first:, :, 1]
+    return Energetics(trajectory.grid.times(1)[first:], torque, rates)
 
 
 def trial_parameter(name: str, unit: str, scale: float, meaning: str) -> Parameter:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swimid.fitting.drives import Beat, Cycle
-from swimid.fitting.model import NONE, Array, Trial
+from swimid.fitting.model import NONE, Array, Hooks, Trial
 from swimid.swimmer.drive import Grid, TrialCache
 
 if TYPE_CHECKING:
@@ -194,8 +194,10 @@ class SteadySwimming:
             start[self._memory] = states[-1, self._memory]
         return start
 
-    def cruise(self, values: Array, trial: Trial) -> Cruise:
-        """Return the speed at which the model settles under the periodic drive of a trial.
+    def cruise(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Cruise:
+        """Return the speed at which the model settles under the periodic drive of a trial, with effects.
+
+        It is the speed through the water.
 
         Parameters
         ----------
@@ -205,7 +207,7 @@ class SteadySwimming:
             Trial of a robot in a plane with a free base.
         """
         trial = replace(trial, id=f"{trial.id} (steady)", swim=trial.swim.begun())
-        run = self.model.request(values, trial, NONE)
+        run = self.model.request(values, trial, hooks)
         cycle = self._limit_cycle(run)
         if cycle is None:
             return Cruise(math.nan, math.inf)

@@ -541,7 +541,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
+def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # type: ignore[no-untyped-def]
     """Return the joint torques in a simulation by inverse dynamics, shape (m, links), N m.
 
     The torque of a link is the moment that its parent exerts on it. It is the generalised force of a driven
@@ -550,11 +550,15 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     Parameters
     ----------
     states, rates : ndarray, shape (m, 2 n)
-        Result of :func:`integrate`, without forces of effects.
+        Result of :func:`integrate`.
     table : ndarray, shape (m, driven joints, 5)
         Driven joints at the same instants.
     tables : tuple
         Arguments of :func:`derivative` from ``topology`` to ``free_base``.
+    forced : tuple, optional
+        Forces of effects (see :func:`derivative`).
+    begin, step : float, s
+        Time of the first state, and time between two states. Only forces of effects depend on them.
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
@@ -566,6 +570,8 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
         _foils(foil_link, foil, work)
         _forces(force_link, force, work)
         _wakes(wake_link, wake, work)
+        if forced is not None:
+            _forced(begin + step * t, states[t], work, forced)
         for i in range(links - 1, -1, -1):
             found[t, i] = work[i, 10]
             if i > 0:

@@ -1,0 +1,209 @@
+"""The model with the causes of a gap, as a parameter file that other commands accept (``repaired.yaml``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.diagnosis.answer import parameter_errors
+from swimid.diagnosis.context import FINE, STEPS, Fit, covariance
+from swimid.diagnosis.floor import by_channel, measured, rms
+from swimid.diagnosis.gap_file import GapFile
+from swimid.diagnosis.readings import OtherReading
+from swimid.diagnosis.search import State
+from swimid.effects.base import Affected, Effect
+from swimid.effects.catalogue import constants
+from swimid.fitting import fit_common
+from swimid.fitting.model import Array, Parameter
+from swimid.results import parameters as parameters_format
+from swimid.results.numbers import listed
+from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
+from swimid.simulation.catalogue import Loaded
+from swimid.swimmer.trials import driven_range
+
+
+def parameters(
+    state: State,
+    file: GapFile,
+    loaded: Loaded,
+    folder: Path,
+    *,
+    readings: Mapping[str, str],
+    provenance: Mapping[str, Any],
+) -> ParameterFile | None:
+    """Return the model with the causes as the content of a parameter file; None if no cause is named.
+
+    The parameters of single trials are left out, and with them effects that differ from trial to trial.
+
+    Parameters
+    ----------
+    file : GapFile
+        Answer of the diagnosis.
+    loaded : Loaded
+        The experiment, and the parameters with which the diagnosis began.
+    folder : Path
+        Folder of the parameter file, to which the path of a robot file is relative.
+    readings : mapping of str to str
+        Interpretations of the robot's source that the user chose.
+    """
+    causes = {c.effect: c for c in file.causes}
+    named = [e for e in state.base.effects if e.name in causes]
+    if not named:
+        return None
+    fit, values = _fits_of(state, named)
+    own = [e for e in named if e.adds_to is None and not isinstance(e, OtherReading)]
+    apart = [e for e in own if any(p.per_trial for p in _parameters_of(fit, e))]
+    acting = [e for e in own if e not in apart]
+    status: dict[str, Status] = {}
+    for e in named:
+        for name, value in causes[e.name].parameters.items():
+            status[e.adds_to or f"{e.name}/{name}"] = value.status
+    changes = {e.adds_to: f"{e.name}/change" for e in named if e.adds_to is not None}
+    errors = parameter_errors(state, fit)
+    shared = [p for p in state.context.parameters if not p.per_trial]
+    written = [*shared, *(p for e in acting for p in _parameters_of(fit, e))]
+    found = {p.name: _estimate(values, p, changes.get(p.name), errors, status) for p in written}
+    model, experiment = loaded.experiment.model, loaded.experiment
+    before = model.effects if isinstance(model, Affected) else ()
+    made = ParameterFile(
+        model=model.name,
+        robot=fit_common.robot_reference(experiment, folder),
+        effects=[e.name for e in (*before, *acting)],
+        parameters=found,
+        identifiability=_sentences(file, apart),
+        correlation=_correlation(state, fit, found, changes),
+        settings=_settings(loaded, [*before, *acting], [*readings.items(), *_answers(named)]),
+        fit=_fit_block(state, values, loaded),
+        provenance=dict(provenance),
+    )
+    if loaded.applied.file is not None:
+        known = loaded.applied.file
+        made.delay, made.sample_time_s = known.delay, known.sample_time_s
+    made._drag = experiment.facts.get("drag")
+    return made
+
+
+def _fits_of(state: State, named: Sequence[Effect]) -> tuple[Fit, Fit]:
+    """Return the fits of the model with the named causes that give the covariance, and the values.
+
+    The covariance contains the between-trial variation. The values are those that predict held-out data best.
+    """
+    if len(named) == len(state.base.effects):
+        return state.base, state.predictive or state.base
+    context, noise_model = state.context, state.noise_model
+    start = context.start(named, noise_model, state.base)
+    starts = context.begins(context.problem(named, noise_model.random_effects), start)
+    fit = context.fit(named, noise_model, starts, tolerance=FINE, iterations=STEPS)
+    return fit, fit
+
+
+def _parameters_of(fit: Fit, effect: Effect) -> list[Parameter]:
+    """Return the parameters of an effect among those of a fit, with the name ``effect/parameter``."""
+    return [p for p in fit.problem.parameters if p.name.rpartition("/")[0] == effect.name]
+
+
+def _estimate(
+    fit: Fit, p: Parameter, change: str | None, errors: Mapping[str, float], status: Mapping[str, Status]
+) -> Estimate:
+    """Return the entry of a parameter in the parameter file.
+
+    Parameters
+    ----------
+    change : str or None
+        Label of the change that is added to the parameter; None if it has not changed.
+    status : mapping of name to status
+        Status of the parameters of the causes.
+    """
+    entry = Estimate(value=p.start, unit=p.unit, bounds=p.bounds, status="fixed", meaning=p.meaning)
+    if p.name not in fit.labels:
+        return entry
+    entry.value, stderr = fit.value(p.name), errors[p.name]
+    inside = bool(fit.inside[fit.labels.index(p.name)])
+    if change is not None:
+        entry.value += fit.value(change)
+        stderr = errors[change.rpartition("/")[0]]
+    entry.status = "at-bound"
+    if status.get(p.name, "estimated") == "estimated" and (inside or p.name in status):
+        entry.status, entry.stderr = "estimated", float(stderr)
+    return entry
+
+
+def _correlation(
+    state: State, fit: Fit, found: Mapping[str, Estimate], changes: Mapping[str, str]
+) -> Correlation | None:
+    """Return the correlation matrix of the estimates that have a standard error; None for fewer than two."""
+    names = [name for name, one in found.items() if one.stderr]
+    if len(names) < 2:
+        return None
+    # Each row of the matrix selects one parameter, or sums a parameter and its change.
+    rows = np.array([np.isin(fit.labels, [n, changes.get(n, n)]) for n in names], dtype=float)
+    whole = covariance(fit, state.noise_model, state.context.precision(fit.problem))
+    part: Array = rows @ whole @ rows.T
+    sd = np.sqrt(np.diag(part))
+    return Correlation(names=names, matrix=(part / np.outer(sd, sd)).tolist())
+
+
+def _sentences(file: GapFile, apart: Sequence[Effect]) -> list[str]:
+    """Return the remarks of the parameter file on its causes."""
+    said = [
+        f"the trials cannot distinguish {c.effect} from {listed(c.equivalent, 'or')}"
+        for c in file.causes
+        if c.equivalent
+    ]
+    return [*said, *(f"{e.name} differs from trial to trial and is not in this model" for e in apart)]
+
+
+def _answers(named: Sequence[Effect]) -> list[tuple[str, str]]:
+    """Return the questions on the robot's source that the causes answer differently, with the answers."""
+    return [(e.question, e.option) for e in named if isinstance(e, OtherReading)]
+
+
+def _settings(
+    loaded: Loaded, effects: Sequence[Effect], readings: Sequence[tuple[str, str]]
+) -> dict[str, Any]:
+    """Return the settings of the model: those of the file with which the diagnosis began, and the causes."""
+    experiment, file = loaded.experiment, loaded.applied.file
+    model, facts = experiment.model, experiment.facts
+    found = {} if file is None else dict(file.settings)
+    # The diagnosis estimates each parameter of a group by itself.
+    found.pop("shared", None)
+    names = ("reference_amplitude_rad", "reference_frequency_hz")
+    found |= {name: value for name in names if (value := getattr(model, name, None)) is not None}
+    found |= {name: facts[name] for name in ("waveform", "asymmetry") if name in facts}
+    if "drag_path" in facts:
+        found["drag_file"] = str(facts["drag_path"])
+    chosen = {**found.get("readings", {}), **dict(readings)}
+    if chosen:
+        found["readings"] = chosen
+    own = {e.name: constants(e) for e in effects if constants(e)}
+    if own:
+        found["effects"] = own
+    return found
+
+
+def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
+    """Return the trials, the errors of each channel and the noise of a fit."""
+    context, file = state.context, loaded.applied.file
+    units = {c.name: c.unit for c in context.model.channels}
+    samples = measured(context, fit)
+    channels, noise = {}, {}
+    for channel, left in by_channel(fit, fit.residuals).items():
+        if file is not None and file.fit is not None and channel not in file.fit.channels:
+            continue
+        error, size = rms(left), float(np.ptp(samples[channel])) or 1.0
+        known = {"rmse": error, "nrmse": error / size, "samples": len(left), "unit": units.get(channel, "1")}
+        channels[channel], noise[channel] = known, {"value_sd": error}
+    made = parameters_format.Fit(
+        trials=[t.id for t in loaded.experiment.trials if t.role == "fit"],
+        channels=channels,
+        converged=True,
+        noise=noise,
+        method="diagnosis",  # type: ignore[call-arg]
+    )
+    drives = driven_range(context.trials)
+    if made.model_extra is not None and drives:
+        made.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
+    return made
