@@ -103,9 +103,9 @@ def information(context: FitContext, fit: Fit, noise_model: NoiseModel) -> tuple
     """
     shared = [j for j, (_, owner) in enumerate(fit.problem.slots) if owner is None]
     normal = np.zeros((len(shared), len(shared)))
-    for k, rows in enumerate(fit.rows):
+    for k, residuals in enumerate(fit.residuals):
         # The function project_out() expects the residuals in the last column.
-        block = np.column_stack((rows[:, shared], fit.residuals[k]))
+        block = np.column_stack((fit.columns(k, shared), residuals))
         seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
         normal += seen.T @ seen
     return [fit.labels[j] for j in shared], normal

@@ -13,13 +13,14 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, Optimum
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
@@ -63,6 +64,24 @@ FITTED = 250
 Key = frozenset[int]
 
 
+class Outcome(NamedTuple):
+    """Result of a fit that a worker process returns. It is small, because there are many hypotheses.
+
+    Attributes
+    ----------
+    theta, cost
+        Optimum (:class:`~swimid.diagnosis.context.Fit`).
+    misfits, inside, slow
+        Squared residuals (:class:`Hypothesis`).
+    """
+
+    theta: Array
+    cost: float
+    misfits: Array
+    inside: Array
+    slow: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Hypothesis: the model with a set of effects, fitted to its optimum.
@@ -78,6 +97,8 @@ class Hypothesis:
         Screening result of the effect that was added last; None for the model without effects.
     inside : ndarray, shape (folds,)
         Squared residuals of each fold in the fit to all folds.
+    slow : float or None
+        Squared residuals in a refit with the noise model :attr:`NoiseModel.long_memory`, if there is one.
     score : float
         Cost at the optimum plus the penalty for the parameters of the effects.
     """
@@ -85,6 +106,7 @@ class Hypothesis:
     fit: Fit
     misfits: Array
     inside: Array
+    slow: float | None
     score: float
     tried: Tried | None = None
 
@@ -254,15 +276,29 @@ class Search:
 
     # ------------------------------------------------------------ fits
 
-    def judged(self, fit: Fit, tried: Tried | None = None, parent: Hypothesis | None = None) -> Hypothesis:
-        """Return the hypothesis of a fit, with its held-out squared residuals."""
+    def outcome(self, fit: Fit) -> Outcome:
+        """Return the optimum and the squared residuals of a fit."""
         inner = crossval.normal_equations(self.context, fit, self.noise_model)
-        inside = inner.products[:, -1, -1]
-        score = fit.cost + self.penalty(fit)
-        if parent is None or tried is None or not any(p.per_trial for p in tried.parameters):
-            return Hypothesis(fit, crossval.held_out(inner), inside, score, tried)
-        gains = candidates.own_gains(self.context, parent.fit, self.noise_model, candidates.own(fit, tried))
-        return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
+        slow, long_memory = None, self.noise_model.long_memory
+        if long_memory is not None:
+            equations = crossval.normal_equations(self.context, fit, long_memory)
+            slow = float(crossval.projected(equations)[-1, -1])
+        return Outcome(fit.theta, fit.cost, crossval.held_out(inner), inner.products[:, -1, -1], slow)
+
+    def judged(
+        self,
+        effects: Sequence[Effect],
+        found: Outcome,
+        tried: Tried | None = None,
+        parent: Hypothesis | None = None,
+    ) -> Hypothesis:
+        """Return the hypothesis of a set of effects from the result of its fit."""
+        fit = self.context.at(effects, self.noise_model, found.theta, found.cost)
+        misfits, score = found.misfits, fit.cost + self.penalty(fit)
+        if parent is not None and tried is not None and any(p.per_trial for p in tried.parameters):
+            own = candidates.own(fit, tried)
+            misfits = parent.misfits - candidates.own_gains(self.context, parent.fit, self.noise_model, own)
+        return Hypothesis(fit, misfits, found.inside, found.slow, score, tried)
 
     def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
         """Compile the models of other interpretations of the robot if that saves time.
@@ -278,12 +314,12 @@ class Search:
 
     def penalty(self, fit: Fit) -> float:
         """Return the BIC penalty for the parameters of the effects in a fit."""
-        samples = float(sum(len(r) for r in fit.residuals))
+        counts = fit.problem.counts
         mine = [label for label in fit.labels if _belongs(label, fit.effects)]
         each = sum("[" in label for label in mine)
         # A coefficient with a wider prior than in the model counts as a parameter of an effect.
         freed = len(self.context.loosened(fit.problem))
-        return posterior.penalty(len(mine) - each + freed, each, samples, len(fit.residuals))
+        return posterior.penalty(len(mine) - each + freed, each, float(sum(counts)), len(counts))
 
     def begin(self, start: Array) -> Hypothesis:
         """Fit the model without effects.
@@ -292,7 +328,8 @@ class Search:
         it, an effect could seem to explain the difference between a poor optimum and the best one.
         """
         starts = self.context.begins(self.context.problem((), self.noise_model.random_effects), start)
-        self.null = self.judged(self.context.fit((), self.noise_model, starts, tolerance=FINE))
+        fit = self.context.fit((), self.noise_model, starts, tolerance=FINE)
+        self.null = self.judged((), self.outcome(fit))
         self.pool[self.null.key] = self.null
         return self.null
 
@@ -337,14 +374,13 @@ class Search:
         apart = [effects for effects in acting if context.affected(effects).model.together == 1]
         self.prepared(apart, share=FITTED / RUNS)
 
-        def one(item: tuple[Hypothesis, Tried]) -> Optimum:
-            return self.fitted(*item)
+        def one(item: tuple[Hypothesis, Tried]) -> Outcome:
+            return self.outcome(self.fitted(*item))
 
         for (parent, tried), found in zip(new, map_in_processes(one, new, context.jobs), strict=True):
             effects = (*parent.fit.effects, tried.effect)
-            self.checkpoint.put(self._name(effects), found[0])
-            fit = context.fitted(effects, self.noise_model, found)
-            h = self.judged(fit, tried, parent)
+            self.checkpoint.put(self._name(effects), found.theta)
+            h = self.judged(effects, found, tried, parent)
             self.pool[h.key] = h
             self.step(tried.effect.name)
 
@@ -357,8 +393,8 @@ class Search:
         own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
         return "+".join([*own, str(len(self.noise_model.random_effects))])
 
-    def fitted(self, parent: Hypothesis, tried: Tried) -> Optimum:
-        """Return the joint optimum of the hypothesis ``parent`` and one more effect.
+    def fitted(self, parent: Hypothesis, tried: Tried) -> Fit:
+        """Return the joint fit of the hypothesis ``parent`` and one more effect.
 
         The starting points are the size that the screen predicts, the sizes that reduced the residuals
         without a refit, and the prior means of the coefficients.
@@ -380,7 +416,7 @@ class Search:
             # effect. If the cost is larger, start again at the null value.
             null = context.start(effects, noise_model, parent.fit)
             fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
-        return fit.optimum
+        return fit
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
         """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
@@ -394,7 +430,8 @@ class Search:
         known = self.pool.get(h.key - {id(effect)})
         if known is None:
             starts = [context.start(rest, noise_model, fit) for fit in (h.fit, self.null.fit)]
-            found = self.judged(context.multistart(rest, noise_model, starts, warm=h.fit))
+            fit = context.multistart(rest, noise_model, starts, warm=h.fit)
+            found = self.judged(rest, self.outcome(fit))
             self.pool[found.key] = found
             return found
         others = [o for o in self.pool.values() if known.key < o.key and o.fit.cost < known.fit.cost]
@@ -405,7 +442,7 @@ class Search:
             starts = [context.start(rest, noise_model, o.fit) for o in sorted(new, key=lambda o: o.fit.cost)]
             again = context.multistart(rest, noise_model, starts, warm=h.fit)
             if again.cost < known.fit.cost:
-                self._refitted(known, again.optimum)
+                self._refitted(known, self.outcome(again))
         return self.pool[known.key]
 
     def lessened(self) -> Posterior:
@@ -487,7 +524,7 @@ class Search:
         self.pool.clear()
         self.begin(context.start((), noise_model, null.fit))
 
-        def one(h: Hypothesis) -> Optimum:
+        def one(h: Hypothesis) -> Outcome:
             effects = h.fit.effects
             problem = context.problem(effects, noise_model.random_effects)
             sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
@@ -509,24 +546,25 @@ class Search:
                 # An effect cannot increase the cost, because its null value gives the model without the
                 # effect. If the cost is larger, start again at the null value.
                 fit = settled([context.start(effects, noise_model, self.null.fit)])
-            return fit.optimum
+            return self.outcome(fit)
 
         # Fit parents before the hypotheses that are evaluated relative to them.
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
         self.hopeless = {h.key for h in old if h.names in far}
-        for h, optimum in zip(old, map_in_processes(one, old, self.context.jobs), strict=True):
+        for h, refit in zip(old, map_in_processes(one, old, self.context.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
-            self._refitted(h, optimum)
+            self._refitted(h, refit)
 
     def finish(self) -> None:
         """Complete the early-stopped fits of hypotheses that are no longer improbable."""
         context, noise_model = self.context, self.noise_model
 
-        def one(h: Hypothesis) -> Optimum:
+        def one(h: Hypothesis) -> Outcome:
             problem = context.problem(h.fit.effects, noise_model.random_effects)
             starts = context.begins(problem, h.fit.theta)
-            return context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS).optimum
+            fit = context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS)
+            return self.outcome(fit)
 
         while True:
             found = self.weighed().sets
@@ -536,17 +574,16 @@ class Search:
             ]
             if not wanted:
                 return
-            for h, optimum in zip(wanted, map_in_processes(one, wanted, self.context.jobs), strict=True):
-                self._refitted(h, optimum)
+            for h, refit in zip(wanted, map_in_processes(one, wanted, self.context.jobs), strict=True):
+                self._refitted(h, refit)
                 self.hopeless.discard(h.key)
 
-    def _refitted(self, h: Hypothesis, optimum: Optimum) -> None:
+    def _refitted(self, h: Hypothesis, found: Outcome) -> None:
         """Replace a hypothesis in the pool by the same hypothesis at another optimum."""
-        fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
         parent = None
         if h.tried is not None:
             parent = self.pool.get(h.key - {id(h.tried.effect)})
-        self.pool[h.key] = self.judged(fit, h.tried, parent)
+        self.pool[h.key] = self.judged(h.fit.effects, found, h.tried, parent)
         self.screens.pop(h.key, None)
         self.null = self.pool[frozenset()]
 
@@ -563,8 +600,7 @@ class Search:
     @property
     def record(self) -> Record:
         """Return the size of the data set: numbers of residuals, folds and effects."""
-        residuals = self.null.fit.residuals
-        return Record(float(sum(len(r) for r in residuals)), self.context.folds.count, self.count)
+        return Record(float(sum(self.null.fit.problem.counts)), self.context.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
         # All per-trial parameters of one effect, for example its cosine and sine amplitudes, count as one
@@ -572,9 +608,8 @@ class Search:
         mine = [n for n in h.fit.labels if _belongs(n, h.fit.effects)]
         kinds = {n.split("/")[0] if "[" in n else n for n in mine}
         slow = None
-        if self.noise_model.long_memory is not None:
-            inner = crossval.normal_equations(self.context, h.fit, self.noise_model.long_memory)
-            slow = float(crossval.projected(inner)[-1, -1]) + self.penalty(h.fit)
+        if h.slow is not None:
+            slow = h.slow + self.penalty(h.fit)
         return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
@@ -632,7 +667,7 @@ class Search:
         if found is None:
             parameters = effect.parameters(self.context.model, self.context.trials)
             null = np.array([p.start for p in parameters])
-            signature = [np.zeros(len(r)) for r in base.fit.residuals]
+            signature = [np.zeros(count) for count in base.fit.problem.counts]
             found = Tried(effect, parameters, null, np.zeros(self.context.folds.count), 1.0, signature)
         return found
 
