@@ -25,10 +25,10 @@ EFFECT_PRIOR = 5.0
 START_PRIOR = 30.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
-#: Constants of the multistart search: maximum number of iterations before the last halving and of each
-#: finalist (HEAT), number of finalists (FINALISTS), maximum number of iterations of the best finalist
-#: (STEPS), relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
-HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
+#: Constants of the multistart search: number of starting points (FEW) up to which each halving is preceded by
+#: HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS), relative
+#: tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
+FEW, HEAT, STEPS, ROUGH, FINE = 4, 4, 80, 1e-3, 1e-4
 #: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
 #: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1
@@ -464,13 +464,14 @@ class FitContext:
         starts: Sequence[Array],
         *,
         warm: Fit,
-        finalists: int = FINALISTS,
+        rough: bool = False,
         jobs: int = 1,
     ) -> Fit:
         """Return the best optimum from many starting points by successive halving [1]_.
 
-        All starting points begin with the derivatives of a nearby fit. After each round the better half
-        continues.
+        All starting points use the derivatives of a nearby fit, and own derivatives only with respect to the
+        other parameters. After each round the better half continues. The last one continues with derivatives
+        of its own.
 
         Parameters
         ----------
@@ -478,8 +479,8 @@ class FitContext:
             Starting points.
         warm : Fit
             Nearby fit whose derivatives are used first.
-        finalists : int
-            Number of starting points that continue with derivatives of their own.
+        rough : bool
+            Whether the search ends with the last round, and without new derivatives.
 
         References
         ----------
@@ -506,21 +507,17 @@ class FitContext:
                     found.append(ended)
             return found
 
-        if len(starts) > finalists:
-            problem.hold_derivatives(warm.problem, warm.derivatives)
-            while len(starts) > finalists:
-                steps = 1
-                if len(starts) <= 2 * finalists:
-                    steps = HEAT
-                left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
-                starts = [found.x for found in left]
+        best: Solution | None = None
+        problem.hold_derivatives(warm.problem, warm.derivatives)
+        while len(starts) > 1 or (rough and best is None):
+            steps = 1
+            if len(starts) <= FEW:
+                steps = HEAT
+            found = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, 1)]
+            best, starts = found[0], [one.x for one in found]
+        if best is None or not rough:
             problem.release_derivatives()
-        found = []
-        if len(starts) > 1:
-            found = ranked(starts, ROUGH, HEAT)[:1]
-            starts = [found[0].x]
-        found.append(one(starts[0], FINE, STEPS))
-        best = min(found, key=cost)
+            best = one(starts[0], FINE, STEPS)
         return self.at(effects, noise_model, best.x, best.cost, problem)
 
     def search(

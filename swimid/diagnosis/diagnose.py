@@ -126,6 +126,12 @@ def diagnose(
         own = [e for path in options.own_effects for e in effect_catalogue.from_file(path)]
         # The noise is estimated with the whole catalogue, even if only some effects are asked for.
         known = [*effect_catalogue.catalogue(), *own]
+        inputs = [*experiment.inputs, *options.own_effects]
+        if output is not None:
+            atomic.check_writable(output, inputs=inputs)
+        origin = provenance.collect(inputs, settings=options.settings())
+        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        search.prepared(model, experiment.trials, progress, keep)
         as_given = _as_given(loaded)
         begun = nominal.begun(loaded)
         asked = None
@@ -139,12 +145,6 @@ def diagnose(
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
-        inputs = [*experiment.inputs, *options.own_effects]
-        if output is not None:
-            atomic.check_writable(output, inputs=inputs)
-        origin = provenance.collect(inputs, settings=options.settings())
-        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        search.prepared(model, experiment.trials, progress, keep)
         jobs = options.jobs or os.cpu_count() or 1
         context = FitContext(
             model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs

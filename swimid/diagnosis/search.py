@@ -44,9 +44,10 @@ SMALL_CHANGE = 1e-4
 PARENTS, SETS = 4, 10
 #: Number of alternatives to each effect of a set that are fitted together with the other effects of the set.
 RIVALS = 4
-#: Improbable hypotheses: their maximum posterior probability divided by the largest one (HOPELESS), and the
-#: maximum number of iterations of their refit with the estimated noise (FEW).
-HOPELESS, FEW = 1e-4, 2
+#: Improbable hypotheses: their maximum posterior probability divided by the largest one (HOPELESS), the same
+#: after a rough fit (ROUGHLY), and the maximum number of iterations of their refit with the estimated noise
+#: (FEW).
+HOPELESS, ROUGHLY, FEW = 1e-4, 1e-6, 2
 #: Minimum cosine between the changes of the trials by an effect and by a changed parameter at which the two
 #: changes count as equal. At this cosine, each change explains nine tenths of the square of the other.
 SAME_COSINE = 0.95
@@ -287,13 +288,19 @@ class Search:
 
     def judged(
         self,
-        effects: Sequence[Effect],
-        found: Outcome,
+        fit: Fit,
         tried: Tried | None = None,
         parent: Hypothesis | None = None,
+        found: Outcome | None = None,
     ) -> Hypothesis:
-        """Return the hypothesis of a set of effects from the result of its fit."""
-        fit = self.context.at(effects, self.noise_model, found.theta, found.cost)
+        """Return the hypothesis of a fit, with its squared residuals.
+
+        Parameters
+        ----------
+        found : Outcome, optional
+            Result of the fit, if a worker process has computed it.
+        """
+        found = found or self.outcome(fit)
         misfits, score = found.misfits, fit.cost + self.penalty(fit)
         if parent is not None and tried is not None and any(p.per_trial for p in tried.parameters):
             own = candidates.own(fit, tried)
@@ -329,7 +336,7 @@ class Search:
         """
         starts = self.context.begins(self.context.problem((), self.noise_model.random_effects), start)
         fit = self.context.fit((), self.noise_model, starts, tolerance=FINE)
-        self.null = self.judged((), self.outcome(fit))
+        self.null = self.judged(fit)
         self.pool[self.null.key] = self.null
         return self.null
 
@@ -358,6 +365,7 @@ class Search:
     def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
         """Fit each hypothesis of ``parents`` with one more effect, and add the results to the pool.
 
+        All hypotheses are fitted roughly first. Those that are not improbable are then fitted to the optimum.
         If ``most`` is given, only this number of the most promising combinations is fitted.
         """
         context = self.context
@@ -380,9 +388,12 @@ class Search:
         for (parent, tried), found in zip(new, map_in_processes(one, new, context.jobs), strict=True):
             effects = (*parent.fit.effects, tried.effect)
             self.checkpoint.put(self._name(effects), found.theta)
-            h = self.judged(effects, found, tried, parent)
+            fit = context.at(effects, self.noise_model, found.theta, found.cost)
+            h = self.judged(fit, tried, parent, found)
             self.pool[h.key] = h
+            self.hopeless.add(h.key)
             self.step(tried.effect.name)
+        self.finish(ROUGHLY)
 
     def _name(self, effects: Sequence[Effect]) -> str:
         """Return the name under which the optimum of a set of effects is cached.
@@ -394,7 +405,7 @@ class Search:
         return "+".join([*own, str(len(self.noise_model.random_effects))])
 
     def fitted(self, parent: Hypothesis, tried: Tried) -> Fit:
-        """Return the joint fit of the hypothesis ``parent`` and one more effect.
+        """Return a rough joint fit of the hypothesis ``parent`` and one more effect.
 
         The starting points are the size that the screen predicts, the sizes that reduced the residuals
         without a refit, and the prior means of the coefficients.
@@ -410,12 +421,12 @@ class Search:
         kept = self.checkpoint.get(self._name(effects))
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
-        fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
+        fit = context.multistart(effects, noise_model, starts, warm=parent.fit, rough=True)
         if names and not fit.cost <= parent.fit.cost:
             # An added effect cannot increase the cost, because its null value gives the model without the
             # effect. If the cost is larger, start again at the null value.
             null = context.start(effects, noise_model, parent.fit)
-            fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
+            fit = context.multistart(effects, noise_model, [null], warm=parent.fit, rough=True)
         return fit
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
@@ -431,7 +442,7 @@ class Search:
         if known is None:
             starts = [context.start(rest, noise_model, fit) for fit in (h.fit, self.null.fit)]
             fit = context.multistart(rest, noise_model, starts, warm=h.fit)
-            found = self.judged(rest, self.outcome(fit))
+            found = self.judged(fit)
             self.pool[found.key] = found
             return found
         others = [o for o in self.pool.values() if known.key < o.key and o.fit.cost < known.fit.cost]
@@ -537,7 +548,7 @@ class Search:
 
             def settled(starts: list[Array]) -> Fit:
                 if h.names not in far:
-                    return context.multistart(effects, noise_model, starts, warm=self.null.fit, finalists=1)
+                    return context.multistart(effects, noise_model, starts, warm=self.null.fit)
                 ends = [starts[0], *starts[1:][-1:]]
                 return context.fit(effects, noise_model, ends, iterations=FEW, warm=self.null.fit)
 
@@ -556,19 +567,24 @@ class Search:
                 self.step(h.tried.effect.name)
             self._refitted(h, refit)
 
-    def finish(self) -> None:
-        """Complete the early-stopped fits of hypotheses that are no longer improbable."""
+    def finish(self, improbable: float = HOPELESS) -> None:
+        """Complete the early-stopped fits of hypotheses that are not improbable.
+
+        Parameters
+        ----------
+        improbable : float
+            Maximum posterior probability of an improbable hypothesis, divided by the largest one.
+        """
         context, noise_model = self.context, self.noise_model
 
         def one(h: Hypothesis) -> Outcome:
-            problem = context.problem(h.fit.effects, noise_model.random_effects)
-            starts = context.begins(problem, h.fit.theta)
+            starts = [h.fit.theta]
             fit = context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS)
             return self.outcome(fit)
 
         while True:
             found = self.weighed().sets
-            least = HOPELESS * max(found.values(), default=0.0)
+            least = improbable * max(found.values(), default=0.0)
             wanted = [
                 h for key, h in self.pool.items() if key in self.hopeless and found.get(h.names, 0.0) > least
             ]
@@ -583,7 +599,8 @@ class Search:
         parent = None
         if h.tried is not None:
             parent = self.pool.get(h.key - {id(h.tried.effect)})
-        self.pool[h.key] = self.judged(h.fit.effects, found, h.tried, parent)
+        fit = self.context.at(h.fit.effects, self.noise_model, found.theta, found.cost)
+        self.pool[h.key] = self.judged(fit, h.tried, parent, found)
         self.screens.pop(h.key, None)
         self.null = self.pool[frozenset()]
 

@@ -8,8 +8,11 @@ well enough for them. Tests compare the optima of both methods.
 
 from __future__ import annotations
 
+import ctypes
 import math
 import multiprocessing
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,10 +35,10 @@ NEAR = 0.01
 #: Value of the weighted residual of a sample that the model cannot simulate.
 BROKEN = 1e6
 #: Number of latest points of a search whose simulations are cached.
-KEPT = 5
+KEPT = 12
 #: Maximum number of columns of a block of derivatives whose products are computed without BLAS. For few
 #: columns, waking the threads of BLAS takes longer than the multiplication.
-FEW_COLUMNS = 16
+FEW_COLUMNS = 8
 
 
 class Box(NamedTuple):
@@ -716,6 +719,8 @@ class Patience:
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
+#: Option of the Linux system call ``prctl`` that selects the signal at the end of the parent process.
+PR_SET_PDEATHSIG = 1
 #: Function and items that the process pool works on. Forked processes inherit them.
 _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
@@ -725,8 +730,9 @@ def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jo
 
     On Linux the items are divided among forked processes. Threads would not help, because most of a
     simulation is Python code, which threads do not run simultaneously. A forked process starts with
-    everything in memory. Only results are sent back; other changes that the function makes are lost. On other
-    systems forking is not safe, and one process is used.
+    everything in memory. Only results are sent back; other changes that the function makes are lost. The
+    processes end with this process, also if it is killed. On other systems forking is not safe, and one
+    process is used.
     """
     global _work
     items = list(items)
@@ -736,10 +742,18 @@ def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jo
     _work = function, items
     try:
         context = multiprocessing.get_context("fork")
-        with ProcessPoolExecutor(min(jobs, len(items)), mp_context=context) as pool:
+        count, own = min(jobs, len(items)), (os.getpid(),)
+        with ProcessPoolExecutor(count, mp_context=context, initializer=_end_with, initargs=own) as pool:
             yield from pool.map(_one, range(len(items)))
     finally:
         _work = None
+
+
+def _end_with(parent: int) -> None:
+    """Let this process be killed when its parent process ends (``man prctl``)."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def _one(index: int) -> Any:
