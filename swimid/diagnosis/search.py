@@ -717,6 +717,9 @@ def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext
     if model is not fine and coarser(fine, own, context.trials) is None:
         context = given.replaced(fine, context.trials)
         noise_model, fit = weigh(context)
+    if context.model is not fine and fine.swimmer is not None:
+        # The model with the original step is not simulated any more.
+        fine.swimmer.forget(context.trials)
     noise_model, _ = see(context, fit, noise_model, fit.residuals, effects, len(fit.labels))
     return context, noise_model, fit, dropouts
 

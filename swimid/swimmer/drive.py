@@ -30,7 +30,7 @@ Servos = tuple[tuple[float, float] | None, ...]
 SERVO_RTOL = 1e-10
 #: Maximum number of cached joint motions per trial. The finite differences of a Jacobian use the same few
 #: motions again and again.
-MAX_MOTIONS = 4
+MAX_MOTIONS = 2
 #: Maximum number of cached commanded motions per trial.
 MAX_COMMANDS = 2
 #: Time step at which the commanded joint angles are sampled, s.

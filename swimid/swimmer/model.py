@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 #: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the
 #: clock offset, needs no new simulation.
-MAX_TRAJECTORIES = 4
+MAX_TRAJECTORIES = 2
 
 
 #: Placeholder for the joint motion of a simulation whose trajectory is cached.
