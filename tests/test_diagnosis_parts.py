@@ -1300,7 +1300,8 @@ def test_a_start_without_a_change_is_skipped(context: FitContext) -> None:
     fit = context.fit(
         (), NoiseModel([[np.full(len(t.time_s), 0.05)] * 2 for t in context.trials]), [context.shape.start]
     )
-    without = replace(fit, rows=[np.zeros_like(rows) for rows in fit.rows])
+    fit.problem.hold_derivatives(fit.problem, [np.zeros_like(rows) for rows in fit.derivatives])
+    without = replace(fit)
     own = [[r.copy() for r in fit.residuals]]
     gains = own_gains(context, without, NoiseModel(fit.problem.sd), own)
     assert np.isfinite(gains).all()

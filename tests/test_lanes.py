@@ -148,7 +148,10 @@ def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.
 
 def compare(form: type[Swimmer], kernel: Kernel, runs: list[tuple[Any, ...]]) -> None:
     assert all(kernel.fits(tables) for *_, tables in runs)
-    for run, (states, rates) in zip(runs, kernel.run(runs), strict=True):
+    found = {k: (states.copy(), rates.copy()) for k, (states, rates) in kernel.run(runs)}
+    assert sorted(found) == list(range(len(runs)))
+    for k, (states, rates) in found.items():
+        run = runs[k]
         expected, slopes = scalar(form, *run)
         assert states.shape == expected.shape
         np.testing.assert_array_equal(np.isnan(states), np.isnan(expected))
@@ -287,15 +290,15 @@ def test_memory_is_reused_after_its_results_are_released(
 ) -> None:
     assert fish.kernels.own is not None
     runs = spread(MultilinkModel, fish.tree, fish.kernels.own, rng)[:4]
-    first = fish.kernels.own.run(runs)
-    kept = [states.copy() for states, _ in first]
-    second = fish.kernels.own.run(runs)
+    first = dict(fish.kernels.own.run(runs))
+    kept = {k: states.copy() for k, (states, _) in first.items()}
+    second = dict(fish.kernels.own.run(runs))
     assert not np.shares_memory(first[0][0], second[0][0])
-    for (states, _), before in zip(first, kept, strict=True):
-        np.testing.assert_array_equal(states, before)
+    for k, (states, _) in first.items():
+        np.testing.assert_array_equal(states, kept[k])
     place = second[0][0].ctypes.data
     del second, states
-    assert fish.kernels.own.run(runs)[0][0].ctypes.data == place
+    assert dict(fish.kernels.own.run(runs))[0][0].ctypes.data == place
 
 
 def test_equal_effects_share_their_runs() -> None:

@@ -26,19 +26,14 @@ def slow() -> None:
     time.sleep(1e-3)
 
 
-def broyden(rows: np.ndarray, off: np.ndarray, step: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return derivatives updated after a step (Broyden, Math. Comp. 19, 1965)."""
-    return rows + np.outer(off, step * weights) / (step * weights @ step)
-
-
 def unbounded(count: int) -> Box:
     return Box(np.full(count, -np.inf), np.full(count, np.inf), np.ones(count))
 
 
 class TestMinimise:
-    @pytest.mark.parametrize("secant", [None, broyden])
+    @pytest.mark.parametrize("secant", [False, True])
     @pytest.mark.parametrize("seed", range(8))
-    def test_the_optimum_is_that_of_scipy(self, seed: int, secant: Callable[..., np.ndarray] | None) -> None:
+    def test_the_optimum_is_that_of_scipy(self, seed: int, secant: bool) -> None:
         """Secant updates save derivatives."""
         rng = np.random.default_rng(seed)
         t = np.linspace(0, 4, 60)
@@ -60,7 +55,7 @@ class TestMinimise:
             return jacobian(p)
 
         ours = minimise(residuals, counted, start, Box(np.zeros(3), upper, np.ones(3)), secant=secant)
-        if secant is not None:
+        if secant:
             assert taken[0] < ours.iterations
         scipys = optimize.least_squares(
             residuals, start, jac=jacobian, bounds=(np.zeros(3), upper), xtol=1e-14, ftol=1e-14, gtol=1e-14
@@ -72,7 +67,7 @@ class TestMinimise:
     def test_secant_updates_and_corrected_steps_save_derivatives_in_a_curved_valley(self) -> None:
         """Rosenbrock's valley a hundred times as steep (More, Garbow and Hillstrom 1981, problem 1)."""
 
-        def search(secant: Callable[..., np.ndarray] | None) -> tuple[Solution, int]:
+        def search(secant: bool) -> tuple[Solution, int]:
             taken = [0]
 
             def jacobian(p: np.ndarray) -> np.ndarray:
@@ -88,7 +83,7 @@ class TestMinimise:
             )
             return found, taken[0]
 
-        (found, few), (_, many) = search(broyden), search(None)
+        (found, few), (_, many) = search(True), search(False)
         assert found.success
         assert found.x == pytest.approx([1.0, 1.0], abs=1e-6)
         assert few < 0.5 * many

@@ -184,9 +184,9 @@ class Rival:
                 sd.setdefault(channel, []).append(own)
         shared = [j for j, (_, owner) in enumerate(problem.slots) if owner is None]
         precision = context.precision(problem)[np.ix_(shared, shared)]
-        for k, rows in enumerate(fit.rows):
+        for k, residuals in enumerate(fit.residuals):
             # The function project_out() expects the residuals in the last column.
-            block = np.column_stack((rows[:, shared], fit.residuals[k]))
+            block = np.column_stack((fit.columns(k, shared), residuals))
             seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
             precision = precision + seen.T @ seen
         return cls(

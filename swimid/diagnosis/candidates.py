@@ -315,8 +315,8 @@ def own(fit: Fit, tried: Tried) -> list[list[Array]]:
     found = []
     for p in (p for p in tried.parameters if p.per_trial):
         labels = [f"{tried.effect.name}/{p.name}[{trial.id}]" for trial in fit.problem.trials]
-        places = zip(fit.rows, labels, strict=True)
-        found.append([rows[:, fit.labels.index(label)] * p.scale for rows, label in places])
+        places = [fit.labels.index(label) for label in labels]
+        found.append([fit.columns(k, [j])[:, 0] * p.scale for k, j in enumerate(places)])
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,10 @@ EFFECT_PRIOR = 5.0
 START_PRIOR = 30.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
-#: Constants of the multistart search: maximum number of iterations before the last halving and of each
-#: finalist (HEAT), number of finalists (FINALISTS), maximum number of iterations of the best finalist
-#: (STEPS), relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
-HEAT, FINALISTS, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
+#: Constants of the multistart search: number of starting points (FEW) up to which each halving is preceded by
+#: HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS), relative
+#: tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
+FEW, HEAT, STEPS, ROUGH, FINE = 4, 4, 80, 1e-3, 1e-4
 #: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
 #: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1
@@ -90,13 +91,11 @@ class Mixed(Problem):
         return [j for j in self.own(trial) if self.differs(j)]
 
 
-#: Type of the result of a fit that a worker process returns: estimates, cost, residuals and derivatives.
-Optimum = tuple[Array, float, list[Array], list[Array]]
-
-
 @dataclass(frozen=True)
 class Fit:
     """Fit of a hypothesis: the model with its effects and random effects at the optimum.
+
+    Residuals and derivatives are computed when they are first needed.
 
     Attributes
     ----------
@@ -110,11 +109,6 @@ class Fit:
         Estimates of the parameters.
     cost : float
         Sum of squared whitened residuals and squared prior terms.
-    residuals : list of ndarray, each shape (n_k,)
-        Residuals of each trial, divided by the noise standard deviation, not yet whitened.
-    rows : list of ndarray, each shape (n_k, p)
-        Derivatives of the simulated samples, divided by the noise standard deviation. The derivatives of the
-        residuals have the opposite sign.
     problem : Mixed
         The residual problem that was solved.
     """
@@ -124,14 +118,43 @@ class Fit:
     labels: list[str]
     theta: Array
     cost: float
-    residuals: list[Array]
-    rows: list[Array]
     problem: Mixed
 
+    @cached_property
+    def residuals(self) -> list[Array]:
+        """Return the residuals of each trial, each shape (n_k,).
+
+        They are divided by the noise standard deviation, and not yet whitened.
+        """
+        return [self.problem.trial_residuals(self.theta, k) for k in range(len(self.problem.trials))]
+
+    @cached_property
+    def derivatives(self) -> list[Array]:
+        """Return the derivatives of each trial's simulated samples, each shape (n_k, m_k).
+
+        The unknowns are those that affect the trial (:attr:`Problem.taken`). The derivatives are divided by
+        the noise standard deviation. The derivatives of the residuals have the opposite sign.
+        """
+        return [-rows for rows in self.problem.own_jacobians(self.theta)]
+
     @property
-    def optimum(self) -> Optimum:
-        """Return the estimates, the cost, the residuals and the derivatives of the fit."""
-        return self.theta, self.cost, self.residuals, self.rows
+    def rows(self) -> list[Array]:
+        """Return the derivatives of each trial's simulated samples, each shape (n_k, p)."""
+        return [self.columns(k, np.arange(len(self.theta))) for k in range(len(self.problem.trials))]
+
+    def columns(self, k: int, unknowns: Sequence[int] | NDArray[np.intp]) -> Array:
+        """Return the derivatives of trial ``k`` with respect to some unknowns, shape (n_k, unknowns).
+
+        They are zero for an unknown that does not affect the trial.
+        """
+        numbers, derivatives = self.problem.taken[k][1], self.derivatives[k]
+        wanted = np.asarray(unknowns, dtype=int)
+        place = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
+        if not len(numbers):
+            return np.zeros((len(derivatives), len(wanted)))
+        found = np.asarray(derivatives[:, place])
+        found[:, numbers[place] != wanted] = 0.0
+        return found
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -149,7 +172,7 @@ class Fit:
         The derivatives are multiplied by the typical scales of the m parameters.
         """
         mine = self.problem.begun(k)
-        return np.asarray(self.rows[k][:, mine] * self.problem.scale[mine])
+        return self.columns(k, mine) * self.problem.scale[mine]
 
     def centre(self, without: Collection[str] = ()) -> dict[str, float]:
         """Return the mean of each random effect over trials, by parameter name.
@@ -197,7 +220,7 @@ class Fit:
         centre = self.centre(without)
         names = [self.problem.parameters[self.problem.slots[j][0]].name for j in mine]
         away = np.array([self.theta[j] - centre[name] for j, name in zip(mine, names, strict=True)])
-        return np.asarray(self.residuals[k] + self.rows[k][:, mine] @ away)
+        return np.asarray(self.residuals[k] + self.columns(k, mine) @ away)
 
     def marginal_residuals(self, without: Collection[str] = ()) -> list[Array]:
         """Return the residuals of each trial with random effects at their means.
@@ -430,7 +453,7 @@ class FitContext:
         """
         problem = self.posed(effects, noise_model)
         if warm is not None:
-            problem.hold_derivatives(warm.labels, warm.rows)
+            problem.hold_derivatives(warm.problem, warm.derivatives)
         best = self.search(problem, noise_model, starts, tolerance, iterations)
         return self.at(effects, noise_model, best.x, best.cost, problem)
 
@@ -441,13 +464,14 @@ class FitContext:
         starts: Sequence[Array],
         *,
         warm: Fit,
-        finalists: int = FINALISTS,
+        rough: bool = False,
         jobs: int = 1,
     ) -> Fit:
         """Return the best optimum from many starting points by successive halving [1]_.
 
-        All starting points begin with the derivatives of a nearby fit. After each round the better half
-        continues.
+        All starting points use the derivatives of a nearby fit, and own derivatives only with respect to the
+        other parameters. After each round the better half continues. The last one continues with derivatives
+        of its own.
 
         Parameters
         ----------
@@ -455,8 +479,8 @@ class FitContext:
             Starting points.
         warm : Fit
             Nearby fit whose derivatives are used first.
-        finalists : int
-            Number of starting points that continue with derivatives of their own.
+        rough : bool
+            Whether the search ends with the last round, and without new derivatives.
 
         References
         ----------
@@ -483,21 +507,17 @@ class FitContext:
                     found.append(ended)
             return found
 
-        if len(starts) > finalists:
-            problem.hold_derivatives(warm.labels, warm.rows)
-            while len(starts) > finalists:
-                steps = 1
-                if len(starts) <= 2 * finalists:
-                    steps = HEAT
-                left = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, finalists)]
-                starts = [found.x for found in left]
-            problem.hold_derivatives((), ())
-        found = []
-        if len(starts) > 1:
-            found = ranked(starts, ROUGH, HEAT)[:1]
-            starts = [found[0].x]
-        found.append(one(starts[0], FINE, STEPS))
-        best = min(found, key=cost)
+        best: Solution | None = None
+        problem.hold_derivatives(warm.problem, warm.derivatives)
+        while len(starts) > 1 or (rough and best is None):
+            steps = 1
+            if len(starts) <= FEW:
+                steps = HEAT
+            found = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, 1)]
+            best, starts = found[0], [one.x for one in found]
+        if best is None or not rough:
+            problem.release_derivatives()
+            best = one(starts[0], FINE, STEPS)
         return self.at(effects, noise_model, best.x, best.cost, problem)
 
     def search(
@@ -546,9 +566,9 @@ class FitContext:
             noise_model.install(problem)
             kept = [owner != f for owner in self.folds.owner]
             # The search begins with the derivatives of the fit to all data, which saves simulations.
-            problem.hold_derivatives(fit.labels, fit.rows)
+            problem.hold_derivatives(fit.problem, fit.derivatives)
             begun = self.search(problem, noise_model, [fit.theta], ROUGH, STEPS, kept=kept)
-            problem.hold_derivatives((), ())
+            problem.release_derivatives()
             return self.search(problem, noise_model, [begun.x], FINE, STEPS, kept=kept).x
 
         for known, through, found in self._without:
@@ -568,21 +588,8 @@ class FitContext:
     ) -> Fit:
         """Return a fit at the given parameter values, without a search for the optimum."""
         problem = problem or self.posed(effects, noise_model)
-        rows = [-r for r in problem.trial_jacobians(theta)]
-        residuals = [problem.trial_residuals(theta, k) for k in range(len(self.trials))]
-        return self.fitted(effects, noise_model, (theta, cost, residuals, rows), problem)
-
-    def fitted(
-        self,
-        effects: Sequence[Effect],
-        noise_model: NoiseModel,
-        found: Optimum,
-        problem: Mixed | None = None,
-    ) -> Fit:
-        """Return the fit with the values of a known optimum, for example of an earlier search."""
-        problem = problem or self.posed(effects, noise_model)
         acting = _acting(effects, problem.random_effects)
-        return Fit(tuple(effects), acting, problem.labels, *found, problem)
+        return Fit(tuple(effects), acting, problem.labels, theta, cost, problem)
 
     def posed(self, effects: Sequence[Effect], noise_model: NoiseModel, jobs: int | None = None) -> Mixed:
         """Return the residual problem with the random effects and the weights of a noise model."""
@@ -679,9 +686,9 @@ def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
         Prior precision matrix of the parameters.
     """
     normal = precision.copy()
-    for k, rows in enumerate(fit.rows):
-        seen = noise_model.whiten(fit.problem, k, rows)
-        normal += seen.T @ seen
+    for k, rows in enumerate(fit.derivatives):
+        seen, own = noise_model.whiten(fit.problem, k, rows), fit.problem.taken[k][1]
+        normal[np.ix_(own, own)] += seen.T @ seen
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = scale[:, None] * normal * scale
     inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)

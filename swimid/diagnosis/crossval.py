@@ -103,7 +103,7 @@ def project_out(
         return noise_model.whiten(problem, k, block)
     mean, weight = context.expected(problem)
     n, scale = len(block), problem.scale[mine]
-    seen = noise_model.whiten(problem, k, np.column_stack((fit.rows[k][:, mine] * scale, block)))
+    seen = noise_model.whiten(problem, k, np.column_stack((fit.columns(k, mine) * scale, block)))
     own = np.vstack((seen[:, : len(mine)], np.diag(weight[mine] * scale)))
     wanted = np.vstack((seen[:, len(mine) :], np.zeros((len(mine), block.shape[1]))))
     wanted[n:, -1] = weight[mine] * (mean - fit.theta)[mine]
@@ -132,7 +132,7 @@ def normal_equations(
     samples = np.zeros(count)
     for k in range(len(context.trials)):
         mine = context.apart(fit, k)
-        block = np.column_stack([fit.rows[k][:, shared], *(c[k] for c in columns), fit.residuals[k]])
+        block = np.column_stack([fit.columns(k, shared), *(c[k] for c in columns), fit.residuals[k]])
         seen = project_out(context, fit, noise_model, k, block, to=mine)
         owner = context.folds.owner[k]
         if whole:

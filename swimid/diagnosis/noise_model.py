@@ -67,7 +67,7 @@ class NoiseModel:
 
     def install(self, problem: Problem) -> None:
         """Set the weights of a problem with the same trials to those of this noise model."""
-        problem.sd = [[sd.copy() for sd in sds] for sds in self.sd]
+        problem.sd = [list(sds) for sds in self.sd]
 
     def whiten(self, problem: Problem, k: int, rows: Array) -> Array:
         """Return the whitened residuals, or columns of derivatives, of trial ``k``.

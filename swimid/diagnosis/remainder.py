@@ -172,14 +172,14 @@ def saturated(
     factors = crossval.together(inner, range(len(columns)), prior)
     found = []
     for k in range(len(context.trials)):
-        r = base.residuals[k] - base.rows[k][:, shared] @ factors[: len(shared)]
+        r = base.residuals[k] - base.columns(k, shared) @ factors[: len(shared)]
         for factor, column in zip(factors[len(shared) :], columns, strict=True):
             r = r - factor * column[k]
         mine = context.apart(base, k)
         rest, bare = r, base.fixed_effects_residual(k)
         if len(mine):
             scale = problem.scale[mine]
-            own = base.rows[k][:, mine] * scale
+            own = base.columns(k, mine) * scale
             seen = noise_model.whiten(problem, k, np.column_stack((own, r)))
             known = weight[mine] * scale
             right = seen[:, :-1].T @ seen[:, -1] + known**2 * (mean - base.theta)[mine] / scale

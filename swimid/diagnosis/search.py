@@ -13,13 +13,14 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, Optimum
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
@@ -44,9 +45,10 @@ SMALL_CHANGE = 1e-4
 PARENTS, SETS = 4, 10
 #: Number of alternatives to each effect of a set that are fitted together with the other effects of the set.
 RIVALS = 4
-#: Improbable hypotheses: their maximum posterior probability divided by the largest one (HOPELESS), and the
-#: maximum number of iterations of their refit with the estimated noise (FEW).
-HOPELESS, FEW = 1e-4, 2
+#: Improbable hypotheses: their maximum posterior probability divided by the largest one (HOPELESS), the same
+#: after a rough fit (ROUGHLY), and the maximum number of iterations of their refit with the estimated noise
+#: (FEW).
+HOPELESS, ROUGHLY, FEW = 1e-4, 1e-6, 2
 #: Minimum cosine between the changes of the trials by an effect and by a changed parameter at which the two
 #: changes count as equal. At this cosine, each change explains nine tenths of the square of the other.
 SAME_COSINE = 0.95
@@ -64,6 +66,24 @@ FITTED = 250
 Key = frozenset[int]
 
 
+class Outcome(NamedTuple):
+    """Result of a fit that a worker process returns. It is small, because there are many hypotheses.
+
+    Attributes
+    ----------
+    theta, cost
+        Optimum (:class:`~swimid.diagnosis.context.Fit`).
+    misfits, inside, slow
+        Squared residuals (:class:`Hypothesis`).
+    """
+
+    theta: Array
+    cost: float
+    misfits: Array
+    inside: Array
+    slow: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Hypothesis: the model with a set of effects, fitted to its optimum.
@@ -79,6 +99,8 @@ class Hypothesis:
         Screening result of the effect that was added last; None for the model without effects.
     inside : ndarray, shape (folds,)
         Squared residuals of each fold in the fit to all folds.
+    slow : float or None
+        Squared residuals in a refit with the noise model :attr:`NoiseModel.long_memory`, if there is one.
     score : float
         Cost at the optimum plus the penalty for the parameters of the effects.
     """
@@ -86,6 +108,7 @@ class Hypothesis:
     fit: Fit
     misfits: Array
     inside: Array
+    slow: float | None
     score: float
     tried: Tried | None = None
 
@@ -259,15 +282,35 @@ class Search:
 
     # ------------------------------------------------------------ fits
 
-    def judged(self, fit: Fit, tried: Tried | None = None, parent: Hypothesis | None = None) -> Hypothesis:
-        """Return the hypothesis of a fit, with its held-out squared residuals."""
+    def outcome(self, fit: Fit) -> Outcome:
+        """Return the optimum and the squared residuals of a fit."""
         inner = crossval.normal_equations(self.context, fit, self.noise_model)
-        inside = inner.products[:, -1, -1]
-        score = fit.cost + self.penalty(fit)
-        if parent is None or tried is None or not any(p.per_trial for p in tried.parameters):
-            return Hypothesis(fit, crossval.held_out(inner), inside, score, tried)
-        gains = candidates.own_gains(self.context, parent.fit, self.noise_model, candidates.own(fit, tried))
-        return Hypothesis(fit, parent.misfits - gains, inside, score, tried)
+        slow, long_memory = None, self.noise_model.long_memory
+        if long_memory is not None:
+            equations = crossval.normal_equations(self.context, fit, long_memory)
+            slow = float(crossval.projected(equations)[-1, -1])
+        return Outcome(fit.theta, fit.cost, crossval.held_out(inner), inner.products[:, -1, -1], slow)
+
+    def judged(
+        self,
+        fit: Fit,
+        tried: Tried | None = None,
+        parent: Hypothesis | None = None,
+        found: Outcome | None = None,
+    ) -> Hypothesis:
+        """Return the hypothesis of a fit, with its squared residuals.
+
+        Parameters
+        ----------
+        found : Outcome, optional
+            Result of the fit, if a worker process has computed it.
+        """
+        found = found or self.outcome(fit)
+        misfits, score = found.misfits, fit.cost + self.penalty(fit)
+        if parent is not None and tried is not None and any(p.per_trial for p in tried.parameters):
+            own = candidates.own(fit, tried)
+            misfits = parent.misfits - candidates.own_gains(self.context, parent.fit, self.noise_model, own)
+        return Hypothesis(fit, misfits, found.inside, found.slow, score, tried)
 
     def prepared(self, acting: Iterable[Sequence[Effect]], *, share: float = 1.0) -> None:
         """Compile the models of other interpretations of the robot if that saves time.
@@ -283,12 +326,12 @@ class Search:
 
     def penalty(self, fit: Fit) -> float:
         """Return the BIC penalty for the parameters of the effects in a fit."""
-        samples = float(sum(len(r) for r in fit.residuals))
+        counts = fit.problem.counts
         mine = [label for label in fit.labels if _belongs(label, fit.effects)]
         each = sum("[" in label for label in mine)
         # A coefficient with a wider prior than in the model counts as a parameter of an effect.
         freed = len(self.context.loosened(fit.problem))
-        return posterior.penalty(len(mine) - each + freed, each, samples, len(fit.residuals))
+        return posterior.penalty(len(mine) - each + freed, each, float(sum(counts)), len(counts))
 
     def begin(self, start: Array) -> Hypothesis:
         """Fit the model without effects.
@@ -297,7 +340,8 @@ class Search:
         it, an effect could seem to explain the difference between a poor optimum and the best one.
         """
         starts = self.context.begins(self.context.problem((), self.noise_model.random_effects), start)
-        self.null = self.judged(self.context.fit((), self.noise_model, starts, tolerance=FINE))
+        fit = self.context.fit((), self.noise_model, starts, tolerance=FINE)
+        self.null = self.judged(fit)
         self.pool[self.null.key] = self.null
         return self.null
 
@@ -326,6 +370,7 @@ class Search:
     def beside(self, parents: Iterable[Hypothesis], most: int | None = None) -> None:
         """Fit each hypothesis of ``parents`` with one more effect, and add the results to the pool.
 
+        All hypotheses are fitted roughly first. Those that are not improbable are then fitted to the optimum.
         If ``most`` is given, only this number of the most promising combinations is fitted.
         """
         context = self.context
@@ -342,16 +387,18 @@ class Search:
         apart = [effects for effects in acting if context.affected(effects).model.together == 1]
         self.prepared(apart, share=FITTED / RUNS)
 
-        def one(item: tuple[Hypothesis, Tried]) -> Optimum:
-            return self.fitted(*item)
+        def one(item: tuple[Hypothesis, Tried]) -> Outcome:
+            return self.outcome(self.fitted(*item))
 
         for (parent, tried), found in zip(new, map_in_processes(one, new, context.jobs), strict=True):
             effects = (*parent.fit.effects, tried.effect)
-            self.checkpoint.put(self._name(effects), found[0])
-            fit = context.fitted(effects, self.noise_model, found)
-            h = self.judged(fit, tried, parent)
+            self.checkpoint.put(self._name(effects), found.theta)
+            fit = context.at(effects, self.noise_model, found.theta, found.cost)
+            h = self.judged(fit, tried, parent, found)
             self.pool[h.key] = h
+            self.hopeless.add(h.key)
             self.step(tried.effect.name)
+        self.finish(ROUGHLY)
 
     def _name(self, effects: Sequence[Effect]) -> str:
         """Return the name under which the optimum of a set of effects is cached.
@@ -362,8 +409,8 @@ class Search:
         own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
         return "+".join([*own, str(len(self.noise_model.random_effects))])
 
-    def fitted(self, parent: Hypothesis, tried: Tried) -> Optimum:
-        """Return the joint optimum of the hypothesis ``parent`` and one more effect.
+    def fitted(self, parent: Hypothesis, tried: Tried) -> Fit:
+        """Return a rough joint fit of the hypothesis ``parent`` and one more effect.
 
         The starting points are the size that the screen predicts, the sizes that reduced the residuals
         without a refit, and the prior means of the coefficients.
@@ -379,13 +426,13 @@ class Search:
         kept = self.checkpoint.get(self._name(effects))
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
-        fit = context.multistart(effects, noise_model, starts, warm=parent.fit)
+        fit = context.multistart(effects, noise_model, starts, warm=parent.fit, rough=True)
         if names and not fit.cost <= parent.fit.cost:
             # An added effect cannot increase the cost, because its null value gives the model without the
             # effect. If the cost is larger, start again at the null value.
             null = context.start(effects, noise_model, parent.fit)
-            fit = context.multistart(effects, noise_model, [null], warm=parent.fit)
-        return fit.optimum
+            fit = context.multistart(effects, noise_model, [null], warm=parent.fit, rough=True)
+        return fit
 
     def without(self, h: Hypothesis, effect: Effect) -> Hypothesis:
         """Refit a hypothesis without one of its effects, and return the smaller hypothesis.
@@ -399,7 +446,8 @@ class Search:
         known = self.pool.get(h.key - {id(effect)})
         if known is None:
             starts = [context.start(rest, noise_model, fit) for fit in (h.fit, self.null.fit)]
-            found = self.judged(context.multistart(rest, noise_model, starts, warm=h.fit))
+            fit = context.multistart(rest, noise_model, starts, warm=h.fit)
+            found = self.judged(fit)
             self.pool[found.key] = found
             return found
         others = [o for o in self.pool.values() if known.key < o.key and o.fit.cost < known.fit.cost]
@@ -410,7 +458,7 @@ class Search:
             starts = [context.start(rest, noise_model, o.fit) for o in sorted(new, key=lambda o: o.fit.cost)]
             again = context.multistart(rest, noise_model, starts, warm=h.fit)
             if again.cost < known.fit.cost:
-                self._refitted(known, again.optimum)
+                self._refitted(known, self.outcome(again))
         return self.pool[known.key]
 
     def lessened(self) -> Posterior:
@@ -492,7 +540,7 @@ class Search:
         self.pool.clear()
         self.begin(context.start((), noise_model, null.fit))
 
-        def one(h: Hypothesis) -> Optimum:
+        def one(h: Hypothesis) -> Outcome:
             effects = h.fit.effects
             problem = context.problem(effects, noise_model.random_effects)
             sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
@@ -505,7 +553,7 @@ class Search:
 
             def settled(starts: list[Array]) -> Fit:
                 if h.names not in far:
-                    return context.multistart(effects, noise_model, starts, warm=self.null.fit, finalists=1)
+                    return context.multistart(effects, noise_model, starts, warm=self.null.fit)
                 ends = [starts[0], *starts[1:][-1:]]
                 return context.fit(effects, noise_model, ends, iterations=FEW, warm=self.null.fit)
 
@@ -514,44 +562,50 @@ class Search:
                 # An effect cannot increase the cost, because its null value gives the model without the
                 # effect. If the cost is larger, start again at the null value.
                 fit = settled([context.start(effects, noise_model, self.null.fit)])
-            return fit.optimum
+            return self.outcome(fit)
 
         # Fit parents before the hypotheses that are evaluated relative to them.
         old = sorted((h for h in kept if h.fit.effects), key=lambda h: len(h.fit.effects))
         self.hopeless = {h.key for h in old if h.names in far}
-        for h, optimum in zip(old, map_in_processes(one, old, self.context.jobs), strict=True):
+        for h, refit in zip(old, map_in_processes(one, old, self.context.jobs), strict=True):
             if h.tried is not None:
                 self.step(h.tried.effect.name)
-            self._refitted(h, optimum)
+            self._refitted(h, refit)
 
-    def finish(self) -> None:
-        """Complete the early-stopped fits of hypotheses that are no longer improbable."""
+    def finish(self, improbable: float = HOPELESS) -> None:
+        """Complete the early-stopped fits of hypotheses that are not improbable.
+
+        Parameters
+        ----------
+        improbable : float
+            Maximum posterior probability of an improbable hypothesis, divided by the largest one.
+        """
         context, noise_model = self.context, self.noise_model
 
-        def one(h: Hypothesis) -> Optimum:
-            problem = context.problem(h.fit.effects, noise_model.random_effects)
-            starts = context.begins(problem, h.fit.theta)
-            return context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS).optimum
+        def one(h: Hypothesis) -> Outcome:
+            starts = [h.fit.theta]
+            fit = context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS)
+            return self.outcome(fit)
 
         while True:
             found = self.weighed().sets
-            least = HOPELESS * max(found.values(), default=0.0)
+            least = improbable * max(found.values(), default=0.0)
             wanted = [
                 h for key, h in self.pool.items() if key in self.hopeless and found.get(h.names, 0.0) > least
             ]
             if not wanted:
                 return
-            for h, optimum in zip(wanted, map_in_processes(one, wanted, self.context.jobs), strict=True):
-                self._refitted(h, optimum)
+            for h, refit in zip(wanted, map_in_processes(one, wanted, self.context.jobs), strict=True):
+                self._refitted(h, refit)
                 self.hopeless.discard(h.key)
 
-    def _refitted(self, h: Hypothesis, optimum: Optimum) -> None:
+    def _refitted(self, h: Hypothesis, found: Outcome) -> None:
         """Replace a hypothesis in the pool by the same hypothesis at another optimum."""
-        fit = self.context.fitted(h.fit.effects, self.noise_model, optimum)
         parent = None
         if h.tried is not None:
             parent = self.pool.get(h.key - {id(h.tried.effect)})
-        self.pool[h.key] = self.judged(fit, h.tried, parent)
+        fit = self.context.at(h.fit.effects, self.noise_model, found.theta, found.cost)
+        self.pool[h.key] = self.judged(fit, h.tried, parent, found)
         self.screens.pop(h.key, None)
         self.null = self.pool[frozenset()]
 
@@ -568,8 +622,7 @@ class Search:
     @property
     def record(self) -> Record:
         """Return the size of the data set: numbers of residuals, folds and effects."""
-        residuals = self.null.fit.residuals
-        return Record(float(sum(len(r) for r in residuals)), self.context.folds.count, self.count)
+        return Record(float(sum(self.null.fit.problem.counts)), self.context.folds.count, self.count)
 
     def _candidate(self, h: Hypothesis) -> Candidate:
         # All per-trial parameters of one effect, for example its cosine and sine amplitudes, count as one
@@ -577,9 +630,8 @@ class Search:
         mine = [n for n in h.fit.labels if _belongs(n, h.fit.effects)]
         kinds = {n.split("/")[0] if "[" in n else n for n in mine}
         slow = None
-        if self.noise_model.long_memory is not None:
-            inner = crossval.normal_equations(self.context, h.fit, self.noise_model.long_memory)
-            slow = float(crossval.projected(inner)[-1, -1]) + self.penalty(h.fit)
+        if h.slow is not None:
+            slow = h.slow + self.penalty(h.fit)
         return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
@@ -637,7 +689,7 @@ class Search:
         if found is None:
             parameters = effect.parameters(self.context.model, self.context.trials)
             null = np.array([p.start for p in parameters])
-            signature = [np.zeros(len(r)) for r in base.fit.residuals]
+            signature = [np.zeros(count) for count in base.fit.problem.counts]
             found = Tried(effect, parameters, null, np.zeros(self.context.folds.count), 1.0, signature)
         return found
 
@@ -670,6 +722,9 @@ def context_of(given: FitContext, effects: Sequence[Effect]) -> tuple[FitContext
     if model is not fine and coarser(fine, own, context.trials) is None:
         context = given.replaced(fine, context.trials)
         noise_model, fit = weigh(context)
+    if context.model is not fine and fine.swimmer is not None:
+        # The model with the original step is not simulated any more.
+        fine.swimmer.forget(context.trials)
     noise_model, _ = see(context, fit, noise_model, fit.residuals, effects, len(fit.labels))
     return context, noise_model, fit, dropouts
 

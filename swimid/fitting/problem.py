@@ -8,8 +8,11 @@ well enough for them. Tests compare the optima of both methods.
 
 from __future__ import annotations
 
+import ctypes
 import math
 import multiprocessing
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,7 +35,10 @@ NEAR = 0.01
 #: Value of the weighted residual of a sample that the model cannot simulate.
 BROKEN = 1e6
 #: Number of latest points of a search whose simulations are cached.
-KEPT = 5
+KEPT = 12
+#: Maximum number of columns of a block of derivatives whose products are computed without BLAS. For few
+#: columns, waking the threads of BLAS takes longer than the multiplication.
+FEW_COLUMNS = 8
 
 
 class Box(NamedTuple):
@@ -41,6 +47,81 @@ class Box(NamedTuple):
     lower: Array
     upper: Array
     scale: Array
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Derivatives of residuals, without the columns that are zero in all rows of a trial.
+
+    The cost of its products grows with the number of trials, and not with its square.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Numbers of residuals and of unknowns.
+    parts : list of (slice, ndarray of int, ndarray)
+        Rows, columns and derivatives of each block. Each row is in one block.
+    """
+
+    shape: tuple[int, int]
+    parts: list[tuple[slice, NDArray[np.intp], Array]]
+
+    @classmethod
+    def of(cls, derivatives: Array | Blocks) -> Blocks:
+        """Return the derivatives as blocks. A whole matrix is one block."""
+        if isinstance(derivatives, Blocks):
+            return derivatives
+        count, width = derivatives.shape
+        return cls((count, width), [(slice(0, count), np.arange(width), derivatives)])
+
+    def scaled(self, scale: Array) -> Blocks:
+        """Return the derivatives multiplied by one factor for each unknown."""
+        return Blocks(self.shape, [(own, at, part * scale[at]) for own, at, part in self.parts])
+
+    def along(self, step: Array) -> Array:
+        """Return the change of the residuals by a step, shape (n,)."""
+        found = np.zeros(self.shape[0])
+        for own, at, part in self.parts:
+            found[own] = part @ step[at]
+        return found
+
+    def gradient(self, residuals: Array) -> Array:
+        """Return the product of the transposed derivatives and residuals, shape (p,)."""
+        found = np.zeros(self.shape[1])
+        for own, at, part in self.parts:
+            found[at] += _product(part, residuals[own])
+        return found
+
+    def normal(self) -> Array:
+        """Return the product of the transposed derivatives and the derivatives, shape (p, p)."""
+        found = np.zeros((self.shape[1],) * 2)
+        for _, at, part in self.parts:
+            found[at[:, None], at] += _product(part, part)
+        return found
+
+    def updated(self, off: Array, step: Array, weights: Array) -> Blocks:
+        """Return the derivatives after a secant update of each block.
+
+        Parameters
+        ----------
+        off : ndarray, shape (n,)
+            Difference between the residuals after the step and their linear prediction.
+        step, weights : ndarray, shape (p,)
+            Step, and weight of each unknown in the length of the step.
+        """
+        parts = []
+        for own, at, part in self.parts:
+            along = step[at] * weights[at]
+            length = float(along @ step[at])
+            parts.append((own, at, part + np.outer(off[own], along / length) if length > 0 else part))
+        return Blocks(self.shape, parts)
+
+
+def _product(part: Array, other: Array) -> Array:
+    """Return the product of a transposed block and residuals or the block itself."""
+    if part.shape[1] <= FEW_COLUMNS:
+        return np.einsum("ij,i...->j...", part, other)
+    return np.asarray(part.T @ other)
 
 
 class Problem:
@@ -67,6 +148,8 @@ class Problem:
         Names of the channels of each trial that have samples.
     masks, sd : list of list of ndarray, each shape (n_k,)
         Arrays by trial and channel: a mask of the existing samples, and their standard deviations.
+    counts : list of int
+        Number of residuals of each trial.
     start, lower, upper, scale : ndarray, shape (p,)
         Start values, bounds and typical scales of the unknowns.
     evaluations : int
@@ -126,7 +209,8 @@ class Problem:
         starts = np.array([start for _, _, _, start in unknowns], dtype=float)
         self.start = np.clip(starts, self.lower, self.upper)
         self._measured = [self.stacked(k, t.measured) for k, t in enumerate(self.trials)]
-        ends = np.cumsum([len(values) for values in self._measured])
+        self.counts = [len(values) for values in self._measured]
+        ends = np.cumsum(self.counts)
         # Store for each trial the rows of its residuals and the columns of its unknowns in the Jacobian.
         self._blocks = [
             (slice(end - len(values), end), numbers)
@@ -134,7 +218,7 @@ class Problem:
         ]
         self._simulated: dict[bytes, list[dict[str, Array]]] = {}
         self._slopes: tuple[Array, bool, list[Array]] | None = None
-        self._held: dict[str, list[Array]] = {}
+        self._held: list[dict[str, Array]] = [{} for _ in self.trials]
         self._weights: dict[int, tuple[list[Array], Array]] = {}
         self._typical_s = math.inf
 
@@ -196,14 +280,20 @@ class Problem:
         parts = [self.whiten(k, self.trial_residuals(theta, k)) for k in range(len(self.trials))]
         return np.concatenate([*parts, root @ (theta - mean)])
 
+    def blocks(self, theta: Array) -> Blocks:
+        """Return the derivatives of :meth:`residuals`: a block for each trial, and one for the prior."""
+        _, root = self.prior
+        parts = [(*self._blocks[k], self.whiten(k, rows)) for k, rows in enumerate(self.own_jacobians(theta))]
+        end = sum(self.counts)
+        shape = end + len(root), len(theta)
+        return Blocks(shape, [*parts, (slice(end, shape[0]), np.arange(len(theta)), root)])
+
     def jacobian(self, theta: Array) -> Array:
         """Return the derivatives of :meth:`residuals`, shape (n, p)."""
-        _, root = self.prior
-        count = sum(len(values) for values in self._measured)
-        found = np.zeros((count + len(root), len(theta)))
-        found[count:] = root
-        for k, rows in enumerate(self.own_jacobians(theta)):
-            found[self._blocks[k]] = self.whiten(k, rows)
+        blocks = self.blocks(theta)
+        found = np.zeros(blocks.shape)
+        for own, at, part in blocks.parts:
+            found[own, at] = part
         return found
 
     def trial_jacobians(self, theta: Array, *, central: bool = False) -> list[Array]:
@@ -228,21 +318,26 @@ class Problem:
         slopes = self._derivatives(theta, central)
         return [-self.sample_weights(k)[:, None] * rows for k, rows in enumerate(slopes)]
 
-    def hold_derivatives(self, labels: Sequence[str], rows: Sequence[Array]) -> None:
-        """Use given derivatives with respect to some unknowns in place of computed ones.
+    def hold_derivatives(self, other: Problem, derivatives: Sequence[Array]) -> None:
+        """Use the derivatives of another problem with the same trials in place of computed ones.
 
-        Without labels, all derivatives are computed again.
+        They replace the derivatives with respect to the unknowns that both problems have.
 
         Parameters
         ----------
-        rows : sequence of ndarray, each shape (n_k, len(labels))
-            Derivatives of the simulated samples of each trial, multiplied by the current weights.
+        derivatives : sequence of ndarray, each shape (n_k, m_k)
+            Derivatives of the simulated samples of each trial with respect to the unknowns that affect it,
+            multiplied by the current weights.
         """
-        weights = [self.sample_weights(k) for k in range(len(self.trials))]
         self._slopes = None
-        self._held = {
-            label: [r[:, j] / w for r, w in zip(rows, weights, strict=True)] for j, label in enumerate(labels)
-        }
+        for k, (_, numbers) in enumerate(other.taken):
+            columns = np.ascontiguousarray((derivatives[k] / self.sample_weights(k)[:, None]).T)
+            self._held[k] = {other.labels[j]: column for j, column in zip(numbers, columns, strict=True)}
+
+    def release_derivatives(self) -> None:
+        """Compute all derivatives again, also those of :meth:`hold_derivatives`."""
+        self._slopes = None
+        self._held = [{} for _ in self.trials]
 
     def solve(self, theta: Array, *, secant: bool = False, **settings: Any) -> Solution:
         """Minimise the sum of squared residuals inside the bounds, from ``theta`` on.
@@ -254,18 +349,7 @@ class Problem:
         secant : bool
             Whether to update the Jacobian from step to step by the secant method, for each trial separately.
         """
-
-        def update(rows: Array, off: Array, step: Array, weights: Array) -> Array:
-            for part, columns in self._blocks:
-                along = step[columns] * weights[columns]
-                length = float(along @ step[columns])
-                if length > 0:
-                    rows[part, columns] += np.outer(off[part], along / length)
-            return rows
-
-        if secant:
-            settings["secant"] = update
-        return minimise(self.residuals, self.jacobian, theta, self.box, **settings)
+        return minimise(self.residuals, self.blocks, theta, self.box, secant=secant, **settings)
 
     def sample_weights(self, k: int) -> Array:
         """Return the factors from errors to weighted residuals of the samples of a trial, shape (n_k,)."""
@@ -328,7 +412,7 @@ class Problem:
         # Order the simulations by trial, so that simulations of one trial can share the computed motion of
         # its drive.
         for k, (_, numbers) in enumerate(self.taken):
-            for j in (j for j in numbers if self.labels[j] not in self._held):
+            for j in (j for j in numbers if self.labels[j] not in self._held[k]):
                 points += [(moved[j], k) for moved in (ahead, back)[: 1 + both[j]]]
         moves = iter(self.simulated(points))
         width = (theta + steps) - np.where(both, theta - steps, theta)
@@ -337,8 +421,8 @@ class Problem:
             columns = np.empty((len(numbers), len(here[k])))
             with np.errstate(over="ignore", invalid="ignore"):
                 for column, j in zip(columns, numbers, strict=True):
-                    if self.labels[j] in self._held:
-                        column[:] = self._held[self.labels[j]][k]
+                    if self.labels[j] in self._held[k]:
+                        column[:] = self._held[k][self.labels[j]]
                         continue
                     column[:] = self.stacked(k, next(moves))
                     column -= self.stacked(k, next(moves)) if both[j] else here[k]
@@ -405,9 +489,6 @@ MAX_SECANT_STEPS = 5
 STILL = "cost and parameters no longer change"
 STUCK = "no step lowers the cost"
 KINKED = "no step lowers the cost though the gradient does not vanish"
-#: Maximum number of columns of a Jacobian whose products are computed without BLAS. For few columns, waking
-#: the threads of BLAS takes longer than the multiplication.
-FEW_COLUMNS = 16
 
 #: Type of a function that watches a search. It is called with parameters, cost and iteration at the start and
 #: after each step that lowers the cost. It returns a reason to end the search, or None.
@@ -441,14 +522,14 @@ class _Tried(NamedTuple):
 @np.errstate(over="ignore", invalid="ignore")
 def minimise(
     residuals: Callable[[Array], Array],
-    jacobian: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array | Blocks],
     start: Array,
     box: Box,
     *,
     tolerance: float = 1e-10,
     max_iterations: int = 200,
     watch: Watch | None = None,
-    secant: Callable[[Array, Array, Array, Array], Array] | None = None,
+    secant: bool = False,
 ) -> Solution:
     """Minimise a sum of squares within bounds.
 
@@ -456,6 +537,7 @@ def minimise(
     ----------
     residuals : callable, (p,) -> (n,)
     jacobian : callable, (p,) -> (n, p)
+        The derivatives are a matrix or :class:`Blocks`.
     start : ndarray, shape (p,)
     box : Box
         Bounds and typical scales of the parameters.
@@ -463,12 +545,10 @@ def minimise(
         The search ends if neither the cost nor the parameters change by more than this fraction.
     watch : callable, optional
         Function that is called after each step and may end the search (:data:`Watch`).
-    secant : callable, (n, p), (n,), (p,), (p,) -> (n, p)
-        Function that updates the Jacobian after a step. Its arguments are the Jacobian before the step, the
-        difference between the residuals and their linear prediction, the step, and the weight of each
-        parameter in the length of the step. Parameters are in typical scales. With such a function, a new
-        Jacobian is computed only if a step falls short of its prediction [1]_ [2]_, and such a step is also
-        corrected for curvature. Use it if derivatives are expensive.
+    secant : bool
+        Whether the Jacobian is updated after a step by the secant method. A new Jacobian is then computed
+        only if a step falls short of its prediction [1]_ [2]_, and such a step is also corrected for
+        curvature. Use it if derivatives are expensive.
 
     Notes
     -----
@@ -493,9 +573,9 @@ def minimise(
     damping, growth, age, renew = 1e-3, 2.0, 0, True
     for iteration in range(1, max_iterations + 1):
         if renew:
-            rows, age = jacobian(x) * scale, 0
+            rows, age = Blocks.of(jacobian(x)).scaled(scale), 0
         renew = True
-        gradient, normal = _products(rows, r)
+        gradient, normal = rows.gradient(r), rows.normal()
         blocked = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
         free = ~blocked
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -510,15 +590,15 @@ def minimise(
             predicted = -float(2 * taken @ gradient + taken @ normal @ taken)
             tried = attempt(x, taken)
             short = cost - tried.cost < MIN_AGREEMENT * predicted and np.isfinite(tried.cost)
-            if secant is not None and short:
+            if secant and short:
                 # Correct the step for curvature if the correction is short and lowers the cost.
-                bend = rows.T @ (tried.residuals - r - rows @ taken)
+                bend = rows.gradient(tried.residuals - r - rows.along(taken))
                 bent = solve(bend, low=low - taken, high=high - taken)
                 if np.linalg.norm(bent * size) <= MAX_CORRECTION * np.linalg.norm(taken * size):
                     tried = min(tried, attempt(x, taken + bent), key=lambda t: t.cost)
             small = bool(np.all(np.abs(tried.step) <= tolerance * (np.abs(x / scale) + tolerance)))
             if tried.cost < cost:
-                lowered, off = cost - tried.cost, tried.residuals - r - rows @ tried.step
+                lowered, off = cost - tried.cost, tried.residuals - r - rows.along(tried.step)
                 gain = lowered / predicted if predicted > 0 else 0.0
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
                 growth = 2.0
@@ -531,7 +611,7 @@ def minimise(
                 if reason is not None:
                     return Solution(x, cost, True, reason, iteration)
                 if secant and gain > SECANT_AGREEMENT and age < MAX_SECANT_STEPS and not still:
-                    rows, age, renew = secant(rows, off, tried.step, size**2), age + 1, False
+                    rows, age, renew = rows.updated(off, tried.step, size**2), age + 1, False
                 break
             if age:
                 # Compute new derivatives, because the secant updates may be the reason why the cost does not
@@ -550,13 +630,6 @@ def _attempt(residuals: Callable[[Array], Array], box: Box, x: Array, step: Arra
     there = np.clip(x + step * box.scale, box.lower, box.upper)
     r = residuals(there)
     return _Tried(step, there, r, float(np.nan_to_num(r @ r, nan=math.inf, posinf=math.inf)))
-
-
-def _products(rows: Array, r: Array) -> tuple[Array, Array]:
-    """Return ``J' r`` and ``J' J`` of a Jacobian J and residuals r, shapes (p,) and (p, p)."""
-    if rows.shape[1] <= FEW_COLUMNS:
-        return np.einsum("ij,i->j", rows, r), np.einsum("ij,ik->jk", rows, rows)
-    return rows.T @ r, rows.T @ rows
 
 
 def _step(
@@ -646,6 +719,8 @@ class Patience:
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
+#: Option of the Linux system call ``prctl`` that selects the signal at the end of the parent process.
+PR_SET_PDEATHSIG = 1
 #: Function and items that the process pool works on. Forked processes inherit them.
 _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
@@ -655,8 +730,9 @@ def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jo
 
     On Linux the items are divided among forked processes. Threads would not help, because most of a
     simulation is Python code, which threads do not run simultaneously. A forked process starts with
-    everything in memory. Only results are sent back; other changes that the function makes are lost. On other
-    systems forking is not safe, and one process is used.
+    everything in memory. Only results are sent back; other changes that the function makes are lost. The
+    processes end with this process, also if it is killed. On other systems forking is not safe, and one
+    process is used.
     """
     global _work
     items = list(items)
@@ -666,10 +742,18 @@ def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jo
     _work = function, items
     try:
         context = multiprocessing.get_context("fork")
-        with ProcessPoolExecutor(min(jobs, len(items)), mp_context=context) as pool:
+        count, own = min(jobs, len(items)), (os.getpid(),)
+        with ProcessPoolExecutor(count, mp_context=context, initializer=_end_with, initargs=own) as pool:
             yield from pool.map(_one, range(len(items)))
     finally:
         _work = None
+
+
+def _end_with(parent: int) -> None:
+    """Let this process be killed when its parent process ends (``man prctl``)."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def _one(index: int) -> Any:

@@ -30,9 +30,9 @@ Servos = tuple[tuple[float, float] | None, ...]
 SERVO_RTOL = 1e-10
 #: Maximum number of cached joint motions per trial. The finite differences of a Jacobian use the same few
 #: motions again and again.
-MAX_MOTIONS = 12
+MAX_MOTIONS = 2
 #: Maximum number of cached commanded motions per trial.
-MAX_COMMANDS = 4
+MAX_COMMANDS = 2
 #: Time step at which the commanded joint angles are sampled, s.
 READ_S = 0.0025
 #: Knot spacing of the B-spline kernel that smooths the deviation of an actuator from its command, in s, and
@@ -183,7 +183,9 @@ class DrivenJoints:
         """
         if trial.swim.measured:
             hooks = NONE
-        named = dict(zip(self._names, values, strict=False))
+        named = {}
+        if any(self._servos):
+            named = dict(zip(self._names, values, strict=False))
         servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
         key = (grid, phase_rad, servos, hooks.command_key)
         found = self._motions.get(trial.id, key) or self._moved(trial, grid, phase_rad, servos, hooks)

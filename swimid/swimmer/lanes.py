@@ -26,7 +26,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -810,8 +810,10 @@ class Kernel:
                 self.module.integrate.compile(self.module.SIGNATURE)
             return self.module
 
-    def run(self, runs: Sequence[tuple[Array, float, Array, Mapping[str, Any]]]) -> list[tuple[Array, Array]]:
-        """Integrate simulations, and return the states and rates of each, as ``engine.integrate`` does.
+    def run(
+        self, runs: Sequence[tuple[Array, float, Array, Mapping[str, Any]]]
+    ) -> Iterator[tuple[int, tuple[Array, Array]]]:
+        """Integrate simulations, and yield the index, the states and the rates of each.
 
         Parameters
         ----------
@@ -819,12 +821,13 @@ class Kernel:
             Initial state, step (s), motion of the driven joints, shape (2 steps + 1, driven joints, 5), and
             input arrays of each simulation, for which :meth:`fits` must be true.
 
-        Returns
-        -------
-        list of (states, rates), each shape (steps + 1, size)
+        Yields
+        ------
+        index, (states, rates)
+            States and rates, shape (steps + 1, size), as ``engine.integrate`` returns them. They are parts of
+            the results of a batch. Copy them before they are kept, so that they do not keep the whole batch.
         """
         module, traced = self.compiled(), self.traced
-        found: dict[int, tuple[Array, Array]] = {}
         # put simulations of similar length into the same batch
         order = sorted(range(len(runs)), key=lambda k: len(runs[k][2]))
         for first in range(0, len(order), LANES):
@@ -832,6 +835,8 @@ class Kernel:
             full = [runs[k] for k in [*batch, *[batch[0]] * (LANES - len(batch))]]
             starts, steps_s, drives, tables = zip(*full, strict=True)
             steps = [(len(drive) - 1) // 2 for drive in drives]
+            # simulations at the same coefficients have the same input arrays
+            numbers = {id(t): self.numbers(t) for t in {id(t): t for t in tables}.values()}
             states, rates = self._buffer((2, len(batch), max(steps) + 1, self.size))
             module.integrate(
                 np.stack(starts, axis=-1).reshape(-1),
@@ -839,14 +844,13 @@ class Kernel:
                 *(np.ascontiguousarray(drive).reshape(len(drive), -1) for drive in drives),
                 all(drive is drives[0] for drive in drives),
                 max(steps),
-                np.stack([self.numbers(t) for t in tables], axis=-1).reshape(-1),
+                np.stack([numbers[id(t)] for t in tables], axis=-1).reshape(-1),
                 states,
                 rates,
                 np.empty(length(traced)),
             )
             for j, k in enumerate(batch):
-                found[k] = states[j, : steps[j] + 1], rates[j, : steps[j] + 1]
-        return [found[k] for k in range(len(runs))]
+                yield k, (states[j, : steps[j] + 1], rates[j, : steps[j] + 1])
 
     def _buffer(self, shape: tuple[int, ...]) -> Array:
         """Return an uninitialised array in memory that no result uses any more.
@@ -1074,8 +1078,13 @@ class Kernels:
         tables = self.wide.widened(run.tables, run.hooks.force, frame(run), run.grid.begin_s)
         return None if tables is None else (self.wide, tables)
 
-    def run(self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]) -> dict[Any, tuple[Array, Array]]:
-        """Return states and rates of the simulations that the kernels can compute, by key of ``runs``."""
+    def run(
+        self, runs: Mapping[Any, Run], frame: Callable[[Run], Array]
+    ) -> Iterator[tuple[Any, tuple[Array, Array]]]:
+        """Yield key, states and rates of the simulations that the kernels can compute.
+
+        The results are those of :meth:`Kernel.run`.
+        """
         taken: dict[Kernel, dict[Any, tuple[Array, float, Array, Mapping[str, Any]]]] = {}
         for key, run in runs.items():
             choice = self.choose(run, frame)
@@ -1083,7 +1092,7 @@ class Kernels:
                 kernel, tables = choice
                 own = taken.setdefault(kernel, {})
                 own[key] = run.start, run.grid.step_s, run.drive.table, tables
-        found: dict[Any, tuple[Array, Array]] = {}
         for kernel, own in taken.items():
-            found.update(zip(own, kernel.run(list(own.values())), strict=True))
-        return found
+            keys = list(own)
+            for k, result in kernel.run(list(own.values())):
+                yield keys[k], result

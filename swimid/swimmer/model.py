@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
 from swimid.notices import Progress, silent
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
 #: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the
 #: clock offset, needs no new simulation.
-MAX_TRAJECTORIES = 4
+MAX_TRAJECTORIES = 2
 
 
 #: Placeholder for the joint motion of a simulation whose trajectory is cached.
@@ -62,7 +64,7 @@ class Run:
         Parameters of the model. They include the coefficients that the entry of the trial sets.
     trial : Trial
     hooks : Hooks
-    key : bytes
+    key : hashable
         Cache key. Simulations of a trial with equal keys have equal trajectories.
     grid : Grid
     kept : Trajectory or None
@@ -77,7 +79,7 @@ class Run:
     values: Array
     trial: Trial
     hooks: Hooks
-    key: bytes
+    key: Hashable
     grid: Grid
     kept: Trajectory | None
     start: Array = field(default_factory=lambda: np.empty(0))
@@ -163,7 +165,11 @@ class Swimmer(Model):
         self.channels = _channels(self)
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         views = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
-        self._dynamic = [i for i, p in enumerate(self.parameters) if p.name not in views]
+        self._dynamic = np.array([i for i, p in enumerate(self.parameters) if p.name not in views])
+        self._angles, self._speeds = (
+            np.array([self._at[f"initial_{word}_{axis.name}"] for axis in self.passive], dtype=int)
+            for word in ("angle", "rate")
+        )
         self.joints = DrivenJoints(self.driven, self.tree.names, self._mounts())
         self.kernels = Kernels(self.engine, self.tree.tables, len(self.coefficients), self._room)
         self._trajectories: TrialCache[Trajectory] = TrialCache(MAX_TRAJECTORIES)
@@ -208,7 +214,7 @@ class Swimmer(Model):
         """Return the indices, in a state vector, of base angles that affect the motion."""
         return []
 
-    def influences(self, hooks: Hooks) -> list[int]:
+    def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
         return self._dynamic
 
@@ -344,13 +350,10 @@ class Swimmer(Model):
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
-
-        def seen(run: tuple[Array, Trial, Hooks], found: Trajectory | None) -> dict[str, Array] | None:
-            return None if found is None else self._at_samples(*run, found)
-
-        simulated = zip(runs, self._simulated(runs), strict=True)
-        channels = unless_broken(seen, [(run, trajectory) for run, (_, trajectory) in simulated])
-        return [own or self.broken_down(trial) for own, (_, trial, _) in zip(channels, runs, strict=True)]
+        channels: dict[int, dict[str, Array] | None] = {}
+        for k, _, trajectory in self._simulated(runs):
+            (channels[k],) = unless_broken(self._at_samples, [(*runs[k], trajectory)])
+        return [channels.get(k) or self.broken_down(trial) for k, (_, trial, _) in enumerate(runs)]
 
     def with_energetics(
         self,
@@ -375,20 +378,21 @@ class Swimmer(Model):
         """
         acting = hooks or [NONE] * len(runs)
         asked = [(values, trial, own) for (values, trial), own in zip(runs, acting, strict=True)]
-        found: list[tuple[dict[str, Array], Energetics | None]] = []
-        for (run, trajectory), one, length_s in zip(self._simulated(asked), asked, last_s, strict=True):
-            if run is None or trajectory is None or not np.isfinite(trajectory.states[-1]).all():
-                found.append((self.broken_down(one[1]), None))
-                continue
-            found.append((self._at_samples(*one, trajectory), _energetics(self, run, trajectory, length_s)))
-        return found
+        found: dict[int, tuple[dict[str, Array], Energetics | None]] = {}
+        for k, run, trajectory in self._simulated(asked):
+            if np.isfinite(trajectory.states[-1]).all():
+                columns = self._at_samples(*asked[k], trajectory)
+                found[k] = columns, _energetics(self, run, trajectory, last_s[k])
+        return [found.get(k) or (self.broken_down(trial), None) for k, (_, trial) in enumerate(runs)]
 
     def trajectory(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Trajectory:
         """Return the simulated trajectory of a trial at the integration steps.
 
         The motion begins at the origin of the world. In flowing water it is relative to the water.
         """
-        return self._trajectories_of([self.request(values, trial, hooks)])[0]
+        request = self.request(values, trial, hooks)
+        ((_, _, found),) = self._trajectories_of([(0, request)])
+        return found
 
     def cruise(self, values: Array, trial: Trial, hooks: Hooks = NONE) -> Cruise | None:
         """Return the steady swimming of the model under the drive of a trial, with effects.
@@ -421,7 +425,7 @@ class Swimmer(Model):
             for name, value in trial.swim.coefficients.items():
                 values[self._at[name]] = value
         grid = self._grid(values, trial, hooks)
-        key = values[self.influences(hooks)].tobytes() + hooks.key + np.array(grid).tobytes()
+        key = values[self.influences(hooks)].tobytes(), hooks.key, grid
         kept = self._trajectories.get(trial.id, key)
         if kept is not None:
             return Run(values, trial, hooks, key, grid, kept)
@@ -429,10 +433,8 @@ class Swimmer(Model):
         passives = len(self.passive)
         start = np.zeros(self.coordinates + self.speeds + 2 * passives)
         self._begin(start, values, trial, grid.begin_s, hooks)
-        for k, axis in enumerate(self.passive):
-            start[self.coordinates + k] = self.value(values, f"initial_angle_{axis.name}")
-            rate = self.value(values, f"initial_rate_{axis.name}")
-            start[self.coordinates + passives + self.speeds + k] = rate
+        start[self.coordinates : self.coordinates + passives] = values[self._angles]
+        start[len(start) - passives :] = values[self._speeds]
         tables = self._tables(values, hooks)
         run = Run(values, trial, hooks, key, grid, None, start, motion, tables)
         return replace(run, start=self.steady.initial_state(run)) if trial.swim.steady else run
@@ -474,31 +476,48 @@ class Swimmer(Model):
         """Return the value of a parameter, or 0 if the model does not have the parameter."""
         return float(values[self._at[name]]) if name in self._at else 0.0
 
-    def _simulated(
-        self, runs: Sequence[tuple[Array, Trial, Hooks]]
-    ) -> list[tuple[Run | None, Trajectory | None]]:
-        """Simulate trials with effects, and return the request and the trajectory of each.
+    def _simulated(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> Iterator[tuple[int, Run, Trajectory]]:
+        """Simulate trials with effects, and yield the index, the request and the trajectory of each.
 
-        Both are None if the simulation breaks down before its first step.
+        A simulation that breaks down before its first step is left out.
         """
-        asked = unless_broken(self.request, runs)
-        trajectories = iter(self._trajectories_of([run for run in asked if run is not None]))
-        return [(run, None if run is None else next(trajectories)) for run in asked]
+        asked = enumerate(unless_broken(self.request, runs))
+        yield from self._trajectories_of([(k, run) for k, run in asked if run is not None])
 
-    def _trajectories_of(self, runs: Sequence[Run]) -> list[Trajectory]:
-        """Return the trajectory of each requested simulation. Requests with equal keys are simulated once."""
-        trajectories = {(run.trial.id, run.key): run.kept for run in runs if run.kept is not None}
-        missing = {(run.trial.id, run.key): run for run in runs if run.kept is None}
-        for at, (states, rates) in self.kernels.run(missing, self.frame).items():
-            run = missing.pop(at)
-            trajectories[at] = self._keep(run, states, rates)
-        for at, run in missing.items():
-            trajectories[at] = self._keep(run, *self.integrate(run))
-        return [trajectories[run.trial.id, run.key] for run in runs]
+    def _trajectories_of(self, runs: Sequence[tuple[int, Run]]) -> Iterator[tuple[int, Run, Trajectory]]:
+        """Yield number, request and trajectory of each requested simulation.
 
-    def _keep(self, run: Run, states: Array, rates: Array) -> Trajectory:
-        trajectory = Trajectory(run.grid, states, rates, run.drive)
-        return self._trajectories.put(run.trial.id, run.key, trajectory)
+        A trajectory is yielded as soon as it is known, so that a large batch needs little memory. It is valid
+        until the next one. Requests with equal keys are simulated once.
+        """
+        missing: dict[tuple[str, Hashable], Run] = {}
+        equal: dict[tuple[str, Hashable], list[int]] = {}
+        for k, run in runs:
+            if run.kept is not None:
+                yield k, run, run.kept
+                continue
+            missing.setdefault((run.trial.id, run.key), run)
+            equal.setdefault((run.trial.id, run.key), []).append(k)
+        # the many simulations of one trial for a Jacobian are not needed again
+        counts = Counter(trial for trial, _ in missing)
+        lasting = {trial for trial, count in counts.items() if count <= MAX_TRAJECTORIES}
+        for at, (states, rates) in self._integrated(missing):
+            run = missing[at]
+            trajectory = Trajectory(run.grid, states, rates, run.drive)
+            if run.trial.id in lasting:
+                trajectory = replace(trajectory, states=states.copy(), rates=rates.copy())
+                self._trajectories.put(run.trial.id, run.key, trajectory)
+            yield from ((k, run, trajectory) for k in equal[at])
+
+    def _integrated(
+        self, runs: Mapping[tuple[str, Hashable], Run]
+    ) -> Iterator[tuple[tuple[str, Hashable], tuple[Array, Array]]]:
+        """Yield the states and rates of all simulations, first of those that the kernels can compute."""
+        rest = dict(runs)
+        for at, result in self.kernels.run(runs, self.frame):
+            del rest[at]
+            yield at, result
+        yield from ((at, self.integrate(run)) for at, run in rest.items())
 
     def _grid(self, values: Array, trial: Trial, hooks: Hooks) -> Grid:
         """Return the integration grid of a trial.

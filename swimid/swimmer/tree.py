@@ -406,9 +406,9 @@ class Tree(ABC):
         Returns
         -------
         dict
-            The arrays are cached for later calls with these values. Do not write into them.
+            The result is cached for later calls with these values. Do not change it.
         """
-        return dict(self._evaluated(np.asarray(values, dtype=float).tobytes()))
+        return self._evaluated(np.asarray(values, dtype=float).tobytes())
 
     def _evaluate(self, key: bytes) -> dict[str, Any]:
         """Return the arguments of the engine at the coefficient values whose bytes are ``key``."""

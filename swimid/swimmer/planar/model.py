@@ -750,10 +750,10 @@ class MultilinkModel(Swimmer):
 
     # -------------------------------------------------------- simulation
 
-    def influences(self, hooks: Hooks) -> list[int]:
+    def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
         if self._heading_matters() or hooks.force or hooks.flow:
-            return [*self._dynamic, *(self._at[n] for n in self.starts[2:] if n in self._at)]
+            return np.append(self._dynamic, [self._at[n] for n in self.starts[2:] if n in self._at])
         return self._dynamic
 
     def _heading_matters(self) -> bool:
