@@ -27,7 +27,7 @@ from swimid.logs.sampling import white_noise_sd
 #: Standard deviation of position (m) and yaw (rad) at the first sample, before any observation. It is small
 #: because the first sample defines the origin.
 ORIGIN_SD = 1e-6
-#: Standard deviation of roll and pitch at the first sample, rad.
+#: Standard deviation of roll and pitch at the first sample before any observation, rad.
 START_TILT_SD = 0.05
 #: Maximum number of rests that are excluded one by one because the motion contradicts them. If a
 #: contradiction remains after that, all rests are excluded.
@@ -40,7 +40,8 @@ REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
 #: Correlation times of attitude errors, s: minimum for the quaternions of a sensor, and value for an attitude
 #: filter. Attitudes within this time count as one measurement.
 QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
-#: Maximum normalised residual of a fix, in standard deviations. Fixes with larger residuals are outliers.
+#: Maximum normalised residual of a fix (pose measured by the other log), in standard deviations. Fixes with
+#: larger residuals are outliers.
 GATE = 6.0
 #: Time between successive observations for the smoother, s: of zero velocity in a rest, and of attitude and
 #: top speed.
@@ -123,8 +124,8 @@ class Fixes(Poses):
 class Estimate:
     """Estimated motion of a recording, with the rests that it assumes and its relation to another log."""
 
-    #: Setup with the rests that were used. While two logs are smoothed together, its attitude refers to the
-    #: world axes of the other log.
+    #: Setup of the recording, with the rests that were used. While two logs are smoothed together, its
+    #: attitude refers to the world axes of the other log.
     setup: Setup
     #: State at the first sample before any observation, and standard deviations of its quantities.
     start: State
@@ -586,9 +587,9 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
             starts.append(one)
     attempts = [_at_offset(setup, fixes, start.value_s, held=False) for start in starts]
     free = max(attempts, key=lambda found: found.likelihood)
-    # Use half of the penalty of the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136)
-    # for one additional parameter, the clock offset. Without common fixes, synchronised clocks cannot be
-    # compared with an offset.
+    # Choose an offset over synchronised clocks only if it increases the log-likelihood by more than half of
+    # the penalty of the Bayesian information criterion for one additional parameter (Schwarz 1978,
+    # doi:10.1214/aos/1176344136). Without common fixes the two cannot be compared.
     price = 0.5 * float(np.log(max(fixes.counted.sum(), 1)))
     if abs(free.smoothed.path.clock_s) <= BAND * CLOCK_SD:
         equal = _at_offset(setup, fixes, 0.0, held=True, after=free)

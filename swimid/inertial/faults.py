@@ -306,8 +306,9 @@ CLEAR_UNIT = 0.75
 CLEAR_CONVENTION, MIN_ROTATIONS = 0.5, 16
 #: Criteria for rearranging the axes of the gyroscope: maximum fraction of the rotation of gravity that the
 #: best arrangement leaves unexplained, minimum fraction that the axes as logged leave unexplained, and
-#: maximum ratio of the best to the second-best fraction. A smaller fraction of the axes as logged can be
-#: acceleration (in a yawing swimmer ``u r`` looks like roll).
+#: maximum ratio of the best to the second-best fraction. A smaller unexplained fraction for the axes as
+#: logged can result from acceleration (in a yawing swimmer the centripetal acceleration ``u r`` looks like
+#: roll).
 MAX_BEST, MIN_LOGGED, DECIDED = 0.25, 0.5, 0.7
 #: Maximum turn rate (99th percentile) in a unit that the log does not confirm, rad/s. Faster turn rates cause
 #: a warning.
@@ -500,7 +501,7 @@ def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
     return replace(record, quaternion=None), Finding("quaternions", "refuted", text)
 
 
-#: Tests for faults, in the order in which they run.
+#: Tests for faults of an inertial recording, in the order in which they run.
 TESTS: tuple[Test, ...] = (
     find_stamps,
     find_samples("wild readings", is_wild, MAX_MISSING, "exceed any motion (up to {largest:.4g})"),

@@ -299,7 +299,7 @@ def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
 # ---------------------------------------------------------------- sensor errors
 
 
-#: Conversion factors of units: 1 mg in m/s^2, and 1 degree in rad.
+#: Conversion factors of units: 1 mg (milli-g) in m/s^2, and 1 degree in rad.
 MILLI_G = 1e-3 * GRAVITY_M_S2
 DEG = np.pi / 180
 #: Half-width of a 95 % interval, in standard deviations.
@@ -475,7 +475,7 @@ def _rest(record: Record, first: int, last: int) -> Rest:
 
 @dataclass(frozen=True)
 class Noise:
-    """Spectral densities (square root) of the white noise of an inertial unit."""
+    """Densities of the white noise of accelerometer and gyroscope, per square root of 1 Hz."""
 
     acceleration_m_s2_per_rt_hz: float
     rate_rad_s_per_rt_hz: float

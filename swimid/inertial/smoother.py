@@ -165,7 +165,7 @@ class Errors:
         return drawn
 
 
-@threadpool_limits.wrap(limits=1)  # with matrices of this size threads cost time
+@threadpool_limits.wrap(limits=1)  # threads slow down small matrices
 def smooth_errors(
     start_mean: Array,
     start: Array,
@@ -237,7 +237,7 @@ def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, A
     inverse = np.linalg.inv(spread)
     gain = shared.T @ inverse
     left = np.eye(len(mean)) - gain @ h
-    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form keeps it positive definite
+    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form stays positive definite
     size = len(innovation) * np.log(2 * np.pi) + np.log(np.linalg.det(spread))
     likely = -0.5 * float(size + innovation @ inverse @ innovation)
     return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely

@@ -368,7 +368,7 @@ GRADES: dict[str, tuple[Literal["info", "warn", "fail"], str]] = {
     "handled": ("warn", "SWM080"),
     "refuted": ("fail", "SWM090"),
 }
-#: Names of the checks that fail if they do not pass. Any other check only warns.
+#: Names of the checks that are failures if they do not pass. Any other check is only a warning.
 FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
 
 #: Type of a check before it is evaluated: code of the warning, name, value, limit, whether the check passes,

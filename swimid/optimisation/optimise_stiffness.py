@@ -28,7 +28,8 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
 
-#: Degree of the polynomial of the frequency in a curve of the rule (tendon-fish paper, Algorithm 1).
+#: Degree of the polynomial of the frequency that gives the stiffness at one amplitude (Algorithm 1 of
+#: "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin").
 DEGREE = 2
 #: Radius of the finite differences in the first step and at the end of the final search, as a fraction of the
 #: stiffness range. The final search starts at the best point of a Pareto front.

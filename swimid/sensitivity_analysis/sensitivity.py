@@ -240,7 +240,7 @@ class Study:
 
     @property
     def groups(self) -> dict[str, list[int]]:
-        """Indices in :attr:`columns` of each quantity that more than one trial has, by quantity."""
+        """Indices in :attr:`columns` of the outputs of each quantity that several trials have."""
         groups: dict[str, list[int]] = {}
         for k, (quantity, _, _) in enumerate(self.columns):
             groups.setdefault(quantity, []).append(k)
@@ -278,7 +278,7 @@ def sensitivity(
     """Estimate the sensitivity of the outputs of a robot with links to its coefficients.
 
     By default, the varied coefficients are those that a fit estimates and those with a given range. A
-    parameter file supplies values, standard errors, start states and noise. The indices are valid for the
+    parameter file supplies values, standard errors, initial states and noise. The indices are valid for the
     given ranges only.
 
     Parameters

@@ -47,11 +47,13 @@ MIN_RADII = 1.0
 #: Limits of the standard deviation of the distance between two markers on a rigid body, relative to the
 #: distance. Above the first limit the check warns, and above the second it fails.
 MAX_DISTANCE_SD = (0.02, 0.06)
-#: Minimum fraction of the frames in which a marker must be found.
+#: Minimum fraction of the frames of a film in which a marker is found whole, for a marker that can be
+#: tracked.
 MIN_SHARE = 0.05
 #: Width to which frames are reduced before the motion of the camera is measured, px.
 SCENE_WIDTH = 480
-#: Maximum shift of the scene between frames for a camera that counts as at rest, px of the reduced picture.
+#: Maximum shift of the scene relative to the first frame for a camera at rest, px of a picture that is
+#: reduced to SCENE_WIDTH.
 MAX_SHIFT_PX = 2.0
 #: Pattern of the placeholder for a whole number in a file name, as in the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
@@ -495,7 +497,7 @@ class Blob:
     box: tuple[int, int, int, int]
     #: Difference between the mean colours of the patch and of its background, grey levels.
     contrast: float
-    #: Confidence of the detection, from 0 to 1.
+    #: Confidence of the detection, from 0 to 1 (most confident).
     confidence: float
     #: Mean colour of the patch as HSV on the scale of OpenCV, shape (3,).
     hsv: Array
@@ -721,7 +723,7 @@ class RawTrack:
         return cls(np.array(times), names, x, y, area, confidence, *found, *more)
 
     def select(self, names: list[str]) -> RawTrack:
-        """Return a copy of the track with some of the markers, in the order of ``names``."""
+        """Return a copy of the track with only the markers ``names``, in this order."""
         rows = [self.row(name) for name in names]
         arrays = {key: getattr(self, key)[rows] for key in TRACKED}
         return replace(self, names=names, **arrays)
@@ -795,7 +797,7 @@ class RawTrack:
 
 
 def scene_shifts(frames: Sequence[Frame]) -> Array:
-    """Return the shift of the scene in each frame relative to the first frame.
+    """Return the shift of the scene in each frame of a film relative to the first frame, px.
 
     Parameters
     ----------
@@ -836,7 +838,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         # Corners belong to the scene if their shift is within one pixel of the median shift.
         alike = np.linalg.norm(flow - middle, axis=1) < 1.0
         # The corners of the scene must be half of all corners, and must be in 8 of 4 x 4 cells of the
-        # picture. Otherwise a robot near the camera may contain most of the corners.
+        # picture. Otherwise they may be the corners of a robot near the camera.
         cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
         if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
             out[k] = factor * middle

@@ -116,7 +116,7 @@ class Plane:
         return _map_known(self._backward, x, y)
 
     def variations(self, world: Array) -> Array:
-        """Return the shifts of world points, shape (2, n), by each of the k ``variants``, shape (k, 2, n)."""
+        """Return the shifts of world points that each of the k ``variants`` causes, shape (k, 2, n)."""
         x, y = self.to_image(*world)
         moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
         return np.array(moved).reshape(-1, 2, world.shape[1])
@@ -310,7 +310,7 @@ def _is_on_line(points: Array) -> bool:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Coordinates of a path that were smoothed together, with common noise.
+    """Smoothed coordinates of a path, with velocities, standard deviations and their common noise.
 
     Attributes
     ----------
@@ -899,8 +899,9 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     of the area, the error is at most R e / (1 - e), and less than R. The whole area is the median area on the
     plane, with an uncertainty given by its standard deviation. A sequence of smaller areas counts as hidden
     in two cases. Either two successive areas are smaller than chance explains with probability
-    :data:`FALSE_ALARM` in a film, or one area is :data:`SINGLE_FRAME` times further away. The stricter limit
-    is needed because the codec and the phase of the pixels reduce the areas of single frames.
+    :data:`FALSE_ALARM` in a film, or the deviation of one area exceeds :data:`SINGLE_FRAME` times the
+    deviation with this probability. The stricter limit is needed because the codec and the phase of the
+    pixels reduce the areas of single frames.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.found[marker])
@@ -979,7 +980,7 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
     if pose.angle is not None:
         turn_sd = pose.angle.position_sd[0]
         out[f"{angle_name}_sd_rad"] = turn_sd
-        # Add the error that results from the heading, which mixes surge and sway.
+        # Add the velocity error that results from an error of the heading. This error mixes surge and sway.
         out[f"u_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"{side}_{unit}_s"])
         out[f"{side}_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"u_{unit}_s"])
         out[f"{angle_name}_rate_sd_rad_s"] = pose.angle.velocity_sd[0]

@@ -91,7 +91,7 @@ class Marker(Document):
 
 
 class Heights(Document):
-    """Heights of the camera and of the markers above the plane in which the scale was measured."""
+    """Heights of the camera and of the markers above the plane in which the scale was measured, m."""
 
     camera_m: _Positive
     marker_m: float

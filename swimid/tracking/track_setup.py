@@ -278,8 +278,8 @@ def _from_picks(
     markers = pick_markers(frame, kinds, path=video, index=options.frame)
     run = _try(video, _setup(markers, common), progress)
     if markers[0].number > 1:
-        # Equal markers may belong to several bodies. The second marker gives a heading only if the pair is
-        # rigid.
+        # Use the second marker as tail only if its distance from the first is constant. Markers that look
+        # alike may belong to different bodies.
         separation = distance_change(run.track, *run.setup.roles)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
@@ -332,7 +332,7 @@ class Samples:
     video: Video
     indices: NDArray[np.int64]
     frames: list[Frame]
-    #: Width of a pixel of a reduced frame in pixels of the picture.
+    #: Width of a pixel of a reduced frame, in pixels of the original picture.
     factor: float
     #: Background: median of the frames, in which moving objects are absent.
     background: Frame
@@ -715,8 +715,8 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
-    # If the line between the markers turns by less than this, a bend of the body may explain a change of
-    # their distance.
+    # If the line between the markers turns by less than 60 degrees, a bend of the body may explain a change
+    # of their distance.
     turns = float(np.ptp(heading)) > math.radians(60.0)
 
     def scatter_of(view: Array) -> Array:

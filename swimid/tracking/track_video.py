@@ -379,7 +379,7 @@ def _judged(
 def _graded(
     code: str, name: str, value: str, limit: str, size: float, limits: tuple[float, float], reason: str
 ) -> ev.Check:
-    """Return a check of a value that passes up to the first limit, and fails beyond the second limit."""
+    """Return a check of a value that warns above the first limit and fails above the second limit."""
     return _judged(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
 
 
