@@ -1,11 +1,11 @@
 """Motion of a robot from the readings of an inertial unit: the command ``swimid track imu``.
 
-``record`` reads a recording, and determines what must be known before the motion is estimated: sensor errors,
-rests, mounting and attitude. ``faults`` finds and repairs the faults of the recording. ``smoother``
-integrates the readings to a path, estimates the errors of this path from observations, and computes the
-motion of the reference point of the body. ``estimate`` applies the smoother to the inertial unit alone, or
-together with another log of the same trial after ``alignment`` of the two logs. ``track_imu`` is the command
-with its evidence and with the method of Shang et al. (2012). ``options`` contains its options.
+``record`` reads a recording, and determines sensor errors, rests, mounting and attitude of the sensor before
+the motion is estimated. ``faults`` finds and repairs the faults of the recording. ``smoother`` integrates the
+readings to a path, estimates the errors of this path from observations, and computes the motion of the
+reference point of the body. ``estimate`` applies the smoother to the inertial unit alone, or together with
+another log of the same trial after ``alignment`` of the two logs. ``track_imu`` is the command with its
+evidence and with the method of Shang et al. (2012). ``options`` contains its options.
 
 Frames
 ------

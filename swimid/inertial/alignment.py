@@ -1,8 +1,8 @@
 """Alignment of an inertial sensor with another log of the trial, in time and in attitude.
 
-The result is the clock offset, the mounting of the sensor, and the rotation between the world axes of the two
-logs. One log predicts the other by linear regression, up to slow drift. The clock offset is the one with the
-best prediction.
+The module computes the clock offset, the mounting of the sensor, and the rotation between the world axes of
+the two logs. A linear regression predicts the motion in one log from that in the other, up to slow drift. The
+clock offset with the best prediction is used.
 """
 
 from __future__ import annotations
@@ -20,27 +20,30 @@ from swimid.logs.kinematics import angles
 
 #: Minimum number of common samples for a comparison of two logs.
 MIN_SAMPLES = 16
-#: Maximum sample time of a compared log, in periods of the drift. With a longer sample time, motion cannot be
-#: distinguished from drift.
+#: Maximum sample time of a compared log, as a fraction of the shortest period of drift. With a longer sample
+#: time, motion cannot be distinguished from drift.
 MAX_STEP = 0.2
 #: Minimum overlap of the two logs in time, as a fraction of the shorter log.
 MIN_OVERLAP = 0.3
-#: Half-width of the grid in which the clock offset is searched, in periods of the signal; and number of
-#: offsets in this grid.
+#: Half-width of the grid of clock offsets that are tried, in periods of the signal; and number of offsets in
+#: this grid.
 SEARCH_PERIODS, N_OFFSETS = 0.6, 61
-#: Maximum time between correlated residuals, s. Residuals further apart are taken as independent.
+#: Maximum time between two correlated residuals of the regression, s. Residuals further apart are taken as
+#: independent.
 INDEPENDENT_S = 1.0
-#: Minimum period of drift, s: in integrated turn rates, and in accelerations integrated twice.
+#: Minimum period of a motion that counts as drift, s: in integrated turn rates, and in accelerations
+#: integrated twice.
 SLOW_TURN_S, SLOW_PATH_S = 10.0, 2.0
-#: Minimum fraction of the variance of one log that the other log must explain, for logs that move together.
+#: Minimum fraction of the variance of one log that the other log explains if the two logs record the same
+#: motion.
 MIN_EXPLAINED = 0.2
 #: Minimum fraction of the samples of the other log in which a coordinate is measured.
 MIN_MEASURED = 0.1
-#: Length of the windows over which gravity is averaged, s, and minimum length of a window at the end of the
-#: log, s.
+#: Length of the windows over which the direction of gravity is averaged, s, and minimum length of an
+#: incomplete window at the end of the log, s.
 GRAVITY_S, MIN_GRAVITY_S = 1.0, 0.5
-#: Minimum ratio of the smallest to the largest singular value of the correlation between the rotations in two
-#: logs. Below this ratio a mirrored axis cannot be detected.
+#: Minimum ratio of the smallest to the largest singular value of the correlation matrix between the rotations
+#: in two logs. Below this ratio a mirrored axis cannot be detected.
 MIN_SINGULAR = 0.02
 
 
@@ -59,7 +62,8 @@ class Offset:
     factors: Array = field(default_factory=lambda: np.zeros((0, 0)))
     #: Mounting of the sensor: rotation from body to sensor axes; None unless the other log has three angles.
     mount: Rotation | None = None
-    #: Sign of the correlation between the rotations in the two logs: -1 if an axis is mirrored, 0 if unknown.
+    #: Handedness of the axes, from the correlation between the rotations in the two logs: -1 if an axis is
+    #: mirrored, 1 if none is, 0 if unknown.
     handed: float = 0.0
 
 
@@ -151,8 +155,8 @@ class _Profile:
             for one in a.T:
                 energy_a = np.maximum(signal.correlate(one**2, ones_b), 1e-3 * np.sum(one**2))
                 alike += signal.correlate(one, other) ** 2 / (energy_a * energy_b) / b.shape[1]
-        # Score the gain in log-likelihood instead of the correlation, so that a short overlap does not win by
-        # chance.
+        # Rank the offsets by the gain in log-likelihood instead of the correlation, so that a short overlap
+        # does not win by chance.
         score = -0.5 * overlap * np.log(1 - np.clip(alike, 0.0, 0.999))
         shifts = signal.correlation_lags(len(a), len(b)) * step + a_t[0] - b_t[0]
         allowed = overlap >= MIN_OVERLAP * min(len(a), len(b))
@@ -163,10 +167,10 @@ class _Profile:
     def fit(self, shift: float) -> tuple[Array, Array, Array, Array] | None:
         """Return the regression of the other log's channels on the reference channels at a clock offset.
 
-        The result holds the reference channels, the other channels, the regression coefficients and the times
-        in the overlap.
+        The result holds the reference channels, the channels of the other log, the regression coefficients,
+        and the times in the overlap of the two logs.
 
-        The result is None if the overlap is too short.
+        The result is None if the two logs overlap too little.
         """
         when = self.seen_t + shift
         inside = (when >= self.t[0]) & (when <= self.t[-1])
@@ -184,11 +188,12 @@ class _Profile:
             return -np.inf
         x, y, factors, _ = fitted
         variance = np.mean((y - x @ factors) ** 2, axis=0)
-        # Scale the log-likelihood to the number of all samples, so that a smaller overlap has no advantage.
+        # Scale the log-likelihood from the samples in the overlap to all samples, so that a smaller overlap
+        # has no advantage.
         return float(-0.5 * len(self.seen_t) * np.sum(np.log(np.maximum(variance, 1e-30))))
 
     def offset(self, value: float) -> Offset | None:
-        """Return a clock offset with its standard error, s; None if the error cannot be determined."""
+        """Return the clock offset ``value`` with its standard error, s; None if the error is unknown."""
         tiny = 1e-3 * self.period_s
         here, after, before = (self.fit(shift) for shift in (value, value + tiny, value - tiny))
         if here is None or after is None or before is None:
@@ -198,8 +203,8 @@ class _Profile:
         x, y, factors, times = here
         residual = y - x @ factors
         slope = (after[0] @ factors - before[0] @ factors) / (2 * tiny)
-        # Remove the component of the slope that other parameters can reproduce, because it has no information
-        # about the offset.
+        # Remove the component of the slope (derivative of the prediction by the offset) that the regression
+        # coefficients can reproduce, because it has no information about the offset.
         slope = slope - x @ np.linalg.lstsq(x, slope, rcond=1e-9)[0]
         variance = np.maximum(np.mean(residual**2, axis=0), 1e-30)
         information = float(np.sum(slope**2 / variance))
@@ -220,21 +225,21 @@ def without_slow(t: Array, channels: Array, slow_s: float) -> Array:
     duration = float(t[-1] - t[0])
     count = max(int(2 * duration / slow_s), 1) + 1
     basis = np.cos(np.pi * np.outer((t - t[0]) / max(duration, 1e-12), np.arange(count)))
-    # The cosines are nearly orthogonal. Therefore the normal equations, which are fast to solve, are accurate
-    # enough.
+    # Solve the normal equations, which is fast. They are accurate enough because the cosines are nearly
+    # orthogonal.
     gram = basis.T @ basis
     gram[np.diag_indices(count)] *= 1 + 1e-10
     return channels - basis @ np.linalg.solve(gram, basis.T @ channels)
 
 
 def _normal(channels: Array) -> Array:
-    """Return the channels that are not constant, scaled to a standard deviation of 1."""
+    """Return the channels that are not constant, each divided by its standard deviation."""
     spread = np.std(channels, axis=0)
     return channels[:, spread > 0] / spread[spread > 0]
 
 
 def align(record: Record, source: Source, poses: Poses, stated_s: float | None = None) -> list[Offset]:
-    """Return estimates of the clock offset, one from the rotations and one from the path.
+    """Return up to two estimates of the clock offset: from the rotations and from the paths in the two logs.
 
     The estimates are in order of increasing standard error.
 
@@ -295,14 +300,18 @@ def _by_path(record: Record, source: Source, poses: Poses) -> Offset | None:
 
 
 def _summed_turns(rotation: Rotation) -> Array:
-    """Return the sum of all rotations about body axes from the first attitude up to each one, rad, (m, 3)."""
+    """Return the sum of the rotation vectors from the first attitude up to each one, rad, shape (m, 3).
+
+    The rotation vectors are those between successive attitudes, about body axes.
+    """
     return np.vstack([np.zeros((1, 3)), np.cumsum(turns_of(rotation), axis=0)])
 
 
 def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     """Return the mounting of the sensor (rotation from body to sensor axes) from another log with attitudes.
 
-    The second value is the sign of the correlation between the rotations in the two logs.
+    The second returned value is the handedness: the sign of the determinant of the correlation between the
+    rotations in the two logs.
 
     The mounting solves Wahba's problem (1965, doi:10.1137/1007077) by SVD (Markley 1988). The vectors are
     rotations about body axes and the direction of gravity. Gravity has the same weight as all rotations
@@ -314,8 +323,8 @@ def _find_mount(record: Record, poses: Poses) -> tuple[Rotation, float]:
     body = without_slow(when, _summed_turns(rotation), SLOW_TURN_S)
     turned = integral(t, record.rate - record.rate.mean(axis=0))
     sensor = without_slow(when, resampled(when, t, turned), SLOW_TURN_S)
-    # Average gravity over a window from each pose: in sensor axes from the integral of specific force, in
-    # body axes from the sum over poses.
+    # Average the direction of gravity over a window from each pose: in sensor axes from the integral of the
+    # specific force, in body axes from the sum over poses.
     last = np.clip(np.searchsorted(when, when + GRAVITY_S), 0, len(when) - 1)
     span, count = when[last] - when, np.maximum(last - np.arange(len(when)), 1)
     long = span > MIN_GRAVITY_S
@@ -357,7 +366,7 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
         turn = float(np.angle(np.mean(np.exp(1j * (poses.angles[rows, 2] - angles(body)[2])))))
     else:
         rows = np.flatnonzero(inside & np.isfinite(poses.position[:, :2]).all(axis=1))
-        # A coordinate that the other log lacks is constant.
+        # Do not rotate if the other log lacks a horizontal coordinate, which is then constant.
         if len(rows) < MIN_SAMPLES or np.ptp(poses.position[rows, :2], axis=0).min() == 0:
             return Rotation.identity()
         t = poses.time_s[rows]
@@ -369,7 +378,7 @@ def find_world_turn(record: Record, source: Source, poses: Poses, mount: Rotatio
 
 
 def _fast_path(record: Record, source: Source) -> Array:
-    """Return accelerations along world axes, integrated twice, without drift slower than ``SLOW_PATH_S``."""
+    """Return the path from accelerations along world axes (m), without drift slower than ``SLOW_PATH_S``."""
     force = source.rotation.apply(record.acceleration)
     path = integral(record.time_s, integral(record.time_s, force - force.mean(axis=0)))
     return without_slow(record.time_s, path, SLOW_PATH_S)

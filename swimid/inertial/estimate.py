@@ -24,62 +24,66 @@ from swimid.inertial.smoother import Nominal, Observation, Smoothed, State, cros
 from swimid.logs.kinematics import angles
 from swimid.logs.sampling import white_noise_sd
 
-#: Standard deviation of the position, m, and of the yaw, rad, at the first sample. They are small because the
-#: first sample defines the origin.
+#: Standard deviation of position (m) and yaw (rad) at the first sample, before any observation. It is small
+#: because the first sample defines the origin.
 ORIGIN_SD = 1e-6
-#: Standard deviation of roll and pitch at the first sample, rad.
+#: Standard deviation of roll and pitch at the first sample before any observation, rad.
 START_TILT_SD = 0.05
-#: Maximum number of rests that are excluded one by one. If the motion still contradicts the rests after that,
-#: all of them are excluded.
+#: Maximum number of rests that are excluded one by one because the motion contradicts them. If a
+#: contradiction remains after that, all rests are excluded.
 MAX_SINGLE = 2
-#: Minimum increase in log-likelihood by another class of sensor than the stated one, for its use: "strong"
-#: evidence (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572, sec. 3.2).
+#: Minimum increase in log-likelihood for which another error class of the sensor replaces the stated one:
+#: "strong" evidence (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572, sec. 3.2).
 MIN_GAIN = 3.0
-#: Standard deviations of the velocity, m/s, and turn rate, rad/s, of a robot at rest in drifting water.
+#: Standard deviations of velocity (m/s) and turn rate (rad/s) of a robot that rests in drifting water.
 REST_SPEED_SD, REST_RATE_SD = 0.01, 5e-4
 #: Correlation times of attitude errors, s: minimum for the quaternions of a sensor, and value for an attitude
 #: filter. Attitudes within this time count as one measurement.
 QUATERNION_MEMORY_S, FILTER_MEMORY_S = 10.0, 20.0
-#: Maximum normalised residual of a fix, in standard deviations. Fixes with larger residuals are outliers.
+#: Maximum normalised residual of a fix (pose measured by the other log), in standard deviations. Fixes with
+#: larger residuals are outliers.
 GATE = 6.0
-#: Interval between observations of velocity at rest, s, and interval between observations of attitude and of
-#: the top speed, s.
+#: Time between successive observations for the smoother, s: of zero velocity in a rest, and of attitude and
+#: top speed.
 REST_STEP_S, STEP_S = 0.5, 1.0
-#: Standard deviations before any observation: lever from the sensor to the reference point, m; mounting from
-#: rotations, rad; tilt of the other log's world axes, rad; and offset of its clock, s.
+#: Standard deviations before any observation: lever from the sensor to the reference point (m), mounting that
+#: is estimated from rotations (rad), tilt of the world axes of the other log (rad), and offset of its clock
+#: (s).
 LEVER_SD, TURNS_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 6 * DEG, 2 * DEG, 0.05
-#: Standard deviations of a lever that the user states, m, and of a clock offset that is not estimated, s.
+#: Standard deviations of a lever that the user states (m), and of a clock offset that is fixed (s).
 STATED_LEVER_SD, HELD_CLOCK_SD = 1e-3, 1e-9
-#: Standard deviations at the first sample if there is another log: velocity, m/s; yaw, rad, if the other log
-#: has a yaw; and yaw, rad, if it has none.
+#: Standard deviations at the first sample if there is another log: velocity (m/s), yaw if the other log has a
+#: yaw (rad), and yaw if it has none (rad).
 VELOCITY_SD, YAW_SD, FREE_YAW_SD = 1.0, 0.05, 0.2
-#: Standard deviation of the reference point across the plane of motion, m, if the other log is planar.
+#: Standard deviation of the distance between reference point and plane of motion, m, if the other log is
+#: planar.
 PLANE_SD = 0.05
-#: Minimum standard deviation of a fix, m and rad, and maximum of its first estimate, m and rad. The maximum
-#: is needed because the first estimate comes from third differences, and those of sparse fixes contain
-#: motion.
+#: Limits of the standard deviation of a fix: minimum (m and rad), and maximum of the first estimate (m and
+#: rad). The maximum is needed because the first estimate comes from third differences, and those of sparse
+#: fixes contain motion.
 MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
-#: Maximum number of iterations of the noise of the fixes, and convergence tolerance of the logarithm of their
-#: standard deviations.
+#: Maximum number of iterations in which the noise of the fixes is estimated, and convergence tolerance of the
+#: logarithm of its standard deviations.
 NOISE_STEPS, NOISE_TOL = 3, 0.1
-#: Maximum fraction of outliers among the fixes. With more outliers, a second path is estimated in which no
-#: fix counts as an outlier, and a warning is given.
+#: Maximum fraction of outliers among the fixes. With more outliers, a warning is given, and a second path is
+#: estimated for which no fix counts as an outlier.
 MAX_STRAY = 0.05
-#: Maximum fraction of outliers among the fixes. With more outliers, the estimated motion counts as
-#: impossible.
+#: Maximum fraction of outliers among the fixes for a possible motion. With more outliers, positions and
+#: velocities are left empty.
 MAX_WRONG = 0.5
 #: Maximum factor by which correlated errors of the fixes widen the 95 % bands. A check fails for a larger
-#: factor. At this value four fixes count as one.
+#: factor. At a factor of 2, four fixes count as one.
 MAX_LASTING = 2.0
-#: Maximum root-mean-square error of held-out fixes, in predicted standard deviations.
+#: Maximum root-mean-square error of held-out fixes, divided by the predicted standard deviation.
 MAX_HELD_OUT = 1.5
-#: Duration of a block of held-out fixes, s, and minimum number of held-out fixes.
+#: Duration of a block of fixes that are held out together, s, and minimum number of held-out fixes.
 BLOCK_S, MIN_HELD_OUT = 0.5, 20
-#: Minimum angle between the mounting from rotations and the mounting from gravity that is reported, rad.
+#: Minimum angle between the mounting from rotations and the mounting from gravity for a report of wrong axes,
+#: rad.
 MIN_MOUNT_CHANGE = 15 * DEG
-#: Median of the absolute value of normally distributed noise with a standard deviation of 1.
+#: Median of the absolute value of a normally distributed variable with mean 0 and standard deviation 1.
 MEDIAN_SHARE = 0.6745
-#: Clock offset that is assumed before one is estimated.
+#: Clock offset of 0, which is assumed before the offset is estimated.
 NO_OFFSET = Offset(0.0, 0.0, 0.0, 0.0)
 
 
@@ -87,10 +91,11 @@ NO_OFFSET = Offset(0.0, 0.0, 0.0, 0.0)
 class Fixes(Poses):
     """Fixes: poses that another log measured, with the noise of these measurements."""
 
-    #: Standard deviations of the noise of the fixes: three coordinates, m, and three angles, rad, shape (6,).
+    #: Standard deviations of the noise of the fixes, shape (6,): three coordinates (m) and three angles
+    #: (rad).
     noise: Array
-    #: Weights of position and attitude of each pose, shape (m, 2). A weight is 1, or less for an outlier. The
-    #: variance is divided by it.
+    #: Weights of position and attitude of each pose, shape (m, 2): 1, or less for an outlier. The variance of
+    #: the noise is divided by the weight.
     weight: Array
     #: Flags of the fixes that are within the recording for every candidate clock offset, shape (m,). Only
     #: these fixes contribute to the log-likelihood.
@@ -98,9 +103,9 @@ class Fixes(Poses):
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of the coordinates and angles of each fix, shape (m, 6).
+        """Standard deviations of the coordinates (m) and angles (rad) of each fix, shape (m, 6).
 
-        Those of outliers are enlarged by the weights.
+        The standard deviations of outliers are enlarged by the weights.
         """
         return np.asarray(self.noise / np.sqrt(np.repeat(self.weight, 3, axis=1)))
 
@@ -117,10 +122,10 @@ class Fixes(Poses):
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate of a motion, with the rests that it assumes and with its relation to another log."""
+    """Estimated motion of a recording, with the rests that it assumes and its relation to another log."""
 
-    #: Setup with the rests that were used. While two logs are smoothed together, its attitude refers to the
-    #: world axes of the other log.
+    #: Setup of the recording, with the rests that were used. While two logs are smoothed together, its
+    #: attitude refers to the world axes of the other log.
     setup: Setup
     #: State at the first sample before any observation, and standard deviations of its quantities.
     start: State
@@ -132,15 +137,15 @@ class Estimate:
     findings: Sequence[Finding] = ()
     #: Reasons why the estimated motion is impossible; empty if it is possible.
     impossible: Sequence[str] = ()
-    #: Clock offset of the other log, and whether the clocks of the two logs are synchronised. The Bayesian
-    #: information criterion decides between an offset and synchronised clocks.
+    #: Clock offset of the other log, and whether the clocks of the two logs count as synchronised
+    #: (``agree``). The Bayesian information criterion decides between an offset and synchronised clocks.
     offset: Offset = NO_OFFSET
     agree: bool = False
     #: Factor by which correlated errors of the fixes widen every 95 % band; 1 if the errors are independent.
     lasting: float = 1.0
-    #: Number of held-out fixes (``fixes``), and their root-mean-square error divided by the predicted
-    #: standard deviation (``deviations``). If ``deviations`` exceeds 1, every band is multiplied by it. None
-    #: for too few fixes.
+    #: Errors of held-out fixes; None for too few fixes. ``fixes`` is their number, ``rms_m`` the
+    #: root-mean-square error of the position, and ``deviations`` the root-mean-square error divided by the
+    #: predicted standard deviation. If ``deviations`` exceeds 1, every band is multiplied by it.
     held_out: dict[str, float] | None = None
 
     @property
@@ -155,11 +160,11 @@ class Estimate:
 
 
 def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
-    """Estimate the motion of a recording, choose the error class of the sensor, and test every rest.
+    """Estimate the motion of a recording, the error class of the sensor, and the rests that count.
 
-    With another log, synchronised clocks are compared with every clock offset that the alignment found. The
-    clocks count as synchronised unless an offset clearly increases the likelihood of the two logs. The bands
-    are compared with the errors of held-out fixes.
+    Rests that contradict the motion are excluded. With another log, synchronised clocks are compared with
+    every clock offset that the alignment found. The clocks count as synchronised unless an offset clearly
+    increases the likelihood of the two logs. The 95 % bands are compared with the errors of held-out fixes.
 
     Raises
     ------
@@ -174,12 +179,14 @@ def estimate(setup: Setup, poses: Poses | None = None) -> Estimate:
 
 
 def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
-    """Return the estimate with those rests that the motion does not contradict.
+    """Estimate the motion with only those rests that it does not contradict.
 
-    It also holds findings, and the contradictions that remain.
+    The result also holds findings, and the contradictions that remain. ``attempt`` estimates the motion from
+    a setup.
 
     If the motion contradicts several rests, the rest with the largest contradiction is excluded first, then
-    the next one, and finally all rests. A contradiction remains if it does not disappear without rests.
+    the next one, and finally all rests. If contradictions remain without rests, the motion counts as
+    impossible.
     """
     used, found = setup, attempt(setup)
     first = found
@@ -208,10 +215,10 @@ def _with_rests(setup: Setup, attempt: Callable[[Setup], Estimate]) -> Estimate:
 
 
 def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate: float = np.inf) -> Estimate:
-    """Apply the smoother with known noise, and return the estimate with its result.
+    """Apply the smoother with the noise of the estimate, and return the estimate with the new result.
 
-    The iteration starts from the last result, if there is one. By default the sensor is that of the last
-    result.
+    The iteration starts from the last result of the smoother, if there is one. By default the error class of
+    the sensor is that of this result.
     """
     setup, last, fixes = found.setup, found.smoothed, found.fixes
     states = smoother.ALONE if fixes is None else smoother.FUSED
@@ -230,7 +237,7 @@ def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate
 
 
 def _most_likely_class(found: Estimate) -> Estimate:
-    """Return the estimate for the class of sensor that makes the log most likely.
+    """Return the estimate for the error class of the sensor with the largest likelihood of the log.
 
     The class changes only if the log-likelihood increases by more than ``MIN_GAIN``.
     """
@@ -241,7 +248,7 @@ def _most_likely_class(found: Estimate) -> Estimate:
 
 
 def smooth_alone(setup: Setup) -> Estimate:
-    """Return the most likely motion of a recording without another log.
+    """Estimate the most likely motion of a recording without another log.
 
     The path starts at the origin of the world.
     """
@@ -282,9 +289,9 @@ def _rests(setup: Setup, path: Nominal) -> list[Observation]:
 
 
 def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
-    """Return observations of the attitude for the smoother, from the attitude before smoothing.
+    """Return observations for the smoother of the attitude that was estimated before smoothing.
 
-    The errors of this attitude are correlated in time.
+    The standard deviations account for errors of this attitude that are correlated in time.
 
     The tilt of an attitude filter is wrong for some seconds while the body accelerates. The quaternions of a
     sensor may have the same rotation error throughout a log, so that all of them together count as one
@@ -304,10 +311,10 @@ def _attitudes(setup: Setup, path: Nominal) -> list[Observation]:
 
 
 def _speed_limit(top_m_s: float, path: Nominal) -> list[Observation]:
-    """Return observations that limit the speed of the robot to its top speed.
+    """Return observations for the smoother that limit the speed of the robot to its top speed.
 
     Each observation is a velocity of 0 with half of the top speed as standard deviation. All observations of
-    a log together have the weight of a single one, so that a steady cruise is not pulled to rest.
+    a log together have the weight of a single one, so that they do not reduce the speed of a steady cruise.
     """
     nodes = _spaced(path, np.arange(len(path.nodes)), STEP_S)
     h = jacobian(path.states, 3, velocity=np.eye(3))
@@ -329,7 +336,7 @@ def _spaced(path: Nominal, nodes: np.ndarray, step_s: float) -> np.ndarray:
 
 
 def _fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation]:
-    """Return the observations by all fixes of another log within the time range of a path.
+    """Return observations for the smoother of all fixes of another log within the time range of a path.
 
     Parameters
     ----------
@@ -349,16 +356,16 @@ def _fixes(seen: Fixes, path: Nominal, gate: float = np.inf) -> list[Observation
 
 
 def _differences(seen: Poses, path: Nominal) -> tuple[np.ndarray, np.ndarray, Array, Array]:
-    """Return the differences between the measured poses and a path, for the poses within its time range.
+    """Return the differences between measured poses and a path, for poses within its time range.
 
     Returns
     -------
     index, nodes : ndarray of int, shape (k,)
-        Index of each pose, and the node next to it.
+        Index of each pose in ``seen``, and the node of the path nearest to it in time.
     off : ndarray, shape (k, 6)
         Differences of position, m, and attitude, rad; NaN where not measured.
     by_error : ndarray, shape (k, 6, states)
-        Derivatives of the pose with respect to the errors.
+        Derivatives of the pose with respect to the errors of the path.
     """
     t = path.time_s
     clock_times = seen.time_s + path.clock_s
@@ -398,7 +405,7 @@ def _nearest(times: Array, when: Array) -> np.ndarray:
 
 
 def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Array]:
-    """Return measured minus estimated attitude, and its derivative with respect to a small rotation.
+    """Return measured minus estimated attitude (rad), and its derivative by a small rotation of the body.
 
     The difference has shape (k, 3), its derivative shape (k, 3, 3). If all three angles are measured, the
     difference is a small rotation about world axes. A single measured angle is compared as an angle, because
@@ -408,8 +415,8 @@ def _turned(measured: Rotation, turns: Flags, body: Rotation) -> tuple[Array, Ar
         return (measured * body.inv()).as_rotvec(), np.broadcast_to(np.eye(3), (len(turns), 3, 3))
     off = np.column_stack(angles(measured)) - np.column_stack(angles(body))
     by_turn, pitch = recording.turn_to_angles(body), angles(body)[1][:, None]
-    # At a pitch other than 0, a rotation about the heading direction changes roll by 1/cos(pitch), and also
-    # changes yaw.
+    # Correct the derivatives for pitch: at a pitch other than 0, a rotation about the heading direction
+    # changes roll by 1/cos(pitch), and also changes yaw.
     by_turn[:, 0] /= np.maximum(np.cos(pitch), 0.1)
     by_turn[:, 2] -= np.sin(pitch) * by_turn[:, 0]
     return np.angle(np.exp(1j * off)), by_turn
@@ -444,9 +451,9 @@ def find_contradictions(found: Estimate) -> list[str]:
 
 
 def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
-    """Return each rest that the motion contradicts by more than ``GATE`` standard deviations.
+    """Return the rests that the motion contradicts by more than ``GATE`` standard deviations.
 
-    Each entry holds the size of the contradiction, a sentence about it, and the rest.
+    Each entry holds the contradiction in standard deviations, a sentence about it, and the rest.
     """
     doubted = []
     for rest in found.setup.rests:
@@ -459,7 +466,10 @@ def _doubted_rests(found: Estimate) -> list[tuple[float, str, recording.Rest]]:
 
 
 def _departure(setup: Setup, smoothed: Smoothed, rest: recording.Rest) -> float:
-    """Return the largest deviation of the motion from standstill in a rest, in standard deviations."""
+    """Return the deviation of the estimated motion from standstill in a rest, in standard deviations.
+
+    The result is the largest deviation of velocity, turn rate and acceleration.
+    """
     record, path, errors = setup.record, smoothed.path, smoothed.errors
     nodes = rest_nodes(rest, path)
     if not len(nodes):
@@ -496,8 +506,8 @@ def _fused(setup: Setup, poses: Poses) -> Estimate:
     try:
         offsets = alignment.align(setup.record, setup.source, poses, setup.options.clock_offset_s)
     except NoTrustworthyResult as error:
-        # The clock offset may be impossible to estimate although the clocks are synchronised. Held-out fixes
-        # can then show that both logs record the same motion.
+        # Try synchronised clocks. The clock offset may be impossible to estimate although the clocks are
+        # synchronised. Held-out fixes can then show that both logs record the same motion.
         refusal, offsets = error, alignment.align(setup.record, setup.source, poses, 0.0)
     if offsets[0].handed < 0:
         text = "its turns are the mirror image of those in the other log: an axis is flipped in one of them"
@@ -524,10 +534,10 @@ def _fused(setup: Setup, poses: Poses) -> Estimate:
 
 
 def _start_mount(setup: Setup, found: Offset) -> tuple[Setup, list[Finding]]:
-    """Return the setup with the initial mounting of the sensor, and findings about the mounting.
+    """Return the setup with an initial mounting of the sensor, and findings about the mounting.
 
-    The mounting is the stated one. Otherwise it follows from the three angles of the other log or, if these
-    are missing, from gravity.
+    The mounting is the one that the user states. Otherwise it follows from the three angles of the other log
+    or, if these are missing, from gravity.
     """
     if setup.mount.by == "given" or found.mount is None:
         return setup, []
@@ -566,7 +576,7 @@ def _first_fixes(setup: Setup, poses: Poses, candidates: list[Offset]) -> Fixes:
 
 
 def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimate:
-    """Return the estimate with the most likely clock offset, or with synchronised clocks."""
+    """Estimate the motion with the most likely clock offset, or with synchronised clocks."""
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
         found = _at_offset(setup, fixes, stated_s, held=True)
@@ -577,8 +587,9 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
             starts.append(one)
     attempts = [_at_offset(setup, fixes, start.value_s, held=False) for start in starts]
     free = max(attempts, key=lambda found: found.likelihood)
-    # Use half of the penalty of the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136)
-    # for one additional parameter, the offset. Synchronised clocks cannot be compared without common fixes.
+    # Choose an offset over synchronised clocks only if it increases the log-likelihood by more than half of
+    # the penalty of the Bayesian information criterion for one additional parameter (Schwarz 1978,
+    # doi:10.1214/aos/1176344136). Without common fixes the two cannot be compared.
     price = 0.5 * float(np.log(max(fixes.counted.sum(), 1)))
     if abs(free.smoothed.path.clock_s) <= BAND * CLOCK_SD:
         equal = _at_offset(setup, fixes, 0.0, held=True, after=free)
@@ -596,14 +607,14 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
 def _at_offset(
     setup: Setup, fixes: Fixes, offset_s: float, *, held: bool, after: Estimate | None = None
 ) -> Estimate:
-    """Estimate the motion from the two logs at a clock offset, with noise, weights and error class.
+    """Estimate the motion from two logs, with the given clock offset as initial or fixed value.
 
-    Noise and weights of the fixes and the error class of the sensor are estimated from the residuals.
+    Noise and weights of the fixes, and the error class of the sensor, are estimated from the residuals.
 
     Parameters
     ----------
     offset_s : float
-        Initial clock offset.
+        Initial clock offset of the other log, s.
     held : bool
         Whether the clock offset is fixed at its initial value.
     after : Estimate, optional
@@ -615,14 +626,14 @@ def _at_offset(
         smoothed = replace(after.smoothed, path=path, origin=replace(origin, clock_s=offset_s))
         known = replace(after.fixes, weight=np.ones_like(after.fixes.weight))
         return _with_noise(replace(begun, fixes=known, smoothed=smoothed), noise_known=True)
-    # The effect of a clock offset depends on the velocity. Therefore the offset is fixed until the velocity
-    # is known.
+    # Fix the clock offset in the first iterations, because its effect depends on the velocity, which is not
+    # yet known.
     fixed = replace(begun, sd={**begun.sd, "clock_s": HELD_CLOCK_SD})
     gated = replace(_smooth(fixed, setup.sensor, 2, GATE), sd=begun.sd)
     attempts = [_with_noise(gated)]
     if gated.smoothed.errors.rejected > MAX_STRAY * len(fixes.time_s):
-        # With many outliers, either the fixes or the path can be wrong. Compare an estimate for each
-        # assumption.
+        # With many outliers, either the fixes or the path can be wrong. Estimate the motion also without
+        # excluding outliers, and compare the likelihoods.
         attempts.append(_with_noise(replace(_smooth(fixed, setup.sensor, 2), sd=begun.sd)))
     return max(attempts, key=lambda found: found.likelihood)
 
@@ -686,9 +697,9 @@ def _with_noise(found: Estimate, *, noise_known: bool = False) -> Estimate:
 
 
 def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
-    """Return the residuals of the fixes, and the variances of the residuals due to the motion.
+    """Return the residuals of the fixes, and the part of their variances that results from the motion.
 
-    Each has one column for each coordinate and angle, shape (m, 6).
+    Both arrays have one column for each coordinate and angle, shape (m, 6).
 
     Residuals are NaN where nothing was measured, and for fixes outside of the record.
     """
@@ -700,16 +711,16 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
 
 
 def _is_measured(fixes: Fixes, residual: Array) -> Flags:
-    """Return flags of those residuals of the fixes that are of measured values, shape (m, 6).
+    """Return flags of the residuals that compare a measured value with the motion, shape (m, 6).
 
-    In a planar log, the coordinates across the plane are assumed and not measured.
+    In a planar log, the coordinates across the plane are assumed and not measured. Their flags are False.
     """
     plane = np.append(fixes.noise[:3] == PLANE_SD, np.zeros(3, dtype=bool))
     return np.asarray(np.isfinite(residual) & ~plane)
 
 
 def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
-    """Return a copy of the fixes with noise and weights that are estimated from their residuals.
+    """Return a copy of the fixes with noise and weights estimated from their residuals.
 
     The noise follows from one step of expectation maximisation (Shumway and Stoffer 1982, sec. 3) over the
     fixes that are not outliers. The weight of an outlier decreases with the square of its residual (Cauchy).
@@ -730,9 +741,9 @@ def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) ->
 
 
 def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Array, Array]:
-    """Return the standard deviation of each column of residuals, shape (3,), and the weight of each row.
+    """Return the standard deviation of each column of residuals, and the weight of each row (fix).
 
-    The standard deviation of a column without values is NaN.
+    The standard deviations have the shape (3,). The standard deviation of a column without values is NaN.
     """
     usual = np.ma.median(np.ma.masked_invalid(np.abs(residual)), axis=0).filled(np.nan) / MEDIAN_SHARE
     far = np.abs(residual) / np.fmax(sd, usual)
@@ -790,7 +801,7 @@ def _hold_out(found: Estimate) -> dict[str, float] | None:
 
 
 def _predicts(held_out: dict[str, float] | None, poses: Poses) -> bool:
-    """Return whether the errors of held-out fixes are so small that the two logs move together."""
+    """Return whether held-out fixes are predicted so well that the two logs record the same motion."""
     if held_out is None or held_out["deviations"] > MAX_HELD_OUT:
         return False
     place = poses.position[:, np.isfinite(poses.position).any(axis=0)]

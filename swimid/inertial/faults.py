@@ -1,7 +1,7 @@
-"""Tests for faults of an inertial recording. A test repairs its fault, or refuses the recording.
+"""Tests for faults of an inertial recording. A test reports or repairs its fault, or refuses the recording.
 
 The tests run in the order of :data:`TESTS`. Faults of single samples come first. Faults of units and axes
-follow, which cause contradictions between gravity, turn rates and quaternions.
+follow; they show as contradictions between gravity, turn rates and quaternions.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from swimid.logs.kinematics import rearranged
 from swimid.logs.log import runs
 from swimid.logs.mapping import in_order
 
-#: Type of a test for a fault. A test returns the record, repaired if the fault was found, and the fault or
-#: None. It raises an InputError for a fault that cannot be repaired.
+#: Type of a test for a fault. A test returns the record, repaired if the fault was found, and a finding on
+#: the fault, or None without the fault. It raises an InputError for a fault that cannot be repaired.
 Test = Callable[[Record], tuple[Record, Finding | None]]
 
 
 def repair(record: Record) -> tuple[Record, list[Finding]]:
-    """Repair every fault of a record that can be repaired; return the record and the faults found.
+    """Repair every fault of a record that can be repaired; return the record and findings on the faults.
 
     Raises
     ------
@@ -50,23 +50,23 @@ def repair(record: Record) -> tuple[Record, list[Finding]]:
 MAX_MISSING = 0.5
 #: Maximum magnitude of a sensor reading, in any unit. Larger values are not measurements.
 MAX_READING = 1e5
-#: Maximum distance of a reading from the median of the other readings, divided by their range; and number of
-#: samples in the running median.
+#: Maximum distance of a reading from the median of the other readings, divided by the range of the other
+#: readings; and number of samples in the running median.
 WILD_RANGES, WINDOW = 30.0, 7
-#: Minimum length of a period with one value in a channel that counts as stuck, s and samples; and maximum
-#: fraction of the other samples with the same value.
+#: Minimum length of a period in which a stuck channel holds one value: in s, and in samples; and maximum
+#: fraction of the other samples that have the same value.
 STUCK_S, STUCK_SAMPLES, STUCK_SHARE = 0.5, 25, 0.01
 #: Maximum fraction of samples in a channel that belong to stuck periods.
 MAX_STUCK = 0.3
-#: Minimum and maximum fraction of samples that repeat the previous one, for a logger that is faster than the
+#: Minimum and maximum fraction of samples that repeat the previous one because the logger is faster than the
 #: sensor. A smaller fraction occurs by chance. A larger one means a recording without motion.
 MIN_REPEATED, MAX_REPEATED = 0.005, 0.9
 #: Maximum fraction of clipped samples in a channel.
 MAX_CLIPPED = 0.1
-#: Minimum time step that counts as a loss of samples, in median sample times, and maximum time step over
+#: Minimum time step that counts as a loss of samples, in median sample times; and maximum time step over
 #: which the motion can be estimated, s.
 LONG_STEP, MAX_STEP_S = 1.6, 2.0
-#: Minimum root-mean-square jitter of the time stamps for a warning, in sample times.
+#: Minimum root-mean-square jitter of the time stamps for a warning, in median sample times.
 MIN_JITTER = 0.05
 #: Maximum deviation of the norm of a valid quaternion from 1.
 QUATERNION_TOL = 0.05
@@ -75,8 +75,8 @@ QUATERNION_TOL = 0.05
 def find_stamps(record: Record) -> tuple[Record, Finding | None]:
     """Find time stamps that repeat or are out of order, and repair them; refuse a clock that was reset.
 
-    A clock was reset if it jumps back and counts on from there. The repaired record is in order of time and
-    has the first sample of each repeated time stamp.
+    A clock counts as reset if the time jumps back and continues from there. The repaired record is in order
+    of time. Of samples with the same time stamp it has only the first.
     """
     order = in_order(record.time_s, dict(zip(CHANNELS, record.channels.T, strict=True)))
     row, late = order.reset_row, order.counts["late"]
@@ -98,9 +98,9 @@ def find_stamps(record: Record) -> tuple[Record, Finding | None]:
 def find_samples(
     name: str, is_bad: Callable[[Record, Array], Flags], max_share: float, text: str, hint: str | None = None
 ) -> Test:
-    """Return a test that interpolates bad samples and flags them.
+    """Return a test that interpolates the bad samples of each channel and flags them as interpolated.
 
-    It refuses a recording with too many bad samples in a channel.
+    The test refuses a recording with too many bad samples in a channel.
 
     Parameters
     ----------
@@ -144,12 +144,13 @@ def find_samples(
 
 
 def is_wild(_: Record, values: Array) -> Flags:
-    """Return flags of readings that no motion causes: glitches, and codes for a missing sample."""
+    """Return flags of readings that no motion can cause: glitches, and codes for a missing sample."""
     flags = np.abs(np.nan_to_num(values)) > MAX_READING
     known = np.flatnonzero(np.isfinite(values) & ~flags)
     if len(known) < 2 * WINDOW:
         return flags
-    # A code is a single value far from all others, however often it occurs.
+    # Flag codes for a missing sample: the maximum or minimum of the channel if it is far from all other
+    # values, however often it occurs.
     for extreme in (float(values[known].max()), float(values[known].min())):
         others = values[known][values[known] != extreme]
         if len(others) > WINDOW and abs(extreme - np.median(others)) > WILD_RANGES * np.ptp(others) > 0:
@@ -163,9 +164,9 @@ def is_wild(_: Record, values: Array) -> Flags:
 
 
 def is_stuck(record: Record, values: Array) -> Flags:
-    """Return flags of the samples of a channel that is stuck: it holds one value for a long time.
+    """Return flags of samples in which a channel is stuck, that is, holds one value for a long time.
 
-    A value that also occurs often outside of the sequence results from coarse rounding and is not flagged.
+    A value that also occurs often in other samples results from coarse rounding and is not flagged.
     """
     if np.ptp(values) == 0:
         return np.ones(len(values), dtype=bool)
@@ -190,9 +191,10 @@ def is_repeated(record: Record, _: Array) -> Flags:
 def is_clipped(_: Record, values: Array) -> Flags:
     """Return flags of samples that are clipped at the maximum or minimum of a channel.
 
-    Without clipping, values become rare towards the maximum. A clipped channel stays at its maximum for two
-    samples or more, at least three times, and has the maximum more than twice as often as values within 1 %
-    of the range below it. The same holds for the minimum.
+    Without clipping, values become rare towards the maximum. A channel counts as clipped under two
+    conditions. It stays at its maximum for two samples or more, at least three times. It also has the maximum
+    more than twice as often as values within 1 % of the range below the maximum. The same holds for the
+    minimum.
     """
     flags = np.zeros(len(values), dtype=bool)
     for extreme in (float(np.max(values)), float(np.min(values))):
@@ -208,7 +210,7 @@ def is_clipped(_: Record, values: Array) -> Flags:
 def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: str) -> Test:
     """Return a test that removes a column of the record if it holds no measurements.
 
-    If the column has a lower sample rate than the log, it is interpolated.
+    A column with a lower sample rate than the log is interpolated instead.
 
     Parameters
     ----------
@@ -217,7 +219,7 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
     fault, text : str
         Name of the fault, and sentence about it for the user.
     is_dead : callable
-        Returns whether the known rows of the column, shape (m, k), are not measured.
+        Returns whether the known rows of the column, shape (m, k), cannot be measurements.
     """
 
     def test(record: Record) -> tuple[Record, Finding | None]:
@@ -230,8 +232,8 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
             return replace(record, **{column: None}), Finding(fault, "handled", text)  # type: ignore[arg-type]
         known = values[rows]
         if len(rows) < len(record) and column == "quaternion":
-            # The quaternions q and -q are the same attitude. Choose the signs between which the interpolation
-            # is short.
+            # Choose the signs of successive quaternions so that the interpolation between them is short. The
+            # quaternions q and -q are the same attitude.
             same = np.sign(np.sum(known[1:] * known[:-1], axis=1, keepdims=True))
             known[1:] *= np.cumprod(same, axis=0)
         known = recording.resampled(t, t[rows], known)
@@ -241,15 +243,15 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
 
 
 def is_no_attitude(quaternion: Array) -> Any:
-    """Return whether quaternions are no attitudes: they are constant, or not of length 1."""
+    """Return whether quaternions describe no attitude: they are constant, or their norm is not 1."""
     wrong = np.abs(np.linalg.norm(quaternion, axis=1) - 1) > QUATERNION_TOL
     return wrong.any() or np.ptp(quaternion, axis=0).max() == 0
 
 
 def find_dropped(record: Record) -> tuple[Record, Finding | None]:
-    """Find gaps in the time stamps of a record and report them.
+    """Find gaps in the time stamps of a record and report them; refuse a gap that is too long.
 
-    The integrals span the gaps, and the noise model accounts for them.
+    Later integrals span the shorter gaps, and the noise model of the smoother accounts for them.
     """
     steps = np.diff(record.time_s)
     wide, row = steps > LONG_STEP * record.step_s, int(np.argmax(steps))
@@ -267,7 +269,7 @@ def find_dropped(record: Record) -> tuple[Record, Finding | None]:
 def find_jitter(record: Record) -> tuple[Record, Finding | None]:
     """Find uneven time steps in a record and report them.
 
-    All integrals use the time stamps of the samples.
+    No repair is needed, because all integrals use the time stamps of the samples.
     """
     jitter = sampling.rate(record.time_s).jitter
     if jitter < MIN_JITTER:
@@ -279,37 +281,40 @@ def find_jitter(record: Record) -> tuple[Record, Finding | None]:
 
 # ---------------------------------------------------------------- units and axes
 
-#: Maximum relative difference between the specific force at rest and g. Errors of the sensor's scale are some
-#: percent, and gliding adds some percent.
+#: Maximum relative difference between the specific force at rest and g for a unit that is recognised. Errors
+#: of the sensor's scale are some percent, and gliding adds some percent.
 GRAVITY_RTOL = 0.12
-#: Minimum magnitude of the specific force in a recording from which gravity was not subtracted, in g.
+#: Minimum magnitude of the specific force, in g. A smaller magnitude shows that gravity was subtracted.
 MIN_GRAVITY = 0.5
 #: Units of acceleration that are recognised, in m/s^2. The unit nearest to the measured gravity is chosen; mg
 #: and cm/s2 differ by 2 %.
 UNITS = {"m/s2": 1.0, "g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "ft/s2": 0.3048, "cm/s2": 0.01}
 #: Length of the windows in which the magnitude of the specific force is analysed, s.
 WINDOW_S = 0.5
-#: Length of the blocks over which the specific force is averaged, s, and number of blocks in a window. Over
-#: about a second, rotation of the sensor changes the average more than acceleration does.
+#: Length of the blocks over which the specific force is averaged, s, and number of blocks in a window. The
+#: averages of a window show the rotation of gravity, because over about a second rotation of the sensor
+#: changes the average more than acceleration does.
 BLOCK_S, BLOCKS = 0.3, 4
-#: Minimum and maximum number of windows in which turn rates are compared with the rotation of gravity, and
-#: minimum root-mean-square rotation of gravity in them, rad.
+#: Limits of the comparison between turn rates and the rotation of gravity: minimum and maximum number of
+#: windows, and minimum root-mean-square rotation of gravity in these windows (rad).
 MIN_WINDOWS, MAX_WINDOWS, MIN_TURN = 4, 100, 0.02
-#: Maximum residual of a recognised unit of turn rate, relative to the residual of the other unit and to that
-#: of no rotation.
+#: Maximum residual of a recognised unit of turn rate, relative to the residual of the other unit (rad/s or
+#: deg/s) and to the residual without any rotation.
 CLEAR_UNIT = 0.75
-#: Maximum residual of a recognised convention of the quaternions, relative to the residual of the stated
-#: convention; and minimum number of compared rotations.
+#: Maximum residual of a convention of the quaternions that contradicts the stated one, relative to the
+#: residual of the stated convention; and minimum number of compared rotations.
 CLEAR_CONVENTION, MIN_ROTATIONS = 0.5, 16
 #: Criteria for rearranging the axes of the gyroscope: maximum fraction of the rotation of gravity that the
 #: best arrangement leaves unexplained, minimum fraction that the axes as logged leave unexplained, and
-#: maximum ratio of the best to the second-best fraction. A smaller fraction of the axes as logged can be
-#: acceleration (in a yawing swimmer ``u r`` looks like roll).
+#: maximum ratio of the best to the second-best fraction. A smaller unexplained fraction for the axes as
+#: logged can result from acceleration (in a yawing swimmer the centripetal acceleration ``u r`` looks like
+#: roll).
 MAX_BEST, MIN_LOGGED, DECIDED = 0.25, 0.5, 0.7
-#: Turn rate (99th percentile), rad/s, above which an unconfirmed unit of the turn rates causes a warning.
+#: Maximum turn rate (99th percentile) in a unit that the log does not confirm, rad/s. Faster turn rates cause
+#: a warning.
 FAST_RAD_S = 12.0
-#: The 48 arrangements of three axes. Each is a matrix from the axes as logged to the true axes. The first is
-#: the identity.
+#: Arrangements of three axes: the 48 orders and signs. Each is a matrix from the axes as logged to the true
+#: axes. The first is the identity.
 ARRANGEMENTS = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
@@ -317,12 +322,13 @@ ARRANGEMENTS = [
 
 
 def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
-    """Find accelerations that are not in the stated unit, or in no known unit.
+    """Find accelerations that are not in m/s^2; convert them from a known unit, or refuse the recording.
 
-    The magnitude of the specific force is the median over windows at rest. A window is at rest if the
-    standard deviation divided by the magnitude is at most that of a sensor at rest. If the sensor moves all
-    the time, the stated unit is assumed, and the magnitude only has to exceed a minimum. Gravity then shows
-    in the mean of the readings or, if the sensor tumbles, in their median magnitude.
+    The unit follows from the magnitude of the specific force at rest, which is that of gravity. This
+    magnitude is the median over windows at rest. A window is at rest if the standard deviation divided by the
+    magnitude is at most that of a sensor at rest. If the sensor moves all the time, the stated unit is
+    assumed, and the magnitude only has to exceed a minimum. Gravity then shows in the mean of the readings
+    or, if the sensor tumbles, in their median magnitude.
     """
     rows = max(round(WINDOW_S / record.step_s), 4)
     count = len(record) // rows
@@ -351,10 +357,10 @@ def find_acceleration_unit(record: Record) -> tuple[Record, Finding | None]:
 
 
 def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
-    """Find turn rates in degrees, by comparison with gravity or with the quaternions.
+    """Find turn rates in degrees per second, by comparison with gravity or quaternions, and convert them.
 
-    The rotation of gravity, or of the quaternions, must agree with the turn rates. Fast turn rates whose unit
-    cannot be confirmed in this way are reported.
+    The rotation of gravity in sensor axes, or of the quaternions, must agree with the integrated turn rates.
+    Fast turn rates whose unit cannot be confirmed in this way are reported.
     """
     for residuals in (_gravity_residuals, _quaternion_residuals):
         radians, degrees = (min(residuals(record, unit).values(), default=1.0) for unit in (1.0, DEG))
@@ -376,12 +382,12 @@ def find_rate_unit(record: Record) -> tuple[Record, Finding | None]:
 
 
 def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
-    """Return the change of specific force along world axes for each arrangement of the gyroscope's axes.
+    """Return the change of specific force along world axes for each order and sign of the gyroscope axes.
 
-    The arrangements are those of the gyroscope's axes, and the keys are the indices in :data:`ARRANGEMENTS`.
-    The specific force is averaged over blocks. Its changes between the blocks of a window are those of the
-    true acceleration if unit and axes are right. They are divided by the changes along sensor axes. Without
-    windows, or if gravity hardly rotates, the result is empty.
+    The keys are indices in :data:`ARRANGEMENTS`. The specific force is averaged over blocks. If unit and axes
+    of the turn rates are right, its changes between the blocks of a window are those of the true
+    acceleration. They are divided by the changes along sensor axes. Without windows, or if gravity hardly
+    rotates, the result is empty.
 
     Parameters
     ----------
@@ -410,14 +416,15 @@ def _gravity_residuals(record: Record, unit: float = 1.0) -> dict[int, float]:
         steps = steps.reshape(*rate.shape, 3).swapaxes(0, 1)
         attitude = np.swapaxes(list(accumulate(steps, np.matmul)), 0, 1)
         for k, axes in enumerate(ARRANGEMENTS):
-            # Axes that are rotated, and not mirrored, rotate all attitudes in the same way.
+            # Use the same integrated attitude for all arrangements of one handedness. A rotation of the axes,
+            # without a mirror image, rotates all attitudes in the same way.
             if np.linalg.det(axes) * sign > 0:
                 found[k] = changes((attitude @ (force @ (sign * axes))[..., None])[..., 0]) / still
     return found
 
 
 def _quaternion_residuals(record: Record, unit: float = 1.0) -> dict[tuple[str, str], float]:
-    """Return the difference between the rotations of quaternions and gyroscope, for each convention.
+    """Return the difference between rotations by quaternions and by gyroscope, for each convention.
 
     A convention is the order of the elements of a quaternion and the direction of its rotation. The sum of
     the squared differences is divided by the sum of the squared rotations of the gyroscope.
@@ -443,8 +450,9 @@ def _quaternion_residuals(record: Record, unit: float = 1.0) -> dict[tuple[str, 
 def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
     """Find swapped or mirrored axes of the gyroscope, by comparison with the rotation of gravity.
 
-    Out of 48 arrangements of the axes, the one that explains the rotation of gravity is used. Rotations about
-    the vertical carry no information, nor do rotations that are small compared with accelerations.
+    Out of 48 arrangements of the axes, the gyroscope gets the one that clearly explains the rotation of
+    gravity. Rotations about the vertical carry no information, nor do rotations that are small compared with
+    accelerations.
     """
     name, residuals = "swapped or flipped axes", _gravity_residuals(record)
     if not residuals:
@@ -474,9 +482,9 @@ def find_swapped_axes(record: Record) -> tuple[Record, Finding | None]:
 
 
 def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
-    """Find quaternions whose convention is not the stated one, by comparison with the gyroscope.
+    """Find quaternions that contradict the gyroscope in the stated convention, and remove them.
 
-    Such quaternions are removed.
+    They are removed only if they clearly agree with the gyroscope in another convention.
     """
     off, stated = _quaternion_residuals(record), ("wxyz", "body-to-world")
     best = min(off, key=lambda convention: off[convention], default=stated)
@@ -493,7 +501,7 @@ def find_wrong_quaternions(record: Record) -> tuple[Record, Finding | None]:
     return replace(record, quaternion=None), Finding("quaternions", "refuted", text)
 
 
-#: Tests for faults, in the order in which they run.
+#: Tests for faults of an inertial recording, in the order in which they run.
 TESTS: tuple[Test, ...] = (
     find_stamps,
     find_samples("wild readings", is_wild, MAX_MISSING, "exceed any motion (up to {largest:.4g})"),

@@ -1,4 +1,4 @@
-"""Recording of an inertial unit, and the quantities that are known before the motion is estimated.
+"""Recording of an inertial unit, and quantities that are computed before the motion is estimated.
 
 These quantities are the errors of the sensor, the rests, the noise, the mounting and the attitude. The module
 also reads the poses in another log of the same trial.
@@ -31,8 +31,8 @@ from swimid.notices import Progress, warn
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Names of the columns of specific force, of turn rate, of the two together, of the attitude (sensor to
-#: world), and of the magnetic field.
+#: Names of the columns of an inertial log: specific force, turn rate, the two together, attitude (quaternion
+#: from sensor to world), and magnetic field.
 ACCELERATION = ("ax_m_s2", "ay_m_s2", "az_m_s2")
 RATE = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 CHANNELS = (*ACCELERATION, *RATE)
@@ -42,9 +42,10 @@ MAGNETIC = ("mx", "my", "mz")
 GRAVITY_M_S2 = 9.80665
 #: Minimum number of samples of a recording.
 MIN_SAMPLES = 64
-#: Maximum magnitude of a coordinate, m. Larger values are codes for a missing sample.
+#: Maximum magnitude of a coordinate in the other log, m. Larger values are codes for a missing sample.
 MAX_POSITION_M = 1e4
-#: Minimum number of samples, and maximum sample time, s, of a track that is searched for jumps.
+#: Minimum number of samples, and maximum sample time (s), of a track that is searched for jumps and repeated
+#: samples.
 MIN_TRACK_SAMPLES, MAX_TRACK_STEP_S = 40, 0.25
 
 
@@ -53,15 +54,15 @@ class Record:
     """Recording of n samples of an inertial unit, in the axes of the sensor."""
 
     time_s: Array
-    #: Specific force, m/s^2, and turn rate, rad/s, each of shape (n, 3).
+    #: Specific force (m/s^2) and turn rate (rad/s), each of shape (n, 3).
     acceleration: Array
     rate: Array
     #: Attitude from sensor to world as quaternions (w, x, y, z), shape (n, 4).
     quaternion: Array | None = None
     #: Magnetic field in any unit, shape (n, 3).
     magnetic: Array | None = None
-    #: Flags of samples that are interpolated, with one column for the accelerometer and one for the
-    #: gyroscope, shape (n, 2).
+    #: Flags of samples that are interpolated, shape (n, 2): one column for the accelerometer and one for the
+    #: gyroscope.
     filled: Flags = field(default_factory=lambda: np.zeros((0, 2), dtype=bool))
     metadata: Mapping[str, Any] = field(default_factory=dict)
     #: Name of the recording in messages.
@@ -92,12 +93,12 @@ class Record:
 
 @dataclass(frozen=True)
 class Finding:
-    """Fault that was found in a recording, and what was done about it."""
+    """Fault that was found in a recording, and its treatment."""
 
     #: Name of the fault, as in ``docs/imu.md``.
     fault: str
-    #: Verdict on the fault. "handled": repaired, or suspected; "noted": reported only; "refuted": a column is
-    #: wrong and is not used.
+    #: Treatment of the fault. "handled": the fault is repaired, or suspected with a warning. "noted": it is
+    #: only reported. "refuted": a column is wrong and is not used.
     verdict: Literal["handled", "noted", "refuted"]
     #: Sentence on the fault that was found and on its treatment.
     text: str
@@ -106,12 +107,12 @@ class Finding:
 
 
 def resampled(at_s: Array, time_s: Array, values: Array) -> Array:
-    """Return columns, shape (n, k), that are interpolated linearly to other times ``at_s``, shape (m, k)."""
+    """Return columns, shape (n, k), interpolated linearly from times ``time_s`` to ``at_s``, shape (m, k)."""
     return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 
 def rotations(quaternion: Array) -> Rotation:
-    """Return the rotations for quaternions (w, x, y, z), shape (n, 4)."""
+    """Return the rotations that quaternions (w, x, y, z), shape (n, 4), describe."""
     return Rotation.from_quat(quaternion, scalar_first=True)
 
 
@@ -123,8 +124,8 @@ def turns_of(rotation: Rotation) -> Array:
 def turn_to_angles(body: Rotation) -> Array:
     """Return the derivatives of roll, pitch and yaw with respect to a small rotation, shape (n, 3, 3).
 
-    The rotation is about world axes, and the body is nearly level. In this case roll is about the heading
-    direction, pitch about starboard (nose up), and yaw about the vertical.
+    The small rotation is about world axes. The formula holds for a nearly level body: roll is then about the
+    heading direction, pitch about the direction to starboard (nose up), and yaw about the vertical.
     """
     yaw = angles(body)[2]
     out = np.zeros((len(yaw), 3, 3))
@@ -148,12 +149,12 @@ class Poses:
 
     @property
     def measured(self) -> Flags:
-        """Flags of the angles that the other log measures at any time, shape (3,)."""
+        """Flags of roll, pitch and yaw: whether the other log measures the angle at any time, shape (3,)."""
         return np.asarray(np.isfinite(self.angles).any(axis=0))
 
     @property
     def rotation(self) -> Rotation:
-        """Rotations from body to world, with 0 for each missing angle."""
+        """Attitudes of the poses (rotations from body to world). A missing angle counts as 0."""
         return from_angles(*np.nan_to_num(self.angles).T)
 
     @property
@@ -203,7 +204,7 @@ def read_record(
 
 
 def read_poses(read: Log) -> Poses:
-    """Return the poses in another log. Interpolated samples count as missing.
+    """Return the poses of the robot in another log. Interpolated samples count as missing.
 
     Measured positions (``x_raw_m``) are preferred to smoothed ones (``x_m``).
 
@@ -242,7 +243,11 @@ def read_poses(read: Log) -> Poses:
 
 
 def _remove_wrong(read: Log, position: Array, turn: Array) -> None:
-    """Set poses of another log to NaN, in place, if they repeat a picture or jump; skip a sparse track."""
+    """Set poses of another log to NaN, in place, if they repeat a picture or jump.
+
+    In a log with few samples, or with a long sample time, only positions beyond ``MAX_POSITION_M`` are
+    removed.
+    """
     wrong = (np.abs(position) > MAX_POSITION_M).any(axis=1)
     position[wrong] = np.nan
     repeated = np.zeros_like(wrong)
@@ -285,7 +290,8 @@ def integrated_attitude(time_s: Array, rate: Array, start: Rotation) -> Rotation
 def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
     """Return the trapezoidal integral of every column over time, from the first sample, shape (n, d).
 
-    The formulas are Eqs 12 and 13 of Shang et al. (2012), with the actual time steps between samples.
+    The integral begins with the value ``start``. The formulas are Eqs 12 and 13 of Shang et al. (2012), with
+    the actual time steps between samples.
     """
     return np.asarray(cumulative_trapezoid(values, time_s, axis=0, initial=0)) + start
 
@@ -293,7 +299,7 @@ def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
 # ---------------------------------------------------------------- sensor errors
 
 
-#: Conversion factors of units: 1 mg in m/s^2, and 1 degree in rad.
+#: Conversion factors of units: 1 mg (milli-g) in m/s^2, and 1 degree in rad.
 MILLI_G = 1e-3 * GRAVITY_M_S2
 DEG = np.pi / 180
 #: Half-width of a 95 % interval, in standard deviations.
@@ -302,7 +308,10 @@ BAND = 1.96
 
 @dataclass(frozen=True)
 class Sensor:
-    """Standard deviations of the errors of an inertial unit. The default values are those of the 3DM-GX1."""
+    """Standard deviations of the errors of an inertial unit.
+
+    The default values are those of the MicroStrain 3DM-GX1.
+    """
 
     #: Standard deviations of the biases before any calibration, m/s^2 and rad/s.
     acceleration_bias_sd: float = 10 * MILLI_G
@@ -313,7 +322,8 @@ class Sensor:
     rate_drift: float = 0.02 * DEG
     #: Standard deviation of the relative errors of scale and alignment, for accelerometer and gyroscope.
     scale_sd: float = 0.005
-    #: Relative change of the scale over the range of motion (nonlinearity), for accelerometer and gyroscope.
+    #: Standard deviation of the relative change of the scale over the range of motion (nonlinearity), for
+    #: accelerometer and gyroscope.
     bending_sd: float = 0.002
 
 
@@ -323,9 +333,10 @@ class Sensor:
 #: +-1.5 %), Bosch BMI160 (+-40 mg, +-3 deg/s), and ST LSM6DSO (+-20 mg, +-1 deg/s, +-1 %). Once warm, these
 #: chips have biases as constant as those of better units.
 CHIP = Sensor(30 * MILLI_G, 5.0 * DEG, scale_sd=0.015)
-#: Error classes of sensors, one of which is chosen if it explains a recording better than the default. A chip
-#: warms up by ten degrees in five minutes, and its biases change by 0.5 mg and 0.16 deg/s per degree
-#: (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125 degrees). The values are the changes in 100 s.
+#: Error classes of sensors, by description. One of them replaces the default errors if it explains a
+#: recording better. A chip warms up by ten degrees in five minutes, and its biases change by 0.5 mg and 0.16
+#: deg/s per degree (MPU-6050: +-35 mg over 70 degrees, +-20 deg/s over 125 degrees). The values for a warming
+#: chip are the changes in 100 s.
 CLASSES = {
     "a consumer's chip (biases of 30 mg, scales off by 1.5 %)": CHIP,
     "a consumer's chip that warms up (biases of 30 mg that change by 1.7 mg and 0.5 deg/s in 100 s)": (
@@ -341,28 +352,29 @@ DRIFT_TIME_S = 100.0
 
 #: Length of the windows in which motion is detected, s, and minimum length of a still period, s.
 WINDOW_S, MIN_REST_S = 0.5, 1.0
-#: Fraction of the windows of a recording that are assumed to be still. The maximum standard deviation among
-#: them is taken for the noise.
+#: Fraction of the windows of a recording that are assumed to be still. The largest standard deviation of the
+#: readings in these windows is taken for the noise.
 NOISE_SHARE = 0.05
-#: Maximum standard deviation of the readings in a still window, in units of the noise.
+#: Maximum standard deviation of the readings in a still window, divided by that of the noise.
 NOISE_RATIO = 2.0
-#: Minimum thresholds between still and moving windows, which apply however low the noise is: standard
-#: deviation of the specific force, m/s^2, and of the turn rate, rad/s.
+#: Minimum values of the limits below which a window is still: standard deviation of specific force (m/s^2)
+#: and of turn rate (rad/s). They apply if the noise is so low that ``NOISE_RATIO`` times the noise is
+#: smaller.
 MIN_MOTION_ACCELERATION, MIN_MOTION_RATE = 0.03, 0.01
-#: Maximum standard deviations of the readings of a sensor at rest, m/s^2 and rad/s.
+#: Maximum standard deviations of the specific force (m/s^2) and of the turn rate (rad/s) of a sensor at rest.
 MAX_REST_ACCELERATION, MAX_REST_RATE = 0.25, 0.05
-#: Maximum mean turn rate shown by a gyroscope at rest, rad/s: 20 deg/s on each axis (InvenSense MPU-6050).
+#: Maximum mean turn rate that a gyroscope at rest shows, rad/s: 20 deg/s on each axis (InvenSense MPU-6050).
 MAX_STILL_RATE = 20 * np.sqrt(3) * DEG
-#: Fraction of a recording that counts as its start, and as its end. A still period within the first fraction
-#: is at the "start", and one within the last fraction at the "end".
+#: Fraction of a recording that counts as its start, and fraction that counts as its end. A still period
+#: within the first fraction is at the "start", and one within the last fraction at the "end".
 EDGE_SHARE = 0.02
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Still period in a record, from row ``first`` to ``last`` (exclusive).
+    """Period in which the sensor is still: rows ``first`` to ``last`` (exclusive) of a record.
 
-    Its place is at the "start", at the "end" or "between".
+    ``at`` is its place in the record: "start", "end" or "between".
     """
 
     first: int
@@ -400,7 +412,8 @@ def find_rests(record: Record) -> list[Rest]:
     off = np.linalg.norm(mean_rate - np.median(mean_rate[steady], axis=0), axis=1)
     rests = []
     for first, last in runs(steady & (off <= limits[1])).tolist():
-        # The outer half of a window at either end of a still period may contain motion.
+        # Shorten the still period by half a window at either end, because the outer half of its first and
+        # last window may contain motion.
         begin = first + size // 2 * (first > 0)
         end = last - size // 2 * (last < len(record))
         if end - begin >= 4 and record.time_s[end - 1] - record.time_s[begin] >= MIN_REST_S:
@@ -409,7 +422,7 @@ def find_rests(record: Record) -> list[Rest]:
 
 
 def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
-    """Return the mean acceleration in each still period, shape (periods, 3).
+    """Return the mean specific force in each still period, m/s^2, shape (periods, 3).
 
     Without still periods the result is the mean over the whole record.
     """
@@ -418,7 +431,10 @@ def mean_accelerations(record: Record, rests: list[Rest]) -> Array:
 
 
 def mean_rate(record: Record, rests: list[Rest]) -> Array:
-    """Return the median over the still periods of the mean turn rate, rad/s, shape (3,); 0 without any."""
+    """Return the mean turn rate of each still period, and of these the median, rad/s, shape (3,).
+
+    Without still periods the result is 0.
+    """
     if not rests:
         return np.zeros(3)
     return np.asarray(np.median([record.rate[r.rows].mean(axis=0) for r in rests], axis=0))
@@ -459,7 +475,7 @@ def _rest(record: Record, first: int, last: int) -> Rest:
 
 @dataclass(frozen=True)
 class Noise:
-    """Densities of the white noise of an inertial unit."""
+    """Densities of the white noise of accelerometer and gyroscope, per square root of 1 Hz."""
 
     acceleration_m_s2_per_rt_hz: float
     rate_rad_s_per_rt_hz: float
@@ -473,7 +489,7 @@ DATA_SHEET = Noise(0.4 * MILLI_G, 3.5 * DEG / 60.0, "data sheet")
 
 
 def measure_noise(record: Record, rests: list[Rest]) -> Noise:
-    """Return the white noise of the sensor in its still periods, averaged over the axes.
+    """Return the noise densities of the sensor, measured in its still periods and averaged over the axes.
 
     Without still periods the result is the noise of the data sheet.
     """
@@ -492,9 +508,9 @@ def _moving_mean(values: Array, size: int) -> Array:
 
 
 def _deviation(values: Array, size: int) -> Array:
-    """Return the standard deviation of a sensor's readings in a window about each sample, shape (n,).
+    """Return the standard deviation of a sensor's readings in a window of ``size`` samples about each sample.
 
-    The result is the square root of the sum of the variances of all axes.
+    The result has the shape (n,). It is the square root of the sum of the variances of all axes.
     """
     centred = values - values.mean(axis=0)
     spread = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
@@ -506,12 +522,13 @@ def _deviation(values: Array, size: int) -> Array:
 
 #: Name of the source of the attitude if the log itself has quaternions.
 QUATERNIONS = "quaternion columns"
-#: Standard deviation of the attitude, rad: by quaternions in a log (3DM-GX1, Table I of Shang et al. 2012),
-#: and by an attitude filter.
+#: Standard deviation of the attitude, rad: of quaternions in a log (3DM-GX1, Table I of Shang et al. 2012),
+#: and of an attitude filter.
 QUATERNION_SD, FILTER_SD = 2.0 * DEG, 1.0 * DEG
-#: Standard deviation of the mounting, rad: if it follows from gravity, and if the user states it.
+#: Standard deviation of the mounting of the sensor, rad: of a mounting that follows from gravity, and of one
+#: that the user states.
 GRAVITY_MOUNT_SD, STATED_MOUNT_SD = 3 * DEG, 0.5 * DEG
-#: Maximum angle between the directions of gravity in two rests that count as rests in the same attitude, rad.
+#: Maximum angle between the directions of gravity in two rests of the robot in the same attitude, rad.
 UPRIGHT = 45 * DEG
 #: Places of the still periods that count as rests of the robot, for each value of the option ``--rest``.
 REST_PLACES = {"ends": ("start", "end"), "all": ("start", "between", "end"), "none": ()}
@@ -523,7 +540,7 @@ class Source:
 
     #: Rotation from sensor to world axes at each of n samples.
     rotation: Rotation
-    #: Whether the yaw is measured, by a compass or by the filter in the sensor.
+    #: Whether the yaw is measured, by a compass or by the attitude filter in the sensor.
     heading: bool
     #: Name of the source of the attitude: "quaternion columns", "gyroscope and accelerometer" or "gyroscope,
     #: accelerometer and magnetometer".
@@ -538,7 +555,7 @@ class Mount:
     rotation: Rotation
     #: Source of the mounting, as text: "given", "quaternions", "level at rest" or others.
     by: str
-    #: Unit vector opposite to gravity when the robot is at rest, along sensor axes.
+    #: Unit vector opposite to gravity when the robot is at rest, in sensor axes, shape (3,).
     up: Array
     #: Standard deviation of the mounting, rad.
     sd: float = GRAVITY_MOUNT_SD
@@ -546,11 +563,12 @@ class Mount:
 
 @dataclass(frozen=True)
 class Setup:
-    """Inertial record with all that is known before the motion is estimated, such as mounting and noise."""
+    """Inertial record, with rests, noise, mounting and attitude, as known before the motion is estimated."""
 
     record: Record
     options: TrackImuOptions
-    #: Still periods of the sensor (the rests of the robot are among them), rests, and noise of the sensor.
+    #: Still periods of the sensor, those among them that count as rests of the robot, and noise of the
+    #: sensor.
     still: list[Rest]
     rests: list[Rest]
     noise: Noise
@@ -573,7 +591,7 @@ class Setup:
 
     @property
     def body(self) -> Record:
-        """Record in body axes, with the mounting from gravity or as stated by the user."""
+        """Record converted to body axes by the mounting, which follows from gravity or from the user."""
         turn, record = self.mount.rotation.inv(), self.record
         return replace(record, acceleration=turn.apply(record.acceleration), rate=turn.apply(record.rate))
 
@@ -584,11 +602,11 @@ class Setup:
 
     @property
     def lever(self) -> Array:
-        """Lever: vector from the sensor to the body's reference point, sensor axes, m, shape (3,)."""
+        """Vector from the sensor to the body's reference point (lever), in sensor axes, m, shape (3,)."""
         return np.asarray(self.mount.rotation.apply(-np.array(self.options.lever_m or (0.0, 0.0, 0.0))))
 
     def without(self, rests: list[Rest]) -> Setup:
-        """Return a copy of the setup without the given intervals in which the robot is at rest.
+        """Return a copy of the setup without the given rests of the robot.
 
         An attitude from a filter is estimated again without these rests.
         """
@@ -597,7 +615,7 @@ class Setup:
 
 
 def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Finding]]:
-    """Return the setup of a record (rests, mounting, attitude), and findings about the mounting."""
+    """Find rests, noise, mounting and attitude of a record; return its setup and findings on the mounting."""
     stated, places = _declared(record, options.still), REST_PLACES[options.rests]
     free = [r for r in find_rests(record) if not any(r.first < d.last and d.first < r.last for d in stated)]
     still = sorted([*stated, *free], key=lambda rest: rest.first)
@@ -610,8 +628,9 @@ def prepare(record: Record, options: TrackImuOptions) -> tuple[Setup, list[Findi
 def find_mount(record: Record, rests: list[Rest], options: TrackImuOptions) -> tuple[Mount, list[Finding]]:
     """Find the mounting of the sensor on the body without another log.
 
-    A log with quaternion columns is in body axes, since the quaternions convert from body to world. If the
-    robot comes to rest in another attitude than at the start, the mounting follows from its first rest.
+    A log with quaternion columns is taken to be in body axes, since the quaternions convert from body to
+    world. Otherwise the mounting follows from the direction of gravity at rest. If the robot comes to rest in
+    another attitude than at the start, its first rest is used.
 
     Raises
     ------
@@ -679,5 +698,6 @@ def _attitude(record: Record, rests: list[Rest]) -> Source:
     if field is None:
         yaw = rotation[0].as_euler("ZYX")[0]
         return Source(Rotation.from_rotvec([0.0, 0.0, -yaw]) * rotation, False, "gyroscope and accelerometer")
-    # The world axes of VQF are east, north and up. Yaw is counted from x, which is east.
+    # Use the world axes of VQF, which are east, north and up, as they are. Yaw is counted from x, which is
+    # east.
     return Source(rotation, True, "gyroscope, accelerometer and magnetometer")

@@ -1,11 +1,11 @@
 """Estimation of a motion with its uncertainty by an error-state Kalman filter and smoother.
 
-Accelerations are integrated along a first estimate of the attitude, which gives a path. The errors of the
-path are estimated from the samples and from all observations (rests, attitudes, statements of the user,
-another log). This is repeated about the corrected path until it converges. The method is the iterated
-smoother of Bell (1994, doi:10.1137/0804035), which makes Gauss-Newton steps on the whole path. The iteration
-does not start from integrated turn rates: after a minute of fast rotation their attitude is wrong by radians,
-and small corrections cannot repair it.
+Integration of accelerations along a first estimate of the attitude gives a path. The errors of the path are
+estimated from the samples and from all observations (rests, attitudes, statements of the user, another log).
+The path is corrected and the estimation repeated until it converges. The method is the iterated smoother of
+Bell (1994, doi:10.1137/0804035), which makes Gauss-Newton steps on the whole path. The iteration does not
+start from integrated turn rates. After a minute of fast rotation, their attitude is wrong by radians, which
+small corrections cannot repair.
 
 The errors are those of position, velocity and attitude (true minus estimated, a small rotation about world
 axes), the biases of accelerometer and gyroscope (sensor axes), and their errors of scale and alignment. With
@@ -29,7 +29,8 @@ from swimid.inertial import record as recording
 from swimid.inertial.record import Array, Noise, Record, Sensor, Setup, integral, resampled
 from swimid.logs.kinematics import angles
 
-#: Slice of each quantity in the vector of errors. Errors of scale are 3 x 3 matrices, stored by rows.
+#: Slice of each quantity in the vector of errors that the smoother estimates. Errors of scale are 3 x 3
+#: matrices, stored by rows.
 PARTS = {
     "position": slice(0, 3),
     "velocity": slice(3, 6),
@@ -43,23 +44,24 @@ PARTS = {
     "tilt": slice(39, 41),
     "clock_s": slice(41, 42),
 }
-#: Number of elements of the vector of errors: without another log, and with another log.
+#: Number of elements of the vector of errors: for an inertial log only, and together with another log.
 ALONE, FUSED = 33, 42
-#: Number of elements of the vector of errors that change by the equations of motion. The other errors are
-#: constant or drift.
+#: Number of elements of the vector of errors that follow the equations of motion (position, velocity and
+#: attitude). The other errors are constant or drift.
 MOVING = 9
 
 
 #: Names of the quantities whose errors change from sample to sample.
 CHANGING = ("position", "velocity", "rotation", "acceleration_bias", "rate_bias")
-#: Number of linearisations of the smoother. Biases and attitude converge in two.
+#: Default number of linearisations of the smoother. Biases and attitude converge in two.
 PASSES = 3
-#: Minimum time step of a record that counts as a loss of samples, in median sample times.
+#: Time step of a record above which samples count as lost, in median sample times.
 LONG_STEP = 1.5
-#: Correlation time of the motion that interpolated samples hide, s, and correlation time of nonlinearity
-#: errors (half a stroke), s.
+#: Correlation time of the motion that interpolated samples do not show, s, and correlation time of errors due
+#: to nonlinearity (half a stroke), s.
 HIDDEN_S, RHYTHM_S = 0.1, 0.5
-#: Maximum time between nodes, s, and maximum number of nodes. Errors are estimated at the nodes only.
+#: Time between nodes, s, and maximum number of nodes. Nodes are the samples at which errors are estimated.
+#: For long records the time between them is longer.
 NODE_S, MAX_NODES = 0.02, 20_000
 #: Value added to the diagonal of a predicted covariance, so that the matrix can be inverted.
 RIDGE = 1e-18
@@ -88,7 +90,8 @@ class Observation:
     """Observation: measurement of m values that depend on the errors of a path at one node."""
 
     node: int
-    #: Kind of the observation, such as "rest". Innovations are reported separately for each kind.
+    #: Name of the quantity that is observed, such as "rest". Innovations are reported separately for each
+    #: name.
     kind: str
     #: Measured minus predicted values of the observation, shape (m,).
     residual: Array
@@ -106,7 +109,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a path at its nodes, as the smoother estimates them."""
+    """Errors of a path at its nodes, which the smoother has estimated."""
 
     #: Estimated means of the errors at the nodes, shape (nodes, states).
     mean: Array
@@ -123,19 +126,20 @@ class Errors:
 
     @threadpool_limits.wrap(limits=1)
     def draw(self, sensitivity: Array, count: int) -> Array:
-        """Draw random trajectories of linear functions of the errors, about their mean.
+        """Draw random trajectories of linear functions of the errors. The trajectories have mean 0.
 
         Parameters
         ----------
         sensitivity : ndarray, shape (nodes, m, states)
-            Derivatives of the functions with respect to the errors.
+            Derivatives of the m functions with respect to the errors.
         count : int
             Number of trajectories.
 
         Returns
         -------
         ndarray, shape (nodes, m, count)
-            Values of the functions. The seed is fixed, so that equal errors give equal trajectories.
+            Values of the functions minus their means. The seed is fixed, so that equal errors give equal
+            trajectories.
 
         Notes
         -----
@@ -161,7 +165,7 @@ class Errors:
         return drawn
 
 
-@threadpool_limits.wrap(limits=1)  # with matrices of this size threads cost time
+@threadpool_limits.wrap(limits=1)  # threads slow down small matrices
 def smooth_errors(
     start_mean: Array,
     start: Array,
@@ -170,7 +174,7 @@ def smooth_errors(
     observations: list[Observation],
     defect: Array,
 ) -> Errors:
-    """Return estimates of the errors at the nodes, by a Kalman filter forwards and a smoother backwards.
+    """Estimate the errors at the nodes by a Kalman filter forwards and a smoother backwards.
 
     Parameters
     ----------
@@ -180,7 +184,8 @@ def smooth_errors(
         Transition matrices and noise covariances of the steps between nodes.
     observations : list of Observation
     defect : ndarray, shape (nodes - 1, 9)
-        Additional change of the errors of position, velocity and attitude in each step.
+        Change of the errors of position, velocity and attitude in each step that is added to the transition;
+        see ``_transitions``.
     """
     nodes, states = len(transition) + 1, len(start)
     at: dict[int, list[Observation]] = {}
@@ -219,7 +224,8 @@ def smooth_errors(
 def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, Array | None, float]:
     """Return mean and covariance of the errors after an observation, with its innovation and log-likelihood.
 
-    An outlier leaves mean and covariance unchanged, and its innovation is None.
+    An innovation above ``gate`` is an outlier. It leaves mean and covariance unchanged, and None is returned
+    for the innovation.
     """
     h = seen.sensitivity
     innovation = seen.residual - h @ mean
@@ -231,14 +237,14 @@ def _update(mean: Array, cov: Array, seen: Observation) -> tuple[Array, Array, A
     inverse = np.linalg.inv(spread)
     gain = shared.T @ inverse
     left = np.eye(len(mean)) - gain @ h
-    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form keeps it positive definite
+    cov = left @ cov @ left.T + (gain * seen.sd**2) @ gain.T  # Joseph's form stays positive definite
     size = len(innovation) * np.log(2 * np.pi) + np.log(np.linalg.det(spread))
     likely = -0.5 * float(size + innovation @ inverse @ innovation)
     return mean + gain @ innovation, 0.5 * (cov + cov.T), score, likely
 
 
 def cross_matrix(vectors: Array) -> Array:
-    """Return the matrices of the cross products ``v x``, shape (..., 3, 3)."""
+    """Return the matrices M with ``M u = v x u`` for vectors v, shape (..., 3, 3)."""
     return np.swapaxes(np.cross(vectors[..., None, :], np.eye(3)), -1, -2)
 
 
@@ -249,7 +255,7 @@ def cross_matrix(vectors: Array) -> Array:
 class State:
     """State of the motion and of the sensor: the quantities whose errors are in :data:`PARTS`.
 
-    A state is at one time or, for a path, at n samples.
+    A state holds these quantities at one time or, for a path, at n samples.
     """
 
     #: Rotation from sensor to world axes.
@@ -260,21 +266,21 @@ class State:
     #: Biases of accelerometer, m/s^2, and gyroscope, rad/s, along sensor axes, shape (3,) or (n, 3).
     acceleration_bias: Array = field(default_factory=partial(np.zeros, 3))
     rate_bias: Array = field(default_factory=partial(np.zeros, 3))
-    #: Errors of scale and alignment of the sensor, shape (3, 3). The product of this matrix and a reading is
-    #: subtracted from the reading.
+    #: Errors of scale and alignment of accelerometer and gyroscope, shape (3, 3). The product of this matrix
+    #: and a reading is subtracted from the reading.
     acceleration_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
     rate_scale: Array = field(default_factory=partial(np.zeros, (3, 3)))
-    #: Lever: vector from the sensor to the reference point of the body, sensor axes, m, shape (3,).
+    #: Vector from the sensor to the reference point of the body (lever), in sensor axes, m, shape (3,).
     lever: Array = field(default_factory=partial(np.zeros, 3))
     #: Mounting: rotation from body to sensor axes.
     mount: Rotation = field(default_factory=Rotation.identity)
     #: Tilt of the world axes: horizontal components of gravity, divided by g, shape (2,).
     tilt: Array = field(default_factory=partial(np.zeros, 2))
-    #: Clock offset: time to add to the times of the other log, s.
+    #: Clock offset: time that is added to the time stamps of the other log, s.
     clock_s: float = 0.0
 
     def corrected(self, error: Array) -> Self:
-        """Return the state after an error is added, shape (states,), or (n, states) for a path."""
+        """Return the state corrected by an error, shape (states,), or (n, states) for a path."""
         parts: dict[str, Any] = {}
         for name, part in PARTS.items():
             off, value = error[..., part], getattr(self, name)
@@ -289,7 +295,7 @@ class State:
         return replace(self, **parts)
 
     def minus(self, other: State) -> Array:
-        """Return this state minus another state as a vector of errors, shape (FUSED,)."""
+        """Return the difference between this state and another one as a vector of errors, shape (FUSED,)."""
         parts = []
         for name in PARTS:
             here, there = getattr(self, name), getattr(other, name)
@@ -302,12 +308,12 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class Nominal(State):
-    """Path at n samples about which the errors are linearised and estimated."""
+    """Path at n samples, about which the smoother linearises and estimates the errors."""
 
     time_s: Array
-    #: Corrected specific force, sensor axes, m/s^2, shape (n, 3).
+    #: Specific force after correction of bias and scale, sensor axes, m/s^2, shape (n, 3).
     force: Array
-    #: Corrected turn rate, sensor axes, rad/s, shape (n, 3).
+    #: Turn rate after correction of bias and scale, sensor axes, rad/s, shape (n, 3).
     rate: Array
     #: Rows of the samples at which the errors are estimated (nodes), shape (nodes,).
     nodes: np.ndarray
@@ -327,12 +333,12 @@ class Nominal(State):
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Path after the correction of its errors, with the covariance of the remaining errors."""
+    """Result of the smoother: path after correction of its errors, and covariance of the remaining errors."""
 
     path: Nominal
-    #: Errors of the path that were estimated in the last linearisation.
+    #: Errors of the path that were estimated in the last iteration of the smoother.
     errors: Errors
-    #: State at the first sample, from which a further linearisation would start.
+    #: State at the first sample, from which a further iteration of the smoother would start.
     origin: State
     #: Error class of the sensor that was assumed.
     sensor: Sensor
@@ -345,7 +351,7 @@ class Smoothed:
 
 
 def gravity(tilt: Array) -> Array:
-    """Return the gravity vector along tilted world axes, m/s^2, shape (3,)."""
+    """Return the gravity vector in world axes with the given tilt, m/s^2, shape (3,)."""
     return -recording.GRAVITY_M_S2 * np.array([tilt[0], tilt[1], 1.0])
 
 
@@ -394,7 +400,7 @@ def smooth(
         transition, defect = _transitions(record, path)
         mean = start.minus(now)[:states]
         errors = smooth_errors(mean, covariance, transition, driving, observe(path), defect)
-        # The next linearisation assumes constant biases, equal to the means over the record.
+        # Take constant biases for the next linearisation, equal to the means over the record.
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
         now = now.corrected(begin)
@@ -404,7 +410,7 @@ def smooth(
 
 
 def _integrated(setup: Setup, start: State, states: int) -> Nominal:
-    """Return the path that follows from the accelerations, integrated along the attitude before smoothing."""
+    """Return the path by integration of the accelerations along the attitude before smoothing."""
     record, t = setup.record, setup.record.time_s
     nodes = np.arange(len(record))
     spacing = max(NODE_S, float(t[-1] - t[0]) / MAX_NODES)
@@ -417,7 +423,7 @@ def _integrated(setup: Setup, start: State, states: int) -> Nominal:
 
 
 def _about(record: Record, origin: State, path: Nominal) -> Nominal:
-    """Return a copy of the path with the biases, scales and other constants of the state ``origin``."""
+    """Return a copy of the path with biases, scales and other constants from the state ``origin``."""
     constant = {name: getattr(origin, name) for name in PARTS if name not in CHANGING}
     for name in ("acceleration_bias", "rate_bias"):
         constant[name] = np.broadcast_to(getattr(origin, name), path.rate.shape)
@@ -425,7 +431,7 @@ def _about(record: Record, origin: State, path: Nominal) -> Nominal:
 
 
 def _with_readings(record: Record, path: Nominal) -> Nominal:
-    """Return a copy of the path with readings that are corrected by its biases and scales."""
+    """Return a copy of the path with readings corrected by the biases and scales of the path."""
     force = record.acceleration - path.acceleration_bias - record.acceleration @ path.acceleration_scale.T
     rate = record.rate - path.rate_bias - record.rate @ path.rate_scale.T
     return replace(path, force=force, rate=rate)
@@ -445,7 +451,7 @@ def _start_covariance(sd: Mapping[str, Any], sensor: Sensor, states: int) -> Arr
 
 
 def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
-    """Return the transition matrices of the errors for the steps between nodes, and the defects of the path.
+    """Return transition matrices of the errors between successive nodes, and the defects of the path.
 
     The matrices are exp(F dt) to third order in dt, with means over the step (Groves 2013, Principles of
     GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., sec. 14.2, without the rotation of
@@ -461,9 +467,10 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
         return steps.reshape(-1, *values.shape[1:])
 
     def turn_by(readings: Array) -> Array:
-        """Return products of the columns of a rotation matrix and the components of readings.
+        """Return the derivatives of rotated readings by the scale matrix, averaged over each step.
 
-        The index of the component of the readings varies fastest.
+        The derivatives are products of the columns of the rotation matrix and the components of the readings.
+        The index of the component varies fastest.
         """
         parts = [mean(turn * readings[:, None, j, None]) for j in range(3)]
         return np.stack(parts, axis=-1).reshape(-1, 3, 9)
@@ -498,10 +505,10 @@ def _transitions(record: Record, path: Nominal) -> tuple[Array, Array]:
 
 
 def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) -> Array:
-    """Return the noise covariance of the errors for each step between nodes, (steps, states, states).
+    """Return the noise covariance of the errors in each step, shape (steps, states, states).
 
-    The covariance contains the noise of the sensor, its nonlinearity, and the motion that missing samples
-    hide.
+    A step leads from one node to the next. The covariance contains the noise of the sensor, its nonlinearity,
+    the drift of its biases, and the motion in missing samples.
     """
     dt = np.diff(record.time_s)
     hidden = np.maximum(dt - LONG_STEP * record.step_s, 0.0)
@@ -510,7 +517,8 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
         lost = record.filled[1:, sensed] | record.filled[:-1, sensed]
         variance = density**2 * dt
         variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
-        # Nonlinearity errors are correlated over half a stroke. Over longer times they act as white noise.
+        # Add the errors due to nonlinearity. They are correlated over half a stroke, and act as white noise
+        # over longer times.
         variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
         return np.diff(np.concatenate([[0.0], np.cumsum(variance)])[path.nodes])
 
@@ -532,13 +540,13 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
 # ---------------------------------------------------------------- the motion of the reference point
 
 
-#: Number of random error trajectories, from which a standard deviation is computed. Its relative error is 1 /
-#: sqrt(2 N_DRAWS) = 6 %.
+#: Number of random error trajectories from which a standard deviation is computed. The relative error of the
+#: standard deviation is 1 / sqrt(2 N_DRAWS) = 6 %.
 N_DRAWS = 128
-#: Minimum number of samples for the high-pass filter, and its maximum cut-off frequency as a fraction of the
-#: sample rate.
+#: Minimum number of samples for the high-pass filter, and maximum cut-off frequency of the filter as a
+#: fraction of the sample rate.
 MIN_FILTERED, MAX_CUTOFF = 32, 0.45
-#: Names of the quantities that are left empty where the motion is impossible.
+#: Names of the quantities that are set to NaN where the estimated motion is impossible.
 EMPTIED = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd", "body_velocity_sd")
 #: Motion of the reference point at n samples, as arrays of shape (n, 3) by name: ``position`` (m) and
 #: ``velocity`` (m/s) along world axes, ``body_velocity`` (m/s), ``angle`` (roll, pitch and yaw, rad),
@@ -548,7 +556,7 @@ Motion = dict[str, Array]
 
 
 def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
-    """Return the velocity of the reference point, and the derivatives of its motion with respect to errors.
+    """Return the velocity of the reference point, and derivatives of the motion of this point by the errors.
 
     The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
     body rotation with respect to the errors at the nodes. Each has the shape (nodes, 3, states).
@@ -572,7 +580,7 @@ def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
 
 
 def at_reference(smoothed: Smoothed) -> Motion:
-    """Return the motion of the reference point of the body, with its standard deviations."""
+    """Return the smoothed motion of the reference point of the body, with standard deviations."""
     path, covariance = smoothed.path, smoothed.errors.covariance
     body, rows = path.rotation * path.mount, path.nodes
     velocity, by_place, by_speed, by_turn = _carried(path)
@@ -611,10 +619,10 @@ def attitude_only(rotation: Rotation, rate: Array, acceleration: Array, sd: floa
 
 
 def _in_body(body: Rotation, velocity: Array, speed_error: Array, turn_error: Array) -> Array:
-    """Return errors of the velocity along body axes, from errors along world axes and of the rotation.
+    """Return errors of the velocity along body axes, from its errors along world axes and rotation errors.
 
-    ``velocity`` has shape (n, 3). The errors have shape (n, 3, m), where m counts random samples or
-    derivatives.
+    ``velocity`` has shape (n, 3). The errors have shape (n, 3, m), where m is the number of random samples or
+    of derivatives.
     """
     to_body = np.swapaxes(body.as_matrix(), 1, 2)
     return np.asarray(to_body @ (speed_error + cross_matrix(velocity) @ turn_error))

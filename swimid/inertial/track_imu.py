@@ -119,10 +119,10 @@ def track_imu(
 
 
 #: Maximum half-width of the 95 % band of a position that can be used: in m, and relative to the distance
-#: travelled.
+#: travelled. The larger limit counts.
 TRUSTED_WIDTH_M, TRUSTED_SHARE = 0.1, 0.1
 #: Minimum frequency of an oscillation that counts as motion within a stroke: relative to the stroke
-#: frequency, and in Hz if that frequency is unknown.
+#: frequency, and in Hz if the stroke frequency is unknown.
 STROKE_SHARE, LOWEST_HZ = 0.5, 0.3
 #: Names of the three angles of an attitude.
 ANGLES = ("roll", "pitch", "yaw")
@@ -130,7 +130,7 @@ ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class Run:
-    """Result of the estimation for one recording: setup, motion, and all values for log and evidence."""
+    """Estimated motion of one recording, with its setup and all values for the log and the evidence."""
 
     #: Setup of the recording, with the error class of the sensor and the rests that were used.
     setup: Setup
@@ -142,15 +142,15 @@ class Run:
     #: Estimated motion, with the surge velocity within a stroke (``surge``).
     motion: Motion
     poses: recording.Poses | None = None
-    #: Most likely motion according to the smoother; None for the method of Shang et al. (2012).
+    #: Estimate by the smoother; None for the method of Shang et al. (2012).
     found: Estimate | None = None
-    #: Time until which the position can be used, s; None if it can be used throughout.
+    #: Time after which the position cannot be used, s; None if it can be used throughout.
     trusted_until_s: float | None = None
     #: Biases of accelerometer (m/s^2) and gyroscope (rad/s) at the last sample, shape (6,).
     bias: Array | None = None
     #: Root-mean-square innovation of the velocity at rests, in standard deviations.
     rest_score: float | None = None
-    #: Reasons why positions and velocities are left empty.
+    #: Reasons why positions and velocities are left empty; no reasons if they are not.
     impossible: Sequence[str] = ()
 
     @property
@@ -172,14 +172,14 @@ class Run:
 
     @property
     def tilt(self) -> tuple[float, float]:
-        """Roll and pitch of the body at rest, rad."""
+        """Roll and pitch of the body at rest, from the direction of gravity, rad."""
         mount = self.setup.mount.rotation if self.fused is None else self.fused.smoothed.path.mount
         up = mount.inv().apply(self.setup.mount.up)
         return float(np.arctan2(up[1], up[2])), float(np.arctan2(up[0], np.hypot(up[1], up[2])))
 
     @property
     def against(self) -> str | None:
-        """Message on how the stroke contradicts the metadata; None if the two agree."""
+        """Message on the contradiction between stroke frequency and metadata; None if the two agree."""
         stroke, stated_hz = self.stroke, self.stated_hz
         if stroke is None or stated_hz is None:
             return None
@@ -188,7 +188,7 @@ class Run:
         return beat.contradiction(stroke.beat, stated_hz)
 
     def columns(self) -> dict[str, Any]:
-        """Return the columns of the log of the motion, in their order."""
+        """Return the columns of the motion log by name, in the order of the log."""
         record, motion = self.setup.record, self.motion
         columns = {"t_s": record.time_s, **_columns(motion, "")}
         if self.by_paper:
@@ -211,7 +211,7 @@ COLUMNS = {
 
 
 def _columns(motion: Motion, ending: str) -> dict[str, Array]:
-    """Return the columns of the quantities of a motion.
+    """Return the columns of a log with the quantities of a motion, by name.
 
     With the ending ``_sd``, return the columns of their standard deviations.
     """
@@ -232,7 +232,7 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
     ----------
     setup : Setup
     findings : list of Finding
-        Faults of the recording that were found before.
+        Faults that were found while the recording was read and repaired.
     poses : Poses or None
         Poses of another log of the trial.
     """
@@ -266,11 +266,10 @@ def estimate(setup: Setup, findings: list[Finding], poses: recording.Poses | Non
 
 
 def _checked(run: Run) -> Run:
-    """Return the result without samples that are too fast, and with the time until which it can be used.
+    """Return the result without impossibly fast samples, and with the time until which it can be used.
 
-    A sample is too fast if it exceeds the top speed by more than the 95 % band. It is also too fast if it
-    exceeds the top speed by more than GATE times the standard deviation that the smoother assumes for the
-    speed.
+    A sample is too fast if its speed exceeds the top speed by more than the 95 % band. It is also too fast if
+    its speed exceeds GATE times the standard deviation that the smoother assumes for the speed.
     """
     moved, top_m_s = run.motion, run.setup.options.top_speed_m_s
     speed = np.linalg.norm(moved["velocity"], axis=1)
@@ -334,9 +333,10 @@ def compute_by_paper(record: Record, rotation: Rotation, options: TrackImuOption
 
 
 def find_trust(time_s: Array, position: Array, position_sd: Array) -> float | None:
-    """Return the time from which the position cannot be used.
+    """Return the time from which the estimated position is too uncertain to be used.
 
-    From then on the horizontal 95 % band exceeds 0.1 m and 10 % of the distance travelled.
+    At this time the half-width of the horizontal 95 % band exceeds both 0.1 m and 10 % of the distance
+    travelled for the first time.
 
     The time is on the clock of the log, s. The result is None if the whole position can be used.
 
@@ -358,26 +358,26 @@ SHANG = "Shang, Wang, Tan, Cheng (2012). Robotica 30, 913-923. doi:10.1017/S0263
 RAUCH = "Rauch, Tung, Striebel (1965). AIAA Journal 3(8), 1445-1450. doi:10.2514/3.3166"
 VQF = "Laidig, Seel (2023). Information Fusion 91, 187-204. doi:10.1016/j.inffus.2022.10.014"
 #: Maximum root-mean-square innovation of the velocity at rests, in standard deviations. Two rests give at
-#: least six innovations. Their chi-square exceeds four times its degrees of freedom in 1 of 2000 cases.
+#: least six innovations, whose chi-square exceeds four times its degrees of freedom in 1 of 2000 cases.
 MAX_REST_SCORE = 2.0
 #: Maximum number of samples of a curve in a figure.
 N_DRAWN = 2000
-#: Verdict of a check, and code of its warning, for each verdict of a finding about the recording.
+#: Verdict of the check and code of the warning for a fault of the recording, by the verdict on the fault.
 GRADES: dict[str, tuple[Literal["info", "warn", "fail"], str]] = {
     "noted": ("info", ""),
     "handled": ("warn", "SWM080"),
     "refuted": ("fail", "SWM090"),
 }
-#: Names of the checks whose violation makes the result bad. The violation of any other check is a warning.
+#: Names of the checks that are failures if they do not pass. Any other check is only a warning.
 FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
 
-#: Type of a check in a list: code of the warning, name, value, limit, whether the check passes, and the
-#: reason if it does not.
+#: Type of a check before it is evaluated: code of the warning, name, value, limit, whether the check passes,
+#: and the reason if it does not.
 Test = tuple[str, str, str, str, bool, str]
 
 
 def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
-    """Return the log of motion with its evidence; warn of the checks that do not pass.
+    """Return the motion log with its evidence. Warn of the checks that do not pass.
 
     Parameters
     ----------
@@ -521,7 +521,8 @@ def _motion_tests(run: Run) -> Iterator[Test]:
     reason = "no still period found; the biases are known to data-sheet accuracy only"
     yield "SWM082", "Still periods", str(count), "at least one", count > 0, reason
     size = float(np.mean(np.linalg.norm(recording.mean_accelerations(setup.record, setup.still), axis=1)))
-    # Compute the half-width of the 95 % band, relative to g, from bias and scale of the sensor's class.
+    # Compute the half-width of the 95 % band of gravity, relative to g, from bias and scale error of the
+    # sensor class.
     share = BAND * float(np.hypot(setup.sensor.acceleration_bias_sd / GRAVITY_M_S2, setup.sensor.scale_sd))
     value, limit = f"{size:.3f} m/s²", f"{GRAVITY_M_S2:.3f} ± {100 * share:.1f} %"
     yield "", "Gravity", value, limit, abs(size / GRAVITY_M_S2 - 1) <= share, f"gravity is {value}"

@@ -1,4 +1,4 @@
-"""Command ``optimise gait``: search for the best gait within limits, and the uncertainty of the gait."""
+"""Command ``optimise gait``: search for the best gait of a robot within limits, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -29,13 +29,15 @@ from swimid.results.result import FileResult
 from swimid.simulation.cases import value_text
 from swimid.simulation.draws import drawn
 
-#: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range, and relative
-#: tolerance within which a limit counts as active.
+#: Tolerance within which a varied parameter counts as at its bound, as a fraction of its range; and relative
+#: tolerance within which the limit of a quantity counts as reached.
 BOUND_TOL, ACTIVE_RTOL = 0.005, 0.01
-#: Maximum relative difference of the goal at which the searches from two starting points count as agreeing.
+#: Maximum relative difference between the goals that the searches from two starting points reach, if the
+#: searches count as agreeing.
 AGREE_RTOL = 0.005
-#: First and last radius of the finite differences, and maximum number of steps, of the searches for random
-#: samples of the coefficients. These searches start from the optimum for the estimated coefficients.
+#: Radius of the finite differences in the first step and at the end of a search, and maximum number of steps,
+#: for a random sample of the coefficients. Such a search starts from the optimum for the estimated
+#: coefficients.
 DRAW_RADIUS, DRAW_LAST, DRAW_STEPS = 0.03, 1e-3, 14
 #: Minimum fraction of the random samples of the coefficients in which the best gait must satisfy its limits.
 MIN_KEPT = 0.9
@@ -57,24 +59,25 @@ class GaitFile(StudyFile):
     kind: ClassVar[str] = "gait file"
     format: Literal["swimid-gait/2"] = "swimid-gait/2"
     vary: dict[str, Varied]
-    #: Goal of the optimisation, the quantity that the goal stands for, and the unit of the quantity.
+    #: Name of the goal as in the option ``--goal``, quantity of the simulation that is optimised, and unit of
+    #: the quantity.
     goal: str
     quantity: str
     unit: str
     limits: dict[str, Limit] = {}
-    #: Value of the goal, including penalties, at the end of the search from each starting point, the best
-    #: first.
+    #: Value of the goal, including penalties, at the end of the search from each starting point. The best
+    #: value is first.
     ends: list[float] = []
     #: Values of the varied parameters at the best gait, and value of the goal there.
     at: dict[str, float]
     best: float
     #: Varied parameters that lie at an end of their range. A better gait may lie beyond this end.
     at_bound: list[str] = []
-    #: Names of the limits that are active at the best gait.
+    #: Names of the limits that the best gait reaches.
     held_by: list[str] = []
     quantities: dict[str, Number] = {}
-    #: Number of random samples of the coefficients, and fraction of drawn samples that lay within the bounds
-    #: of the coefficients.
+    #: Number of random samples of the coefficients within the bounds of the coefficients, and fraction of all
+    #: drawn samples that lay within the bounds.
     draws: int = 0
     inside: Number = None
     #: 95 % interval of each varied parameter of the best gait over the random samples of the coefficients.
@@ -96,7 +99,7 @@ class BestGait(FileResult[GaitFile]):
     Attributes
     ----------
     at : dict of str to float
-        Varied parameters at the best gait.
+        Values of the varied parameters at the best gait.
     file : GaitFile
         All results, including the intervals and the ends of the searches. :meth:`save` writes this file.
     """
@@ -113,11 +116,11 @@ class BestGait(FileResult[GaitFile]):
 def optimise_gait(
     *, options: OptimiseGaitOptions, output: Path | None = None, progress: Progress = silent
 ) -> BestGait:
-    """Find the best gait of a robot within limits, with the uncertainty of its coefficients.
+    """Find the best gait of a robot within limits, with the uncertainty that follows from the coefficients.
 
-    The goal is minimised by finite differences from several starting points. If the parameter file has
-    standard errors, the search is repeated for random samples of the coefficients. These give the interval of
-    the best gait.
+    The goal is optimised by a gradient search with finite differences from several starting points. If the
+    parameter file has standard errors, the search is repeated for random samples of the coefficients. These
+    give the 95 % interval of the best gait.
 
     Parameters
     ----------
@@ -222,9 +225,9 @@ def _limits(performance: Performance, options: OptimiseGaitOptions) -> dict[str,
 
 
 def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
-    """Return the best points of a Sobol sequence as starting points of the search.
+    """Return the best points of a Sobol sequence as starting points of the search, in the unit cube.
 
-    Also set the scale of the goal in the problem.
+    Also set the typical scale of the goal in ``problem``, which the penalties need.
     """
     exponent = math.ceil(math.log2(N_POINTS_PER_START * options.starts))
     from scipy.stats import qmc
@@ -239,7 +242,7 @@ def _choose_starts(problem: Problem, options: OptimiseGaitOptions) -> Array:
 
 
 def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress: Progress) -> GaitFile:
-    """Search for the best gait from several starting points, and return it with its quantities."""
+    """Search for the best gait from several starting points; return it with its simulated quantities."""
     starts = _choose_starts(problem, options)
     with progress("search", total=MAX_STEPS) as step:
         found = problem.minimise(starts, advance=step)
@@ -272,7 +275,7 @@ def _find(problem: Problem, options: OptimiseGaitOptions, study: Study, progress
 def _set_intervals(
     problem: Problem, file: GaitFile, options: OptimiseGaitOptions, progress: Progress
 ) -> None:
-    """Set the 95 % intervals of the parameters of the best gait and of its objective."""
+    """Set the 95 % intervals of the varied parameters and of the goal in ``file``, from random samples."""
     vectors, file.inside = drawn(problem.performance.applied, options.draws, options.seed)
     file.draws = len(vectors)
     nominal = np.tile(problem.place(file.at), (len(vectors), 1))
@@ -340,7 +343,7 @@ def _checks(file: GaitFile) -> list[ev.Check]:
 
 
 def answer(file: GaitFile) -> str:
-    """Return a sentence with the best gait, its goal and its active limits."""
+    """Return a sentence with the best gait, the value of its goal, and the limits that it reaches."""
     place = ", ".join(f"{n} {numbers.number(v, 4, file.vary[n].unit)}" for n, v in file.at.items())
     held = f", limited by {', '.join(file.held_by)}" * bool(file.held_by)
     return f"Best gait: {place}; {file.goal} {value_text(file.best, file.unit, digits=4)}{held}."

@@ -28,19 +28,21 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult
 
-#: Degree of the polynomial of the frequency in a curve of the rule (tendon-fish paper, Algorithm 1).
+#: Degree of the polynomial of the frequency that gives the stiffness at one amplitude (Algorithm 1 of
+#: "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin").
 DEGREE = 2
-#: First and last radius of the finite differences in the final search, as a fraction of the stiffness range.
-#: The final search starts at the best point of a Pareto front.
+#: Radius of the finite differences in the first step and at the end of the final search, as a fraction of the
+#: stiffness range. The final search starts at the best point of a Pareto front.
 SEARCH_RADIUS, MIN_RADIUS = 0.01, 5e-4
-#: Maximum distance of a stiffness from an end of its range, as a fraction of the range, at which the
-#: stiffness counts as at its bound.
+#: Maximum distance of a stiffness from an end of its range for a stiffness at its bound, as a fraction of the
+#: range.
 BOUND_TOL = 1e-3
 #: Maximum relative loss of speed, or relative increase of the cost of transport, if the rule is used in place
 #: of the optimal stiffnesses.
 MAX_LOSS = 0.02
 
-#: Names of the quantities by which the rule is compared with the optima.
+#: Names of the quantities by which the stiffness rule is compared with the optimal stiffnesses: mean speed,
+#: and cost of transport.
 SPEED, COST = "mean_speed_m_s", "cost_of_transport_J_m"
 
 Outside = Literal["refuse", "hold"]
@@ -56,18 +58,19 @@ class Curve(yamlio.Document):
 
 
 class Optimum(yamlio.Document):
-    """Optimal stiffness at one frequency and amplitude."""
+    """Optimal stiffness of a passive joint at one frequency and amplitude of the drive."""
 
     frequency_hz: float
     amplitude_deg: float
     stiffness: float
     at_bound: bool = False
-    #: Quantities of a simulation, in SI units, with this stiffness, with the stiffness of the rule, and with
-    #: the reference stiffness.
+    #: Quantities of a simulation, in SI units, for three stiffnesses: the optimal one, that of the rule, and
+    #: the fixed reference stiffness.
     best: dict[str, Number] = {}
     ruled: dict[str, Number] = {}
     reference: dict[str, Number] = {}
-    #: Pareto front: each row has a stiffness and the values of the two objectives that are minimised.
+    #: Pareto front. Each row has a stiffness and the values of two objectives, with the signs for
+    #: minimisation.
     front: Rows = []
 
 
@@ -81,15 +84,15 @@ class RuleFile(StudyFile):
     between: tuple[float, float]
     objective: Literal["speed", "cost-of-transport"]
     objectives: tuple[str, str]
-    #: Fixed stiffness of the parameter file, with which the rule is compared.
+    #: Reference stiffness, with which the rule is compared: the fixed stiffness of the parameter file or
+    #: robot.
     reference: float
     #: Ranges of frequency (Hz) and amplitude (deg) in which the rule is valid.
     frequency_hz: tuple[float, float]
     amplitude_deg: tuple[float, float]
     curves: list[Curve]
     optima: list[Optimum]
-    #: Whether the coefficients of the model have standard errors. The rule does not allow for this
-    #: uncertainty.
+    #: Whether the coefficients of the model have standard errors. The rule is computed without them.
     uncertain: bool = False
     provenance: dict[str, Any] = Field(default_factory=dict)
 
@@ -143,7 +146,7 @@ def _within(value: float, ends: tuple[float, float], name: str, outside: Outside
 
 
 def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Curve:
-    """Fit the stiffness at one amplitude as a quadratic function of the frequency by least squares.
+    """Fit a quadratic function of the frequency to the stiffness at one amplitude, by least squares.
 
     >>> made = fit_curve(20.0, np.array([1.0, 2.0, 3.0]), np.array([3.0, 9.0, 19.0]))
     >>> bool(np.allclose(made.coefficients, [1.0, 0.0, 2.0]))
@@ -258,7 +261,7 @@ def optimise_stiffness(
 
 
 def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Problem:
-    """Return the optimisation problem that is solved at every grid point. Raise an error for bad options."""
+    """Return the optimisation problem that is solved at every grid point; raise an error for bad options."""
     if options.stroke is not None or performance.model.in_space:
         raise UsageError("a stiffness rule is for a tail beat in a plane")
     if not set(options.over) <= {"frequency_hz", "amplitude_deg"} or "frequency_hz" not in options.over:
@@ -281,7 +284,7 @@ def _problem(performance: Performance, options: OptimiseStiffnessOptions) -> Pro
 
 
 def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) -> str:
-    """Return the name of the coefficient of the model that is the stiffness of the passive joint."""
+    """Return the name of the stiffness of the passive joint; raise an error if it is not unique."""
     found = performance.model.yielding()
     name = options.coefficient or "".join(found[: len(found) == 1])
     if name not in found:
@@ -297,14 +300,14 @@ def _coefficient(performance: Performance, options: OptimiseStiffnessOptions) ->
 
 
 def _front_at(problem: Problem, number: int, reference: float, options: OptimiseStiffnessOptions) -> Array:
-    """Search for the Pareto front of the stiffness at a grid point, and refine its best point.
+    """Search for the Pareto front over the stiffness at one grid point, and refine its best point.
 
     The best point has the minimum of the first objective. It is refined by a search with finite differences.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        Stiffness and the values of the two objectives that are minimised. The best point is in the first row.
+        Stiffness, and the two objectives with the signs for minimisation. The best point is in the first row.
     """
     ((low, high),) = problem.vary.values()
     first = np.array([(reference - low) / (high - low)])
@@ -315,7 +318,7 @@ def _front_at(problem: Problem, number: int, reference: float, options: Optimise
         refined = problem.minimise(front[:1, :1], first=SEARCH_RADIUS, last=MIN_RADIUS).points
         found = np.hstack([refined, problem.wanted(problem.table(refined))])
         if found[0, 1] < front[0, 1]:
-            # remove the points that are worse than the refined point in both objectives
+            # Remove the points that are worse than the refined point in both objectives.
             front = np.vstack([found, front[front[:, 2] < found[0, 2]]])
     front[:, 0] = low + front[:, 0] * (high - low)
     return front
@@ -339,7 +342,7 @@ def _curve(optima: Sequence[Optimum], amplitude: float) -> Curve:
 
 
 def _assess(performance: Performance, file: RuleFile) -> None:
-    """Set the quantities of every optimum: with its own stiffness, with the rule, and with the reference."""
+    """Simulate every grid point with optimal, ruled and reference stiffness; set the quantities."""
     gaits = []
     for one in file.optima:
         beat = {"frequency_hz": one.frequency_hz, "amplitude_deg": one.amplitude_deg}
@@ -360,9 +363,9 @@ def _column(file: RuleFile, way: str, name: str = SPEED) -> Array:
 
 
 def _loss(file: RuleFile) -> Array:
-    """Return the relative loss of speed or increase of cost if the rule is used in place of the optima.
+    """Return the relative loss of speed, or the relative increase of cost, by the rule at each grid point.
 
-    The result has one value for each optimum.
+    The rule is compared with the optimal stiffness of the grid point.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         if file.objective == "speed":
@@ -422,7 +425,7 @@ def _checks(file: RuleFile) -> list[ev.Check]:
 
 
 def answer(file: RuleFile) -> str:
-    """Return a sentence with the range of the stiffness in the rule and with the highest speed."""
+    """Return a sentence with the range of the optimal stiffnesses and, if it is the goal, the speed."""
     stiffness = [one.stiffness for one in file.optima]
     ends = f"{numbers.number(min(stiffness), 3)} to {numbers.number(max(stiffness), 3, file.unit)}"
     text = f"{file.coefficient} {ends} over frequency"

@@ -11,7 +11,7 @@ from swimid.simulation import options as simulations
 
 
 class GaitOptions(simulations.DriveOptions):
-    """Options that all commands of the package share: robot, drive, duration of a simulation, threads."""
+    """Options that all optimisation commands share: robot, drive, duration of a simulation, and threads."""
 
     duration_s: float = option(15.0, gt=0, help="Duration of each run from rest; its last beats are judged.")
     jobs: int | None = fits.jobs()

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 #: Maximum number of grid points of a map.
 MAX_POINTS = 100_000
-#: Quantities that a map plots and tabulates, in this order, if the robot has them.
+#: Quantities that the evidence of a map plots and tabulates, in this order, if the robot has them.
 DRAWN = (
     "mean_speed_m_s", "cost_of_transport_J_m", "strouhal", "turning_radius_m", "mean_yaw_rate_rad_s",
     "mean_pitch_rate_rad_s", "max_yaw_rate_rad_s", "yaw_range_in_beat_rad",
@@ -42,13 +42,13 @@ DRAWN = (
 )  # fmt: skip
 #: Approximate number of contour levels in a panel of a map.
 N_LEVELS = 6
-#: Quantities whose best grid point is reported. Each has a word for the best point, and the factor with which
-#: the best value is a maximum.
+#: Quantities whose best grid point is reported. Each has a word for the best point, and a sign: 1 if the best
+#: value is the maximum, -1 if it is the minimum.
 BEST = {"mean_speed_m_s": ("fastest", 1.0), "cost_of_transport_J_m": ("cheapest", -1.0)}
 
 
 class Axis(yamlio.Document):
-    """Axis of a map: a varied parameter with its values."""
+    """Axis of a map: name, unit and values of a varied parameter."""
 
     name: str
     unit: str
@@ -58,12 +58,14 @@ class Axis(yamlio.Document):
 class Mapped(yamlio.Document):
     """Values of one quantity over the grid of a map.
 
-    Rows belong to the values of the first axis, columns to those of the second axis, if there is one.
+    Rows of ``values`` belong to the values of the first axis of the map, columns to those of the second axis.
+    Without a second axis there is one column.
     """
 
     unit: str
     values: Rows
-    #: Standard errors that follow from the covariance of the coefficients; None if it is unknown.
+    #: Standard errors of the values, which follow from the covariance of the coefficients; None if it is
+    #: unknown.
     stderr: Rows | None = None
 
 
@@ -74,7 +76,8 @@ class MapFile(StudyFile):
     format: Literal["swimid-map/1"] = "swimid-map/1"
     axes: list[Axis]
     quantities: dict[str, Mapped]
-    #: Number of simulations that broke down, and number of simulations whose speed was not steady at the end.
+    #: Number of simulations that broke down, and number of simulations in which the speed still changes at
+    #: the end.
     broken: int
     unsettled: int
     provenance: dict[str, Any] = Field(default_factory=dict)
@@ -89,7 +92,7 @@ class PerformanceMap(FileResult[MapFile]):
     frame : DataFrame
         One row for each point: its position on the axes, and every quantity in SI units (NaN if unknown).
     file : MapFile
-        All results, including standard deviations. :meth:`save` writes this file.
+        All results, including standard errors. :meth:`save` writes this file.
     """
 
     file_type = MapFile
@@ -203,7 +206,7 @@ def _simulate(
 ) -> Array:
     """Simulate the gaits at grid points, and return their quantities with standard errors.
 
-    The shape is (n, quantities, 2). Unknown standard errors are NaN.
+    The result has the shape (n, quantities, 2): values and standard errors. Unknown standard errors are NaN.
     """
     size = BATCH
     if uncertain:
@@ -265,7 +268,7 @@ def _checks(file: MapFile) -> list[ev.Check]:
 
 
 def answer(file: MapFile) -> str:
-    """Return a sentence with the best values in the map and their positions on the axes."""
+    """Return a sentence with the highest speed and the lowest cost of transport in a map, and their gaits."""
     parts = []
     for name, (word, sign) in BEST.items():
         if name not in file.quantities:
@@ -330,7 +333,7 @@ def _figures(file: MapFile) -> list[ev.Figure]:
 
 
 def _shown(file: MapFile, name: str) -> tuple[Array, str]:
-    """Return the values of a quantity in the unit of the plot, and the title of the quantity."""
+    """Return the values of a quantity of a map in the unit of the plot, and the title of the quantity."""
     bare, unit = numbers.split_unit(name)[0].replace("_", " "), file.quantities[name].unit
     factor, shown = numbers.in_degrees(unit)
     return factor * np.array(file.quantities[name].values, dtype=float), _title(bare, shown)
@@ -344,7 +347,8 @@ def _title(name: str, unit: str) -> str:
 def _axis_title(axis: Axis) -> str:
     """Return the title of an axis of a map.
 
-    The name of a coefficient is not split, because it may end like a unit (``K_s``).
+    The title of a drive parameter has the unit from its name. The name of a coefficient is not split into
+    name and unit, because it may end like a unit (``K_s``).
     """
     if axis.name in BEAT | STROKE:
         return numbers.column_title(axis.name)
@@ -368,7 +372,7 @@ def _contours(file: MapFile, name: str) -> ev.Panel:
     lines = contourpy.contour_generator(along.values, down.values, np.ma.masked_invalid(values))
     levels = [v for v in MaxNLocator(N_LEVELS).tick_values(low, high) if low < v < high]
     for k, level in enumerate(levels):
-        # end each contour line with a row of NaN, so that the lines stay separate
+        # End each contour line with a row of NaN, so that one curve can hold several separate lines.
         found = [np.vstack([np.asarray(line), [[np.nan, np.nan]]]) for line in lines.lines(level)]
         if found:
             x, y = np.vstack(found).T

@@ -1,4 +1,4 @@
-"""Optimisation problem over gaits, and a gradient search for it."""
+"""Optimisation problem over the gaits of a robot, and a gradient search that solves it."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from swimid.fitting import global_search
 from swimid.fitting.model import Array
 from swimid.optimisation.study import Performance, Point
 
-#: First and last radius of the finite differences of a search, as a fraction of the range of a parameter, and
-#: maximum number of steps of the search.
+#: Distance of the points for finite differences from the current point (radius), at the start and at the end
+#: of a gradient search, as a fraction of the range of a parameter; and maximum number of steps of the search.
 FIRST_RADIUS, LAST_RADIUS, MAX_STEPS = 0.1, 1e-3, 24
-#: Large value that replaces an objective that cannot be computed.
+#: Value of the penalised goal where it cannot be computed. It is worse than any computed value.
 BROKEN = 1e9
-#: Number of points at which the quadratic model of the objective is evaluated in one round, and number of
-#: rounds. Each round has a smaller search region.
+#: Number of points at which the quadratic model of the objective is evaluated in one round of its
+#: minimisation, and number of rounds. Each round has a smaller search region.
 N_MODEL_POINTS, N_ZOOMS = 512, 3
-#: Factor of the penalty for violating a limit. The penalty is this factor times the typical scale of the goal
-#: times the relative violation.
+#: Factor of the penalty for violating a limit of a gait. The penalty is this factor times the typical scale
+#: of the goal times the relative violation.
 PENALTY = 10.0
 #: Maximum relative violation at which a limit of a gait still counts as satisfied.
 LIMIT_RTOL = 1e-3
-#: Type of an objective function. Its arguments are points in the unit cube, shape (n, d), and the index of
-#: the search to which each point belongs, shape (n,). It returns the goal and the violation of each limit,
-#: shape (n, 1 + limits). The violation is negative if the limit is satisfied.
+#: Type of an objective function with limits. Its arguments are points in the unit cube, shape (n, d), and the
+#: index of the search to which each point belongs, shape (n,). It returns the goal and the penalty for each
+#: limit, shape (n, 1 + limits). A penalty is negative if the limit is satisfied.
 Evaluate = Callable[[Array, NDArray[np.int64]], Array]
 
 
 def interval95(values: Array) -> Array:
-    """Return the ends of the 95 % interval over random samples, shape (2, ...). The samples are the rows."""
+    """Return the ends of the 95 % interval over random samples (rows of ``values``), shape (2, ...)."""
     return np.asarray(np.nanquantile(values, [0.025, 0.975], axis=0, method="weibull"))
 
 
@@ -45,7 +45,7 @@ def interval95(values: Array) -> Array:
 
 
 class Minima(NamedTuple):
-    """Final points of several searches, shape (k, d), and the penalised goal at these points, shape (k,)."""
+    """Results of k gradient searches: their final points, and the penalised goal at these points."""
 
     points: Array
     values: Array
@@ -54,7 +54,8 @@ class Minima(NamedTuple):
 def merit(parts: Array) -> Array:
     """Return the penalised goal: the goal plus the penalties of violated limits, shape (n,).
 
-    The columns of ``parts`` are the goal and the penalty of each limit, shape (n, 1 + limits).
+    The columns of ``parts`` are the goal and the penalty of each limit, shape (n, 1 + limits). A negative
+    penalty (satisfied limit) counts as 0.
     """
     total = parts[:, 0] + np.maximum(parts[:, 1:], 0.0).sum(axis=1)
     return np.minimum(np.nan_to_num(total, nan=BROKEN, posinf=BROKEN), BROKEN)
@@ -69,13 +70,13 @@ def descend(
     steps: int = MAX_STEPS,
     advance: Callable[[], Any] = lambda: None,
 ) -> Minima:
-    """Minimise an objective function with limits over the unit cube from several starting points at once.
+    """Minimise an objective function with limits over the unit cube, from several starting points.
 
     Parameters
     ----------
     starts : ndarray, shape (k, d)
     first, last : float
-        First radius of the finite differences, and the radius below which a search ends.
+        Radius of the finite differences in the first step of a search, and radius below which a search ends.
 
     Notes
     -----
@@ -131,7 +132,7 @@ def descend(
 
 @cache
 def _cube(width: int) -> Array:
-    """Return points that fill a cube with coordinates from -1 to 1 evenly. The first point is the centre."""
+    """Return points that evenly fill a cube with coordinates from -1 to 1. The first point is the centre."""
     from scipy.stats import qmc
 
     points = 2.0 * qmc.Sobol(width, scramble=False).random(N_MODEL_POINTS) - 1.0
@@ -171,7 +172,7 @@ def _model_minimum(point: Array, parts: Array, stencil: Array, around: Array, ra
 
 
 class Limit(yamlio.Document):
-    """Limit of a gait: the maximum or the minimum of one of its quantities."""
+    """Limit of a gait: the maximum or the minimum of one quantity of its simulation."""
 
     quantity: str
     at_most: Number = None
@@ -210,12 +211,12 @@ class Problem:
     calls: int = field(default=0, init=False)
 
     def at(self, x: Array) -> dict[str, float]:
-        """Return the varied parameters of the gait at a point of the unit cube."""
+        """Return the values of the varied parameters at a point ``x`` of the unit cube."""
         low, high = np.array(list(self.vary.values()), dtype=float).T
         return dict(zip(self.vary, (low + x * (high - low)).tolist(), strict=True))
 
     def place(self, at: Mapping[str, float]) -> Array:
-        """Return the point of the unit cube that belongs to a gait."""
+        """Return the point of the unit cube that belongs to given values of the varied parameters."""
         low, high = np.array(list(self.vary.values()), dtype=float).T
         return np.asarray((np.array([at[name] for name in self.vary]) - low) / (high - low))
 
@@ -231,8 +232,8 @@ class Problem:
     def quantity(self, table: Array, name: str) -> Array:
         """Return one quantity of each simulation in a table, shape (n,).
 
-        The quantity may also be ``basin_m`` (side of the basin that holds the motion), which is not in the
-        table.
+        The quantity may also be ``basin_m``, which is not in the table: the side of the square basin that
+        holds the motion of the robot.
         """
         units = list(self.performance.units)
         if name == "basin_m":
@@ -242,7 +243,7 @@ class Problem:
         return table[:, units.index(name)]
 
     def goal_values(self, table: Array) -> Array:
-        """Return the goals of each simulation in SI units, shape (n, goals).
+        """Return the values of the goals in each simulation, in SI units, shape (n, goals).
 
         Turning rates are absolute values.
         """
@@ -259,7 +260,7 @@ class Problem:
         return self.goal_values(table) * np.array([sign for _, sign in self.goals])
 
     def violations(self, table: Array) -> Array:
-        """Return the relative violation of each limit by each simulation, shape (n, limits).
+        """Return the relative violation of each limit in each simulation, shape (n, limits).
 
         The violation is negative if the limit is satisfied.
         """
@@ -277,13 +278,16 @@ class Problem:
         return np.asarray((self.violations(table) <= LIMIT_RTOL).all(axis=1))
 
     def parts(self, table: Array) -> Array:
-        """Return the first goal, which is minimised, and the penalty of each limit, shape (n, 1 + limits)."""
+        """Return the first goal with its sign for minimisation, and the penalty of each limit.
+
+        The result has the shape (n, 1 + limits).
+        """
         return np.hstack([self.wanted(table)[:, :1], PENALTY * self.scale * self.violations(table)])
 
     def minimise(self, starts: Array, vectors: Sequence[Array] | None = None, **how: Any) -> Minima:
         """Minimise the first goal from several starting points (see :func:`descend`).
 
-        With ``vectors``, the search from each starting point has a parameter vector of its own.
+        With ``vectors``, the search from each starting point uses a parameter vector of the model of its own.
         """
 
         def evaluate(x: Array, owner: NDArray[np.int64]) -> Array:
@@ -295,7 +299,7 @@ class Problem:
         return descend(evaluate, starts, **how)
 
     def front(self, population: int, generations: int, seed: int, first: Array) -> Array:
-        """Search for the Pareto front of two goals without limits by NSGA-II, beginning with ``first``.
+        """Search for the Pareto front of two goals without limits by NSGA-II, with ``first`` as a start.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Simulation of many gaits of a robot at once, and the code that maps, rules and best gaits share.
+"""Simulation of many gaits of a robot at once, and code that the optimisation commands share.
 
 A study is the computation of one map, stiffness rule or best gait. A quantity is a result of a simulation,
 such as the mean speed.
@@ -35,18 +35,18 @@ from swimid.simulation.cases import BEAT, STROKE, SwimRun, check_drive, given_dr
 from swimid.simulation.catalogue import Applied
 from swimid.swimmer.model import Swimmer
 
-#: Minimum and maximum allowed values of drive parameters.
+#: Minimum and maximum allowed values of drive parameters, by name. The units are in the names.
 LIMITS = {"frequency_hz": (0.0, math.inf), "amplitude_deg": (0.0, 180.0), "asymmetry": (-0.8, 0.8)}
 #: Number of gaits that are simulated in one batch.
 BATCH = 8
 
 Point = Mapping[str, float]
-#: Codes of warnings that coefficients lie outside their bounds, or that their fit did not converge or could
-#: not identify them.
+#: Codes of two warnings about coefficients: they lie outside their bounds, or their fit did not converge or
+#: could not identify them.
 DOUBTFUL_CODES = ("SWM053", "SWM062")
 #: Default values of drive parameters that a gait does not state.
 NEUTRAL = {"bias_deg": 0.0, "asymmetry": 0.0, "lag_deg": 0.0, "scale": 1.0}
-#: Minimum fraction of random samples of the coefficients that must lie within the bounds of the coefficients.
+#: Minimum fraction of random samples of the coefficients that lie within the bounds of the coefficients.
 MIN_INSIDE = 0.5
 REFERENCES = [
     "Locomotion Optimization of a Tendon-Driven Robotic Fish with Variable Passive Tail Fin",
@@ -59,9 +59,10 @@ REFERENCES = [
 
 @dataclass(frozen=True)
 class Performance:
-    """Robot with its coefficients and its drive, from which the quantities of gaits are computed.
+    """Robot with its coefficients and its drive, for simulations of gaits.
 
-    A gait varies some of the drive parameters or coefficients.
+    A gait has values for the varied drive parameters and coefficients. The other parameters keep their
+    values.
 
     Attributes
     ----------
@@ -110,7 +111,7 @@ class Performance:
 
     @cached_property
     def values(self) -> Array:
-        """Parameter vector of the model with the given coefficients. Per-trial parameters are neutral."""
+        """Parameter vector of the model: given coefficients, and neutral values of per-trial parameters."""
         return self.applied.values()
 
     @cached_property
@@ -120,14 +121,14 @@ class Performance:
 
     @property
     def axes(self) -> dict[str, str]:
-        """Units of the drive parameters and coefficients of the robot that gaits may vary, by their names."""
+        """Units of the drive parameters and coefficients that gaits may vary, by their names."""
         drive = STROKE if self.options.stroke is not None else BEAT
         shared = {p.name: p.unit for p in self.model.parameters if not p.per_trial}
         return {**drive, **shared}
 
     @property
     def identified(self) -> dict[str, tuple[float, float]]:
-        """Range of each drive parameter in the identification trials; empty if the trials are unknown."""
+        """Range of each drive parameter in the trials of the fit, by name; empty if it is unknown."""
         file = self.applied.file
         if file is None or file.fit is None:
             return {}
@@ -135,7 +136,7 @@ class Performance:
         return {name: (float(low), float(high)) for name, (low, high) in drives.items()}
 
     def check(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
-        """Raise an error for parameter names that gaits cannot vary, and for impossible ranges.
+        """Raise an error for parameters that gaits cannot vary, and for impossible ranges.
 
         Raises
         ------
@@ -157,22 +158,22 @@ class Performance:
                 raise UsageError(f"{option} {name}: lies between {least:g} and {most:g}")
 
     def check_gaits(self, varied: Mapping[str, tuple[float, float]], option: str) -> None:
-        """Raise an error for wrong names and ranges as :meth:`check` does, and for an incomplete drive."""
+        """Raise an error for parameters that gaits cannot vary, impossible ranges, or an incomplete drive."""
         self.check(varied, option)
         check_drive(self.options, varied, option)
 
     def swim(self, point: Point) -> SwimInput:
-        """Return the drive of the robot for a gait."""
+        """Return the drive of the robot's joints over time for a gait."""
         varied = {name: value for name, value in point.items() if name in BEAT | STROKE}
         return swim_input(self.model, self.options, {**self.drive, **varied})
 
     def run(self, point: Point) -> SwimRun:
-        """Return the settings of the simulation of a gait."""
+        """Return the simulation of a gait from rest, before it is computed."""
         name = " ".join(f"{key}={value!r}" for key, value in point.items() if key in BEAT | STROKE)
         return SwimRun.driven(self.model, f"gait {name}", self.swim(point), self.options.duration_s)
 
     def at(self, point: Point, values: Array | None = None) -> Array:
-        """Return the parameter vector of the model for a gait."""
+        """Return the parameter vector of the model with the coefficients of a gait."""
         if values is None:
             values = self.values
         moved = values.copy()
@@ -214,7 +215,7 @@ class Performance:
         )
 
     def insist(self, table: Array) -> None:
-        """Raise an error if every simulation in a table has broken down, or if the robot never moves.
+        """Raise an error if every simulation in a table broke down, or if the robot never moves.
 
         Parameters
         ----------
@@ -264,7 +265,7 @@ Made = TypeVar("Made", bound=FileResult[Any])
 
 @dataclass(frozen=True)
 class Study:
-    """Computation of a map, rule or best gait: its output, checkpoint, provenance and first keys of its file.
+    """Output, checkpoint, provenance and first file keys of the computation of a map, rule or best gait.
 
     Attributes
     ----------
@@ -280,7 +281,7 @@ class Study:
     head: dict[str, Any]
 
     def saved(self, made: type[Made], file: Any, evidence: ev.Evidence) -> Made:
-        """Write file content and evidence to the output, if there is one, and return them as a result."""
+        """Write file content and evidence to the output, if there is one; return them as a result."""
         file.verdict = evidence.verdict.level
         result = made.of(file, evidence).saved(self.output)
         self.checkpoint.done()
@@ -288,7 +289,7 @@ class Study:
 
 
 def study_of(performance: Performance, options: GaitOptions, output: Path | None) -> Study:
-    """Return the study that the options of a command describe.
+    """Return output, checkpoint, provenance and first file keys for the options of a command.
 
     Raises
     ------
@@ -327,7 +328,7 @@ def study_of(performance: Performance, options: GaitOptions, output: Path | None
 def in_parallel(
     work: Callable[[int], Array], count: int, jobs: int | None, label: str = "", progress: Progress = silent
 ) -> list[Array]:
-    """Return the results of ``work`` for the numbers from 0 to ``count`` - 1, computed in several threads.
+    """Return the results of ``work`` for the indices from 0 to ``count`` - 1, computed in several threads.
 
     ``jobs`` is the number of threads, by default one per processor.
     """
@@ -355,7 +356,10 @@ def evidence(
     origin: dict[str, Any],
     **shown: Any,
 ) -> ev.Evidence:
-    """Return the evidence of a map, rule or best gait, with the facts and the check that they share."""
+    """Return the evidence of a map, rule or best gait, with facts and a check that all of them have.
+
+    The check warns if the coefficients are not those of a sound fit.
+    """
     doubts = "; ".join(n.text for n in notices if n.code in DOUBTFUL_CODES)
     if doubts:
         name, limit = "coefficients are those of a sound fit", "converged, identified, within bounds"
@@ -375,7 +379,7 @@ def evidence(
 
 
 def count_check(name: str, passed: int, count: int, text: str, reason: str = "") -> ev.Check:
-    """Return a check that passes if all of ``count`` items pass. ``text`` is shown if they do not."""
+    """Return a check that passes if all of ``count`` items pass. ``text`` is shown if some do not."""
     value, text = f"{passed} of {count}", text * (passed < count)
     return ev.check(name, value, passed == count, "all", text, reason=f"{value} {reason}" * bool(reason))
 
@@ -389,7 +393,7 @@ def draws_check(inside: float) -> ev.Check:
 
 
 def unknown_check(name: str) -> ev.Check:
-    """Return an entry of the evidence which states that an uncertainty is not known."""
+    """Return an entry of the evidence which states that the uncertainty named ``name`` is not known."""
     return ev.check(name, "not known", None, text="give a parameter file with standard errors: --params")
 
 
@@ -423,7 +427,7 @@ def find_outside(region: Mapping[str, tuple[float, float]], at: Mapping[str, flo
     found = []
     for name, (low, high) in region.items():
         slack = 1e-9 * (1.0 + max(abs(low), abs(high)))
-        # a stroke for which no frequency is stated has a frequency of its own
+        # A stroke for which no frequency is stated has a frequency of its own, which is not compared.
         value = at.get(name, NEUTRAL.get(name))
         if value is not None and not low - slack <= value <= high + slack:
             found.append(name)

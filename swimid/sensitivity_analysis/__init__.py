@@ -1,4 +1,4 @@
-"""Sensitivity of the outputs of a robot to its coefficients: ``swimid sensitivity``.
+"""Sensitivity of the simulated outputs of a robot to its coefficients: ``swimid sensitivity``.
 
 ``sensitivity`` has the command, the format of its result file, and its evidence. ``indices`` computes Sobol
 indices. ``options`` has the options of the command.

@@ -13,15 +13,15 @@ from swimid.fitting.model import Array
 from swimid.fitting.problem import map_in_threads
 from swimid.notices import Progress, silent
 
-#: Maximum fraction of the model evaluations that may break down.
+#: Maximum fraction of the model evaluations that may break down. The analysis is refused above it.
 MAX_BROKEN_SHARE = 0.01
-#: Number of points of the design that are evaluated in one call.
+#: Number of points of the Sobol design that are evaluated in one call of the model function.
 BATCH = 8
-#: Number of bootstrap samples for the intervals of the indices.
+#: Number of bootstrap samples for the 95 % intervals of the indices.
 N_DRAWS = 1000
 
-#: Type of the model function, from points, shape (n, d), to outputs, shape (n, s). Outputs are NaN if the
-#: model breaks down.
+#: Type of the model function. Its argument is an array of n points in the space of the d parameters, shape
+#: (n, d). It returns s outputs for each point, shape (n, s), which are NaN if the model breaks down.
 Evaluate = Callable[[Array], Array]
 
 
@@ -32,14 +32,14 @@ class Sobol:
     Attributes
     ----------
     mean, sd : ndarray, shape (s,)
-        Mean and standard deviation of the outputs over the ranges of the parameters.
+        Mean and standard deviation of each output over the ranges of the parameters.
     evaluations, broken, left_out : int
         Number of evaluations, number of evaluations that broke down, and number of rows of the design that
         were left out.
     first, total : ndarray, shape (s + g, d)
         First-order and total indices.
     first_ci, total_ci : ndarray, shape (2, s + g, d)
-        Ends of the 95 % intervals.
+        Ends of the 95 % intervals of the first-order and total indices.
     """
 
     mean: Array
@@ -72,7 +72,7 @@ def sobol(
     evaluate : callable
         Function from points to outputs, which is called from several threads.
     lower, upper : ndarray, shape (d,), d >= 2
-        Ends of the uniform ranges.
+        Lower and upper ends of the ranges of the parameters, which are uniformly distributed.
     samples : int
         Number of rows of the design, a power of two. Each row has d + 2 points.
     seed : int
@@ -146,7 +146,7 @@ def sobol(
 
 
 def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """Return the first-order and total indices of outputs and of groups of outputs, shape (2, s + g, d).
+    """Return first-order and total indices of outputs and of groups of outputs, shape (2, s + g, d).
 
     The outputs of n rows of the design have the shape (d + 2, s, n). The estimators are those of
     ``scipy.stats.sobol_indices``, which requires that the number of rows is a power of two. The indices of a
@@ -157,7 +157,7 @@ def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         first = np.mean((b - mean[:, None]) * (ab - a), axis=-1) / variance
         total = 0.5 * np.mean((a - ab) ** 2, axis=-1) / variance
-    # set the indices of an output without variance to zero
+    # Set the indices of an output without variance to zero.
     indices = np.nan_to_num([first.T, total.T], posinf=0.0, neginf=0.0)
     parts = [indices]
     for members in groups:

@@ -40,13 +40,13 @@ if TYPE_CHECKING:
 
 #: Maximum ratio of the standard deviation of an output to its mean at which the output counts as constant.
 CONSTANT_SHARE = 1e-9
-#: Maximum width of the 95 % interval of a total index. A wider interval gives a warning.
+#: Maximum width of the 95 % interval of a total Sobol index. A wider interval gives a warning.
 MAX_WIDTH = 0.3
 #: Maximum change of an output when the integration step is halved, divided by the standard deviation of the
-#: output over the ranges.
+#: output over the ranges of the coefficients. A larger change gives a warning.
 MAX_STEP_CHANGE = 0.05
-#: Maximum correlation of two coefficients that are varied independently. A stronger correlation gives a
-#: warning.
+#: Maximum correlation between the estimates of two coefficients that are varied independently. A stronger
+#: correlation gives a warning.
 MAX_CORRELATION = 0.5
 REFERENCES = [
     "Saltelli, Annoni, Azzini, Campolongo, Ratto, Tarantola (2010): Variance based sensitivity analysis of "
@@ -57,7 +57,7 @@ REFERENCES = [
 
 
 class Range(yamlio.Document):
-    """Range over which a coefficient is varied, and the given value of the coefficient."""
+    """Range over which an analysis varies a coefficient, and given value of the coefficient."""
 
     value: float
     low: float
@@ -78,8 +78,8 @@ class Index(yamlio.Document):
 class Shares(yamlio.Document):
     """First-order and total Sobol index of a coefficient for one output.
 
-    They are the fractions of the output's variance that the coefficient causes alone, and with all its
-    interactions.
+    The first-order index is the fraction of the output's variance that the coefficient causes alone. The
+    total index is the fraction that it causes together with its interactions with other coefficients.
     """
 
     first: Index
@@ -89,7 +89,7 @@ class Shares(yamlio.Document):
 class Output(yamlio.Document):
     """Simulated output with its Sobol indices.
 
-    It belongs to one trial or, if ``trial`` is None, to all trials together.
+    The output belongs to one trial or, if ``trial`` is None, to all trials together.
     """
 
     quantity: str
@@ -104,16 +104,17 @@ class Output(yamlio.Document):
 
 
 class Simulations(yamlio.Document):
-    """Number of points of the design that were simulated, and number of those whose simulation broke down."""
+    """Number of simulated points of the Sobol design, and number of those that broke down."""
 
     evaluated: int
     broken: int
-    #: Number of rows of the Sobol design that were left out because a point broke down.
+    #: Number of rows of the Sobol design that were left out because the simulation of one of their points
+    #: broke down.
     left_out: int
 
 
 class SensitivityFile(yamlio.ResultFile):
-    """Content of a sensitivity file."""
+    """Content of a sensitivity file: Sobol indices of the outputs with respect to the coefficients."""
 
     kind: ClassVar[str] = "sensitivity file"
     format: Literal["swimid-sensitivity/2"] = "swimid-sensitivity/2"
@@ -141,7 +142,7 @@ class Sensitivity(FileResult[SensitivityFile]):
         A row for each coefficient of each output: ``output``, ``trial`` (None for all trials together),
         ``coefficient``, and ``first`` and ``total`` Sobol index (1), each a dict of ``value`` and ``ci95``.
     file : SensitivityFile
-        Sensitivity file that :meth:`save` writes, which also has the ranges.
+        All results, including the ranges of the coefficients. :meth:`save` writes this file.
     """
 
     file_type = SensitivityFile
@@ -161,9 +162,9 @@ class Sensitivity(FileResult[SensitivityFile]):
 
 
 class MeasuredChannel(NamedTuple):
-    """Measured samples of a channel of a trial.
+    """Measured samples of one channel of a trial, with which a simulation is compared.
 
-    The root-mean-square error of a simulation is divided by ``scale``.
+    The root-mean-square error of the simulation is divided by ``scale``, and ``unit`` is its unit after that.
     """
 
     time_s: Array
@@ -174,17 +175,17 @@ class MeasuredChannel(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """Trial to simulate in an analysis, with the data from which its outputs are computed.
+    """Trial that is simulated at each point of the design, with the data for its outputs.
 
     Attributes
     ----------
     trial : Trial
-        The trial at the times at which it is simulated.
+        Trial with the times at which it is simulated, and without its measurements.
     swim : SwimRun or None
         Drive and last whole cycles of the simulation; None if measured joints drive the robot.
     measured : mapping of str to MeasuredChannel
     values : ndarray
-        Given coefficients, with the start state of the trial.
+        Parameter vector of the model: given coefficients, and initial state of the trial.
     """
 
     trial: Trial
@@ -193,7 +194,7 @@ class Run:
     values: Array
 
     def outputs(self, model: Swimmer, values: Array, columns: Mapping[str, Array]) -> dict[str, Quantity]:
-        """Return the outputs of the simulated trial by name; NaN if the simulation breaks down."""
+        """Return the outputs of the simulated trial by name. They are NaN if the simulation breaks down."""
         outputs: dict[str, Quantity] = {}
         if self.swim is not None:
             known, units = self.swim.quantities(model, values, columns, None), units_of(model)
@@ -239,17 +240,17 @@ class Study:
 
     @property
     def groups(self) -> dict[str, list[int]]:
-        """Positions in :attr:`columns` of the outputs of each quantity that more than one trial has."""
+        """Indices in :attr:`columns` of the outputs of each quantity that several trials have."""
         groups: dict[str, list[int]] = {}
         for k, (quantity, _, _) in enumerate(self.columns):
             groups.setdefault(quantity, []).append(k)
         return {quantity: members for quantity, members in groups.items() if len(members) > 1}
 
     def outputs(self, points: Array) -> Array:
-        """Return the outputs of all simulations for n points in the space of the coefficients.
+        """Simulate all trials at n points in the space of the coefficients, and return their outputs.
 
-        The outputs have the shape (n, s), the points the shape (n, d). Outputs are NaN if a simulation breaks
-        down.
+        The points have the shape (n, d), the outputs the shape (n, s). The outputs of a point are NaN if its
+        coefficients are impossible, or if a simulation breaks down.
         """
         vectors = np.repeat(np.array([run.values for run in self.runs])[None], len(points), axis=0)
         vectors[:, :, [self.model.index(name) for name in self.ranges]] = points[:, None]
@@ -277,7 +278,7 @@ def sensitivity(
     """Estimate the sensitivity of the outputs of a robot with links to its coefficients.
 
     By default, the varied coefficients are those that a fit estimates and those with a given range. A
-    parameter file supplies values, standard errors, start states and noise. The indices are valid for the
+    parameter file supplies values, standard errors, initial states and noise. The indices are valid for the
     given ranges only.
 
     Parameters
@@ -337,7 +338,7 @@ def sensitivity(
         over = _ranges(applied, options.ranges, options.coefficients)
         origin = provenance.collect(experiment.inputs, settings=options.settings())
         keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        # compute the total simulated time, by which the model decides whether to compile its kernels
+        # Compute the total simulated time, by which the model decides whether to compile its kernels.
         ahead_s = sum(float(t.time_s[-1] - t.time_s[0]) for t in experiment.trials) * count * (len(over) + 2)
         model.prepare(progress, simulated_s=ahead_s, checkpoint=keep)
         study = _study(experiment, applied, over)
@@ -455,7 +456,7 @@ def _ends(name: str, text: str) -> tuple[float, float]:
 
 
 def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
-    """Return half the width of a coefficient's range by a rule, and the origin of the range.
+    """Return half the width of a coefficient's range by a rule of ``--range``, and the origin of the range.
 
     The half-width is NaN if the rule needs a standard error that is unknown (NaN).
     """
@@ -473,9 +474,10 @@ def _half_width(rule: str, value: float, stderr: float) -> tuple[float, str]:
 
 
 def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str, str] | None:
-    """Return the strongest correlation of two coefficients, and their names; None without such a pair.
+    """Return the strongest correlation between the estimates of two coefficients, and their names.
 
-    Only coefficients whose ranges follow from their standard errors are compared.
+    Only coefficients whose ranges follow from their standard errors are compared. The result is None for
+    fewer than two of them.
     """
     names, covariance = applied.uncertain()
     sd = np.sqrt(np.diag(covariance))
@@ -491,7 +493,10 @@ def _correlated(applied: Applied, over: Mapping[str, Range]) -> tuple[float, str
 
 
 def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) -> Study:
-    """Return the setup of an analysis: the trials with their start states, and the outputs of each trial."""
+    """Return the setup of an analysis: the trials with their initial states, and the outputs of each trial.
+
+    An error is raised if a simulation with the given coefficients breaks down.
+    """
     model: Swimmer = applied.model.swimmer
     runs, columns = [], []
     for trial in experiment.trials:
@@ -511,7 +516,7 @@ def _study(experiment: Experiment, applied: Applied, over: Mapping[str, Range]) 
 
 
 def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
-    """Return a trial prepared for simulation, with its start state and its measured channels."""
+    """Return a trial prepared for simulation, with its initial state and its measured channels."""
     values, _, _ = compare_series.start_of(applied, trial, refit=bool(trial.measured))
     swim, times = None, trial.time_s
     if trial.swim.drive is not None:
@@ -531,7 +536,7 @@ def _run(applied: Applied, model: Swimmer, trial: Trial) -> Run:
 
 
 def _outputs(study: Study, centre: Array, estimates: Sobol) -> list[Output]:
-    """Return the outputs of each trial and then those of all trials together, with their Sobol indices."""
+    """Return the outputs of each trial, and then those of all trials together, with their Sobol indices."""
     statistics = np.column_stack([centre, estimates.mean, estimates.sd]).tolist()
     outputs = [
         Output(quantity=quantity, trial=trial, unit=unit, value=value, mean=mean, sd=sd)
@@ -558,7 +563,7 @@ def _shares(sobol: Sobol, row: int, k: int) -> Shares:
 
 
 def _headline(file: SensitivityFile) -> list[Output]:
-    """Return one output for each quantity: that of all trials together, or that of the only trial with it."""
+    """Return one output for each quantity: that of all trials together, or that of the only trial."""
     outputs: dict[str, Output] = {}
     for one in file.outputs:
         if one.trial is None or one.quantity not in outputs:
@@ -567,7 +572,7 @@ def _headline(file: SensitivityFile) -> list[Output]:
 
 
 def _ranked(output: Output) -> list[tuple[str, Index]]:
-    """Return the coefficients with their total indices for an output, in descending order of the index."""
+    """Return the coefficients with their total indices for an output, largest index first."""
     entries = [(name, shares.total) for name, shares in output.shares.items()]
     return sorted(entries, key=lambda item: -item[1].value)
 
@@ -583,8 +588,8 @@ def _checks(
         Maximum change of an output when the integration step is halved, divided by the standard deviation of
         the output over the ranges.
     strongest : (correlation, name, name) or None
-        Strongest correlation of two coefficients whose ranges follow from their standard errors, and their
-        names.
+        Strongest correlation between the estimates of two coefficients whose ranges follow from their
+        standard errors, and the names of the two.
     """
     runs = file.simulations
     totals = [(name, o.quantity, index) for o in _headline(file) for name, index in _ranked(o)]
@@ -624,7 +629,7 @@ def _answer(file: SensitivityFile) -> str:
 
 
 def _totals(file: SensitivityFile) -> ev.Table:
-    """Return a table of the coefficients with the largest total indices for each output."""
+    """Return a table of the three coefficients with the largest total indices for each output."""
     ranks = ("largest", "second", "third")
     rows: list[dict[str, ev.Cell]] = []
     for o in _headline(file):
@@ -666,7 +671,7 @@ def _map(file: SensitivityFile) -> ev.Figure:
 
 
 def _method(file: SensitivityFile) -> str:
-    """Return a sentence on the sensitivity analysis for the methods section of a paper."""
+    """Return a sentence that describes the sensitivity analysis, for the methods section of a paper."""
     runs, trials = file.simulations, f"{len(file.trials)} {file.experiment} trials"
     return (
         f"First-order and total Sobol indices of the outputs of {trials} to {', '.join(file.ranges)}, "

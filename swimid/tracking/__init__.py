@@ -1,4 +1,4 @@
-"""Tracking of coloured markers in a film, which gives a log of poses with their uncertainty.
+"""Tracking of coloured markers in a film, to make a log of poses with their standard deviations.
 
 ``frames`` yields frames with their time stamps, and measures one marker by its colour in a small window.
 ``tracker`` follows all markers through the film, and ``silhouette`` follows a whole body. ``pose`` converts

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Without this setting FFmpeg prints remarks on damaged frames between the messages of swimid.
+# Silence FFmpeg. Otherwise it prints remarks on damaged frames between the messages of swimid.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
 
@@ -37,21 +37,23 @@ Frame = NDArray[np.uint8]
 
 #: File name extensions of pictures that can be read.
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
-#: Colour in which measured points are drawn, BGR (Okabe and Ito).
+#: Colour in which measured points are drawn into frames, BGR (Okabe and Ito, for colour-blind readers).
 MEASURED = (0, 159, 230)
 #: Minimum number of detections of a marker for statistics of its area and motion.
 MIN_DETECTIONS = 10
-#: Minimum range of motion of a marker, in radii of the marker. A motionless object that is seen through
-#: ripples, or is covered at times, has a smaller range.
+#: Minimum range of motion of a marker that counts as moving, in radii of the marker. A motionless object that
+#: is seen through ripples, or is covered at times, has a smaller range.
 MIN_RADII = 1.0
 #: Limits of the standard deviation of the distance between two markers on a rigid body, relative to the
-#: distance. Above the first limit a check does not pass, and above the second it fails.
+#: distance. Above the first limit the check warns, and above the second it fails.
 MAX_DISTANCE_SD = (0.02, 0.06)
-#: Minimum fraction of the frames in which a marker must be found.
+#: Minimum fraction of the frames of a film in which a marker is found whole, for a marker that can be
+#: tracked.
 MIN_SHARE = 0.05
 #: Width to which frames are reduced before the motion of the camera is measured, px.
 SCENE_WIDTH = 480
-#: Maximum shift of the scene between frames for a camera that counts as at rest, px of the reduced picture.
+#: Maximum shift of the scene relative to the first frame for a camera at rest, px of a picture that is
+#: reduced to SCENE_WIDTH.
 MAX_SHIFT_PX = 2.0
 #: Pattern of the placeholder for a whole number in a file name, as in the C function printf.
 _HOLDER = re.compile(r"%0?\d*d")
@@ -83,19 +85,21 @@ def _pictures(path: Path, files: list[Path]) -> Iterator[_Read]:
 
 
 def _opened(path: Path) -> cv2.VideoCapture:
-    """Return the decoder of a film."""
+    """Open a film, and return its decoder."""
     if not path.is_file():
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
     if path.stat().st_size == 0:
         raise InputError("is empty", file=path)
-    # With one thread more than cores the decoder continues while a frame is evaluated.
+    # Use one thread more than there are processor cores, so that decoding continues while a frame is
+    # evaluated.
     threads = min(os.cpu_count() or 1, 16) + 1
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not capture.isOpened():
         text = "is not a video that can be decoded, or its index is missing (a recording cut short)"
         hint = "check that a player plays it; 'ffmpeg -i in.mp4 -c copy out.mkv' may repair a cut recording"
         raise InputError(text, file=path, hint=hint)
-    # Set the orientation explicitly, because its default depends on the version of OpenCV.
+    # Rotate the frames as the film's metadata say. Set this explicitly, because the default of OpenCV depends
+    # on its version.
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1.0)
     return capture
 
@@ -142,10 +146,12 @@ class Video:
 
     def __init__(self, path: str | Path, *, frame_rate_hz: float | None = None) -> None:
         self.path = Path(path)
-        # Decoding uses all cores. Threads for small pictures only cost time.
+        # Let OpenCV evaluate a picture in a single thread. Decoding already uses all processor cores, and
+        # threads make the evaluation of small pictures slower.
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
-        # The path names pictures if it is a folder, or if it is a pattern such as %04d and not a file.
+        # The path is a series of pictures if it is a folder, or if it is a pattern such as %04d and no such
+        # file exists.
         if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
             self.files = _listed(self.path)
             self.claimed = len(self.files)
@@ -175,7 +181,8 @@ class Video:
                 yield (position - self._first[0]) / self._rate, frame
             else:
                 yield stamp - self.first_stamp_s, frame
-        # Some containers state one or two frames more than they contain.
+        # Warn only if clearly fewer frames were decoded than the container states. Some containers state one
+        # or two frames more than they contain.
         count = position + 1
         if len(self.files) == 1 and count < self.claimed - max(2, 0.01 * self.claimed):
             text = f"{count} of {self.claimed} frames could be decoded"
@@ -192,13 +199,13 @@ def reduced(frame: Frame, width: int) -> Frame:
 
 
 def largest_channel(picture: Frame) -> Frame:
-    """Return the largest of the three colour channels for every pixel, shape (rows, columns)."""
+    """Return the value of the largest colour channel of each pixel, shape (rows, columns)."""
     blue, green, red = cv2.split(picture)
     return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
 def write_text(image: Frame, text: str, where: tuple[int, int], size: float, line: int = 1) -> None:
-    """Write outlined text into a picture, in place."""
+    """Write a line of text with an outline into a picture, in place."""
     for shade, width in (((0, 0, 0), 3 * line), ((255, 255, 255), line)):
         cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
 
@@ -250,7 +257,8 @@ def _numbers(name: str) -> list[int]:
 def _positions(path: Path, files: list[Path]) -> list[int]:
     """Return the position of each picture in a series without gaps, from the number in its name.
 
-    If the names contain several numbers, the only one that changes is used.
+    If each name contains several numbers, the position follows from the number that changes. If several
+    numbers change, it is the place of the name in the sorted list.
     """
     columns = np.array([_numbers(f.name) for f in files], dtype=object).T
     counting = [list(column) for column in columns if len(set(column)) > 1]
@@ -274,23 +282,23 @@ def _positions(path: Path, files: list[Path]) -> list[int]:
 
 # ---------------------------------------------------------------- colours
 
-#: Fraction of the difference between the mean colour of a confident detection and the colour model by which
-#: the model moves.
+#: Fraction by which a detection moves the colour model: the model moves by this fraction of the difference
+#: between the mean colour of the detected marker and the model.
 ADAPTATION = 0.12
 #: Maximum drift of a marker's colour model from the colours of the setup: hue (OpenCV steps of 2 deg),
-#: saturation and value (both of 255).
+#: saturation and value (both on a scale from 0 to 255).
 MAX_DRIFT = np.array([6.0, 40.0, 70.0])
-#: Extension of the range of saturation and value in a colour model (of 255). Pixels in the extended range
-#: belong to the marker if they touch pixels in the original range.
+#: Width by which the range of saturation and value is extended at both ends in a colour model (scale from 0
+#: to 255). Pixels in the extended range belong to the marker if they touch pixels in the original range.
 SLACK = 20.0
-#: Minimum saturation (of 255) in the extended range of a colour model. Less saturated pixels have no reliable
-#: hue.
+#: Minimum saturation in the extended range of a colour model (scale from 0 to 255). Less saturated pixels
+#: have no reliable hue.
 MIN_SATURATION = 30.0
 #: Half and whole period of the hue on the 8-bit scale of OpenCV.
 _HALF, _TURN = 90.0, 180.0
 #: Minimum chroma of a coloured pixel, in grey levels. Chroma is the largest minus the smallest channel.
 MIN_CHROMA = 24
-#: Common names of hues, and upper limits of these hues in degrees.
+#: Common names of hues, and the upper limit of each hue in degrees. Red is at both ends of the scale.
 _NAMES = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta", "red")
 _LIMITS = (15, 45, 70, 165, 200, 260, 290, 345, 361)
 _TOUCH = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
@@ -335,12 +343,12 @@ class ColourModel:
         return cv2.bitwise_or(strong, cv2.bitwise_and(near, _within(hsv, self._weak)))
 
     def holds(self, hsv: Array) -> NDArray[np.bool_]:
-        """Return flags of the colours, shape (n, 3), that are in the extended colour range."""
+        """Return for each of n HSV colours, shape (n, 3), whether it is in the extended colour range."""
         pixels = np.clip(np.round(hsv), 0, 255).astype(np.uint8).reshape(1, -1, 3)
         return np.asarray(_within(pixels, self._weak)[0] > 0)
 
     def distance(self, hsv: Array) -> float:
-        """Return the distance of a colour from the middle of the range, divided by the half-width."""
+        """Return the distance of an HSV colour from the middle of the colour range, in half-widths."""
         centre = self._centre + self.drift
         hue = abs(hue_difference(hsv[0], centre[0])) / max(self._half_width, 1.0)
         half = np.maximum((self._upper - self._lower) / 2, 1.0)
@@ -351,13 +359,14 @@ class ColourModel:
         if self._first is None:
             self._first = hsv.copy()
         offset = colour_difference(hsv, self._first)
-        # A channel without bounds needs no adaptation, and the hue of grey is noise.
+        # Do not adapt a channel that has no bounds. If hue has no bounds, the marker may be grey, and the hue
+        # of grey is noise.
         offset[self._any] = 0.0
         moved = self.drift + ADAPTATION * (offset - self.drift)
         self._move(np.clip(moved, -MAX_DRIFT, MAX_DRIFT))
 
     def forget(self) -> None:
-        """Move the colour model back towards the colours of the setup, while the marker is lost."""
+        """Move the colour model one step back towards the colours of the setup, if the marker is lost."""
         if self.drift.any():
             self._move(self.drift * (1 - 0.2 * ADAPTATION))
 
@@ -372,9 +381,13 @@ class ColourModel:
         self._weak = self._arcs(0.25 * self._half_width + 3.0, SLACK)
 
     def _arcs(self, hue_slack: float, slack: float) -> _Bounds:
-        """Return bounds of the colour range for ``cv2.inRange``: one pair, or two if hue 0 is inside."""
+        """Return bounds of the colour range for ``cv2.inRange``: one pair, or two if it contains hue 0.
+
+        The range is extended by ``hue_slack`` at both ends of the hue, and by ``slack`` at both ends of
+        saturation and value.
+        """
         shift = np.round(self.drift)
-        # A bound at the end of the scale is no limit and is not moved.
+        # Do not move a bound at the end of the scale, because it does not limit the colours.
         low = np.clip(np.where(self._lower <= 0, 0, self._lower + shift[1:] - slack), 0, 255)
         high = np.clip(np.where(self._upper >= 255, 255, self._upper + shift[1:] + slack), 0, 255)
         low[0] = max(low[0], min(self._lower[0], MIN_SATURATION))
@@ -440,7 +453,7 @@ def hue_name(hue_deg: float) -> str:
 
 
 def describe_colours(frames: list[Frame]) -> str:
-    """Return a sentence on the colours that some frames contain, for error messages."""
+    """Return a sentence that lists the colours in some frames with their shares, for an error message."""
     shares: Counter[str] = Counter()
     for frame in frames:
         small = np.ascontiguousarray(frame[::2, ::2])
@@ -455,16 +468,17 @@ def describe_colours(frames: list[Frame]) -> str:
     return f"Colours in the picture: {listed}"
 
 
-#: Values of the status of a detection, by code: not found, found in a window, found in a larger window, found
-#: in the whole picture.
+#: Names of the status of a detection, in the order of their codes: marker not found, found in a window about
+#: its predicted position, found in a larger window, found in a search of the whole picture.
 STATUS = ("lost", "window", "grown", "full")
 LOST, WINDOW, GROWN, FULL = range(4)
-#: Status of a pose for which the edge of the picture cuts a marker.
+#: Name of the status of a frame in which the edge of the picture cuts a marker.
 CUT = "cut"
-#: Width of the surroundings of a blob that are measured, px. They contain its rim and its background.
+#: Width of the strip around a blob that is measured together with the blob, px. The strip contains the rim of
+#: the blob and its background.
 MARGIN = 8
-#: Minimum contrast of a blob: in grey levels, and as a multiple of the standard deviation of its background.
-#: If this standard deviation exceeds MAX_SCATTER grey levels, MAX_SCATTER is used.
+#: Minimum contrast between a blob and its background: in grey levels, and as a multiple of the standard
+#: deviation of the background. A standard deviation above MAX_SCATTER grey levels is replaced by MAX_SCATTER.
 MIN_CONTRAST, MIN_CONTRAST_RATIO, MAX_SCATTER = 12.0, 1.2, 15.0
 _KERNEL3 = np.ones((3, 3), np.uint8)
 _KERNEL5 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -483,7 +497,7 @@ class Blob:
     box: tuple[int, int, int, int]
     #: Difference between the mean colours of the patch and of its background, grey levels.
     contrast: float
-    #: Confidence of the detection, from 0 to 1.
+    #: Confidence of the detection, from 0 to 1 (most confident).
     confidence: float
     #: Mean colour of the patch as HSV on the scale of OpenCV, shape (3,).
     hsv: Array
@@ -550,7 +564,7 @@ def find_patches(
     step: int = 1,
     inside: tuple[bool, bool, bool, bool] = (False, False, False, False),
 ) -> list[Patch]:
-    """Return the connected patches of a mask whose area is in range, or that the window cuts.
+    """Return the connected patches of a mask whose area is in range, and all patches that the window cuts.
 
     Parameters
     ----------
@@ -584,7 +598,7 @@ def find_patches(
 def measure(
     window: Frame, patch: Patch, step: int, origin: tuple[int, int], picture: tuple[int, int]
 ) -> Blob | None:
-    """Return a patch as a :class:`Blob`; None if its contrast to the background is too low.
+    """Measure a patch in the picture; return a :class:`Blob`, or None if its contrast is too low.
 
     Parameters
     ----------
@@ -607,7 +621,7 @@ def measure(
     y1 = min(bottom + margin, (rows - step // 2) // step)
     hull = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(patch.contour) - np.array([x0, y0], np.int32), 255)
-    # The core of the convex hull has weight 1, so that reflections leave no hole.
+    # Give weight 1 to the core of the patch's convex hull, so that a reflection on the marker leaves no hole.
     kernel = (_KERNEL3, _KERNEL5)[min(right - left, bottom - top) >= 10]
     core = cv2.erode(hull, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     if not core.any():
@@ -622,19 +636,21 @@ def measure(
     colour = np.array(cv2.mean(part, core)[:3])
     axis = colour - back
     contrast = math.sqrt(axis @ axis)
-    # Compute the standard deviation of the background along the axis, for independent channels.
+    # Compute the standard deviation of the background colour along the line from the background colour to the
+    # marker colour. The noise of the colour channels is taken to be independent.
     scatter = math.sqrt((deviation * axis) @ (deviation * axis)) / max(contrast, 1e-12)
     if contrast < max(MIN_CONTRAST, MIN_CONTRAST_RATIO * min(scatter, MAX_SCATTER)) or far.all():
         return None
-    # Weight each pixel by the position of its colour on the line from the mean background (0) to the mean
-    # core (1).
+    # Weight each pixel at the rim by the position p of its colour on the line from the mean background colour
+    # (p = 0) to the mean colour of the core (p = 1). The weight rises from 0 at p = 0.25 to 1 at p = 0.75.
     scale = 2 * axis / contrast**2
     weight = cv2.transform(part.astype(np.float32), np.array([[*scale, -(scale @ back) - 0.5]]))
     weight = np.where(core > 0, 1.0, np.clip(weight, 0, 1) * (near > 0))
     m = cv2.moments(weight)
     column, row = m["m10"] / m["m00"], m["m01"] / m["m00"]
     left, top, right, bottom = box = patch.box(origin, step)
-    # Incomplete blocks at the right and lower side of the picture are not in the mask.
+    # A coarse mask does not contain the incomplete blocks at the right and lower side of the picture.
+    # Therefore a patch that ends less than 1.5 blocks before such a side counts as cut.
     at_edge = left <= 0 or top <= 0 or right > picture[0] - 1.5 * step or bottom > picture[1] - 1.5 * step
     confidence = min(contrast / (contrast + 2 * scatter + 6.0), 1.0)
     if at_edge:
@@ -679,7 +695,8 @@ class RawTrack:
     at_edge : ndarray of bool, shape (m, n)
         Whether the edge of the picture cuts the marker.
     rivals : dict of str to int
-        Maximum number of other objects of the same colour in one frame, for each kind of marker.
+        Maximum number of objects in one frame that have the colour of the marker but are not the marker, for
+        each kind of marker.
     mistaken : dict of str to (int, float)
         Number of detections of another object that was first taken for the marker, and its area in px.
     """
@@ -699,14 +716,14 @@ class RawTrack:
     def of_table(cls, times: Any, names: list[str], table: Array, *more: Any) -> RawTrack:
         """Return a track from the detections of all markers, shape (m, n, 9).
 
-        ``more`` are further attributes.
+        The last axis has the values of :data:`Row`. ``more`` are the values of ``rivals`` and ``mistaken``.
         """
         x, y, area, confidence, status, at_edge = table[..., :6].transpose(2, 0, 1)
         found = (status.astype(int), at_edge.astype(bool))
         return cls(np.array(times), names, x, y, area, confidence, *found, *more)
 
     def select(self, names: list[str]) -> RawTrack:
-        """Return a copy of the track with some of the markers, in the order of ``names``."""
+        """Return a copy of the track with only the markers ``names``, in this order."""
         rows = [self.row(name) for name in names]
         arrays = {key: getattr(self, key)[rows] for key in TRACKED}
         return replace(self, names=names, **arrays)
@@ -722,7 +739,7 @@ class RawTrack:
         return self.seen & ~self.at_edge
 
     def row(self, name: str) -> int:
-        """Return the row number of a marker in the arrays of the track."""
+        """Return the row index of a marker in the arrays of the track."""
         return self.names.index(name)
 
     def centre(self, marker: int) -> tuple[Array, Array]:
@@ -746,9 +763,9 @@ class RawTrack:
             return 0.0, 0.0
         area = self.area[i]
         usual = float(np.median(area[seen]))
-        # Detections with an unusual area show only a part of the marker. The centre of this part moves if the
-        # covered part changes. With this limit of the area, the centre of a bar 20 times as long as wide
-        # moves by 0.6 radii if objects pass in front of it.
+        # Use only detections with the usual area. The others show only a part of the marker, and the centre
+        # of this part moves if the covered part changes. With this limit of the area, the centre of a bar 20
+        # times as long as wide moves by 0.6 radii if objects pass in front of it.
         whole = seen & (np.abs(area - usual) <= 0.15 * usual)
         part = whole if whole.sum() >= MIN_DETECTIONS else seen
         place = np.stack([self.x[i], self.y[i]])
@@ -759,7 +776,7 @@ class RawTrack:
         return reach, reach / max(math.sqrt(usual / math.pi), 1.0)
 
     def head_first(self, head: str, tail: str) -> float | None:
-        """Return the fraction of time steps in which two markers move in the direction of the head marker.
+        """Return the fraction of time steps in which two markers move in the direction from tail to head.
 
         The result is None for fewer than 4 time steps.
         """
@@ -769,8 +786,8 @@ class RawTrack:
         front, rear = (np.stack(self.centre(row))[:, every] for row in (i, j))
         line = front - rear
         length = np.hypot(*line)
-        # If the distance between two markers is far from its median, one of the detections is false. An
-        # inclined camera changes the distance by less.
+        # Use only frames in which the distance between the two markers is near its median. Otherwise one of
+        # the detections is false. An inclined camera changes the distance by less.
         sound = np.abs(length / np.nanmedian(length) - 1) <= 0.3
         ahead = np.sum(np.diff(front + rear, axis=1) * line[:, :-1], axis=0)[sound[1:] & sound[:-1]]
         return float(np.mean(ahead > 0)) if len(ahead) >= 4 else None
@@ -780,7 +797,7 @@ class RawTrack:
 
 
 def scene_shifts(frames: Sequence[Frame]) -> Array:
-    """Return the shift of the scene in each frame relative to the first frame.
+    """Return the shift of the scene in each frame of a film relative to the first frame, px.
 
     Parameters
     ----------
@@ -803,7 +820,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         return out
     factor = max(frames[0].shape[1] / SCENE_WIDTH, 1.0)
     small = [reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), SCENE_WIDTH) for frame in frames]
-    # Up to 300 corners of the scene are used, and at least 12 are needed.
+    # Find up to 300 corners in the first frame. At least 12 are needed.
     corners = cv2.goodFeaturesToTrack(small[0], 300, 0.02, 7)
     if corners is None or len(corners) < 12:
         return out
@@ -811,7 +828,8 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         there, found, _ = cv2.calcOpticalFlowPyrLK(small[0], picture, corners, None)
         back, again, _ = cv2.calcOpticalFlowPyrLK(picture, small[0], there, None)
         sound = (found[:, 0] > 0) & (again[:, 0] > 0)
-        # A corner that is followed forwards and backwards must end within half a pixel of its start.
+        # Use only corners that return to within half a pixel of their start when they are followed forwards
+        # and backwards.
         sound &= np.linalg.norm((back - corners)[:, 0], axis=1) < 0.5
         if not sound.any():
             continue
@@ -820,7 +838,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
         # Corners belong to the scene if their shift is within one pixel of the median shift.
         alike = np.linalg.norm(flow - middle, axis=1) < 1.0
         # The corners of the scene must be half of all corners, and must be in 8 of 4 x 4 cells of the
-        # picture. Otherwise a robot near the camera may contain most of the corners.
+        # picture. Otherwise they may be the corners of a robot near the camera.
         cells = (corners[sound, 0][alike] * 4 / np.array(picture.shape[::-1])).astype(int)
         if alike.sum() >= 0.5 * len(corners) and len(np.unique(cells, axis=0)) >= 8:
             out[k] = factor * middle
@@ -828,7 +846,7 @@ def scene_shifts(frames: Sequence[Frame]) -> Array:
 
 
 def check_camera(shift: Array, width: int, consequence: str) -> tuple[float, float]:
-    """Return the maximum shift of the scene and its limit, px; warn if the limit is exceeded."""
+    """Return the maximum shift of the scene and the allowed maximum, px. Warn if the shift exceeds it."""
     largest = float(np.nanmax(np.hypot(*shift.T), initial=0.0))
     limit = MAX_SHIFT_PX * max(width / SCENE_WIDTH, 1.0)
     if largest > limit:

@@ -70,9 +70,9 @@ class TrackVideoOptions(
 
 @dataclass(frozen=True)
 class Pick:
-    """Marker that the user picks: its name, and one pixel of it.
+    """Name of a marker that the user picks in a frame, and the position of one of its pixels, px.
 
-    Picks of the same name are equal markers.
+    Picks with the same name are several markers that look alike.
     """
 
     name: str

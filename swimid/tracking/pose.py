@@ -35,10 +35,10 @@ from swimid.notices import warn
 from swimid.tracking.frames import CUT, LOST, STATUS, Array, RawTrack
 from swimid.tracking.setup import Camera, Setup
 
-#: Maximum relative difference between the horizontal and the vertical ratio of two picture sizes, for
-#: pictures of the same proportions. The ratios differ because sizes are rounded to even pixels.
+#: Maximum relative difference between the ratio of the widths and the ratio of the heights of two pictures of
+#: the same proportions. The two ratios differ slightly because sizes are rounded to even pixels.
 MAX_SCALE_DIFFERENCE = 0.02
-#: Minimum number of measurements in a segment of a track that is used.
+#: Minimum number of measured frames in a segment of a track. Shorter segments are left out.
 MIN_SEGMENT = 5
 #: Minimum standard deviation of the noise in the centre of a marker, px.
 MIN_NOISE_PX = 0.01
@@ -52,22 +52,24 @@ LAGS, MIN_PRODUCTS = (2, 3, 4, 5, 6), 50
 #: Shift of the marker centres per frame that is added before repeated pictures are searched for, px. With it
 #: a repeat that the codec copied exactly looks like other repeats, which differ by noise.
 RAMP_PX = 1e-6
-#: Probability of a false report of a partly hidden marker in a whole film, if areas were normally distributed
-#: and independent; and factor on the limit for single frames, because areas are neither.
+#: Probability that a film without hidden markers is reported to have a partly hidden one. It holds for areas
+#: that are normally distributed and independent, which areas in films are not. Therefore SINGLE_FRAME
+#: multiplies the limit for a single small area.
 FALSE_ALARM, SINGLE_FRAME = 1e-3, 2.0
-#: Half-width of a 95 % interval, in standard deviations. For a partly hidden marker the maximum error is
-#: taken for this half-width.
+#: Half-width of a 95 % interval, in standard deviations. The maximum error of a partly hidden marker is
+#: divided by this value to give a standard deviation.
 TWO_SIDED = 1.96
 
-#: Number of segments of measurements that are left out to calibrate the standard deviation in gaps, and
-#: number of known samples on each side of such a segment.
+#: Number of measured segments that are hidden from the smoother to calibrate its standard deviation in gaps,
+#: and number of known samples on each side of such a segment.
 N_STRETCHES, MARGIN = 40, 20
 #: Minimum number of samples in a segment from which the noise of a track is estimated.
 MIN_SAMPLES = 6
-#: Decimal logarithms of the ratio between driving noise and measurement noise that are compared.
+#: Decimal logarithms of the ratios of driving noise to measurement noise at which the likelihood of a track
+#: is compared first.
 RATIOS = np.arange(-9.0, 4.5)
 #: Variance of the unknown initial position in the Kalman filter, relative to the measurement variance. For
-#: velocity and acceleration it is divided by the second and fourth power of the time step.
+#: velocity and acceleration the variance is divided by the second and fourth power of the time step.
 START_VARIANCE = 1e7
 
 
@@ -106,15 +108,15 @@ class Plane:
     variants: tuple[Array, ...] = ()
 
     def to_world(self, x: Array, y: Array) -> Array:
-        """Return the world coordinates, shape (2, n), of points of the picture; NaN stays NaN."""
+        """Return the world coordinates, shape (2, n), of picture points x and y, px. NaN stays NaN."""
         return _map_known(lambda points: _mapped(_undistorted(points, self.lens), self.matrix), x, y)
 
     def to_image(self, x: Array, y: Array) -> Array:
-        """Return the picture coordinates, shape (2, n), of points of the world; NaN stays NaN."""
+        """Return the picture coordinates in px, shape (2, n), of world points x and y. NaN stays NaN."""
         return _map_known(self._backward, x, y)
 
     def variations(self, world: Array) -> Array:
-        """Return the shifts of world points, shape (2, n), by each of the k ``variants``, shape (k, 2, n)."""
+        """Return the shifts of world points that each of the k ``variants`` causes, shape (k, 2, n)."""
         x, y = self.to_image(*world)
         moved = [replace(self, matrix=matrix).to_world(x, y) - world for matrix in self.variants]
         return np.array(moved).reshape(-1, 2, world.shape[1])
@@ -127,7 +129,7 @@ class Plane:
         return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens)[0].reshape(-1, 2)
 
     def turned(self) -> Plane:
-        """Return a copy of the plane with its x axis in the opposite direction."""
+        """Return a copy of the plane whose world x axis has the opposite direction."""
         turn = np.array([[-1.0, 0, self.far_x], [0, 1, 0], [0, 0, 1]])
         variants = tuple(turn @ matrix for matrix in self.variants)
         return replace(self, matrix=turn @ self.matrix, variants=variants)
@@ -152,7 +154,7 @@ class Plane:
 
 
 def _map_known(function: Callable[[Array], Array], x: Array, y: Array) -> Array:
-    """Apply a map of points, shape (n, 2), to the points without NaN.
+    """Apply a map of points, shape (n, 2), to the points x and y that are not NaN.
 
     Return all points, shape (2, n).
     """
@@ -218,7 +220,8 @@ def plane_of(setup: Setup, width: int, height: int, *, file: str | None = None) 
                 "the calibration points map the picture to a world seen from its back: x, y as given, and "
                 "yaw is counter-clockwise from x to y there, clockwise in the picture",
             )
-    # Seen by the camera, markers above the plane appear too far from the point below the camera.
+    # Move markers above the plane of the scale towards the point below the camera, because they appear too
+    # far from this point.
     foot = _mapped(camera_centre[None], matrix)[0]
     nearer = np.array([[shrink, 0, (1 - shrink) * foot[0]], [0, shrink, (1 - shrink) * foot[1]], [0, 0, 1.0]])
     moved = tuple(nearer @ variant for variant in variants)
@@ -247,15 +250,18 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
         text = f"the matrix is for pictures of {size} pixels; the film has {width} x {height}, no scaled copy"
         hint = "calibrate the camera in the mode in which it films"
         raise InputError(text, file=file, column="camera.size_px", hint=hint)
-    # Coordinates scale about the corner of the picture, which is half a pixel before the middle of the first
-    # pixel.
+    # Scale the coordinates about the corner of the picture, which is half a pixel before the middle of the
+    # first pixel.
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     scale = np.linalg.inv(half) @ np.diag([across, down, 1.0]) @ half
     return np.asarray(scale @ np.array(camera.matrix))
 
 
 def _homography(image: Array, world: Array, file: str | None) -> tuple[Array, tuple[float, float]]:
-    """Return the homography of calibration points, and its root-mean-square errors in picture and world."""
+    """Return the homography from picture to world through calibration points, and its errors.
+
+    The errors are the root-mean-square errors of the points in the picture and in the world.
+    """
     for name, points in (("points_px", image), ("points_m", world)):
         if _is_on_line(points):
             text = "the points lie on a line; four corners of an area are needed"
@@ -289,7 +295,10 @@ def _variants(image: Array, world: Array, residual_px: float) -> tuple[Array, ..
 
 
 def _is_on_line(points: Array) -> bool:
-    """Return whether all calibration points lie on a line; of four points, three on a line suffice."""
+    """Return whether the calibration points lie on a line.
+
+    Of four points, three on a line suffice, because they do not determine a homography.
+    """
     rests = [points]
     if len(points) <= 4:
         rests = [np.delete(points, k, axis=0) for k in range(len(points))]
@@ -301,7 +310,7 @@ def _is_on_line(points: Array) -> bool:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Coordinates of a path that were smoothed together, with common noise.
+    """Smoothed coordinates of a path, with velocities, standard deviations and their common noise.
 
     Attributes
     ----------
@@ -333,9 +342,10 @@ class Smoothed:
 
 @njit(cache=True)
 def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Return transition matrix and noise covariance of a chain of integrators for each time step.
+    """Return transition matrix and noise covariance of the Kalman filter for each time step.
 
-    Noise of power q drives the highest derivative. Entry (i, j) of the transition is dt^(j - i) / (j - i)!.
+    The model is a chain of ``order`` integrators. White noise of power q drives the highest derivative. Entry
+    (i, j) of the transition matrix is dt^(j - i) / (j - i)!.
     """
     factorial = (1.0, 1.0, 2.0)
     transitions, noises = np.zeros((len(times) - 1, order, order)), np.zeros((len(times) - 1, order, order))
@@ -363,7 +373,10 @@ def _add_sandwich(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no c
 
 @njit(cache=True)
 def _forward(values, variances, transitions, noises, means, covariances, innovations):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run the Kalman filter: fill means, covariances and innovations with their variances, in place."""
+    """Run the Kalman filter over one coordinate.
+
+    Write the filtered means and covariances, and the innovations with their variances, into the given arrays.
+    """
     for k in range(len(values)):
         mean, covariance = means[k], covariances[k]
         if k > 0:
@@ -384,7 +397,7 @@ def _forward(values, variances, transitions, noises, means, covariances, innovat
 
 @njit(cache=True)
 def _backward(gains, means, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run the smoother: add to each state the correction from the state after it, from the last step on."""
+    """Run the Rauch-Tung-Striebel smoother in place: correct each state by the next state in time."""
     for k in range(len(gains) - 1, -1, -1):
         for i in range(means.shape[1]):
             for j in range(means.shape[1]):
@@ -431,7 +444,8 @@ def rts(times: Array, means: Array, covariances: Array, q: float, order: int) ->
     keep = np.eye(order) - gains @ transitions
     smooth, spread = means.copy(), covariances.copy()
     smooth[:-1] = np.einsum("kij,kj->ki", keep, means[:-1])
-    # A sum of covariances is accurate for a diffuse start. A difference is not.
+    # Compute the smoothed covariance as a sum of positive terms. A difference loses its digits if the
+    # variance of the initial state is large.
     spread[:-1] = keep @ covariances[:-1] @ keep.mT + gains @ noises @ gains.mT
     _backward(gains, smooth, spread)
     return smooth, spread
@@ -445,7 +459,7 @@ def _start(order: int, variance: float, step: float) -> Array:
 def _likelihood(
     pieces: list[tuple[Array, Array, Array]], ratio: float, order: int, step: float
 ) -> tuple[float, float]:
-    """Return the log-likelihood at the most likely measurement variance, and this variance.
+    """Return the log-likelihood of a track, maximised over the measurement variance, and this variance.
 
     For a given ratio of driving noise to measurement noise, all innovation variances are proportional to the
     measurement variance. Its most likely value is the mean of the squared normalised innovations. The first
@@ -497,10 +511,10 @@ def _smooth_piece(
 def _gap_factor(
     times: Array, row: Array, weights: Array, path: Array, length: int, noise: tuple[float, float, int]
 ) -> float:
-    """Return the factor by which errors in a gap of ``length`` samples exceed their standard deviation.
+    """Return the factor by which position errors in a gap exceed the standard deviation of the smoother.
 
-    The factor is at least 1. Measured segments of that length, with ``MARGIN`` known samples on each side,
-    are left out, interpolated and compared with the path.
+    The gap has ``length`` samples. The factor is at least 1. To estimate it, measured segments of this
+    length, with ``MARGIN`` known samples on each side, are left out, interpolated and compared with the path.
     """
     whole = length + 2 * MARGIN
     known = runs(~np.isnan(row))
@@ -538,7 +552,7 @@ def smooth(
     values : ndarray, shape (d, n)
         Measurements, NaN if missing.
     weights : ndarray, shape (n,)
-        Variance of each measurement relative to a good one.
+        Variance of each measurement, relative to that of a measurement with weight 1.
     segments : list of (start, end)
         Segments to smooth, ``end`` exclusive. The result is NaN outside of the segments.
     min_sd : float
@@ -596,7 +610,7 @@ def smooth(
 
 
 def warm_up() -> None:
-    """Compile the functions of this module before they are needed."""
+    """Compile the Kalman filter and smoother, so that the first film does not wait for the compiler."""
     times, ones = np.arange(3.0), np.ones(3)
     _smooth_piece(times, ones, ones, (1.0, 1.0, 2), 1.0)
 
@@ -657,7 +671,7 @@ class Pose:
     def body_velocity(self) -> Array | None:
         """Velocity of the body ahead and to port (up in the vertical plane), shape (2, n).
 
-        None without a heading.
+        The unit is that of the world coordinates per second. None without a heading.
         """
         if self.angle is None:
             return None
@@ -679,7 +693,7 @@ class Pose:
 
 
 def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
-    """Return the map to world coordinates whose x axis points ahead of the robot, for a side camera.
+    """Return a copy of the plane whose x axis points ahead of the robot, for a camera at its side.
 
     With ``facing: auto`` the direction ahead is the mean direction from tail to head marker, or from the rear
     to the front marker if their positions on the robot are known. A single marker does not change the plane.
@@ -713,7 +727,7 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     everyone = range(len(track.names))
     markers = np.array([plane.to_world(*track.centre(i)) for i in everyone])
     hidden = np.array([hidden_px(track, i, plane) for i in everyone])
-    # A frame repeats the previous picture if all markers stay where they were, between steps.
+    # A frame repeats the previous picture if no marker centre moves between the two.
     ramp = RAMP_PX * np.arange(len(times))
     held = find_held(times, [values + ramp for row in rows for values in track.centre(row)])
     clock, clock_sd = _picture_times(times, held)
@@ -742,7 +756,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         white, lasting = max(white, centroid[0]), float(np.hypot(centroid[1], lasting))
         both = np.maximum(weights, _weights(track, tail, hidden[tail]))
         if setup.places is not None:
-            # The mid-point needs both markers. With a single marker, errors of the scale would enter.
+            # Compute the mid-point only where both markers are measured. With one marker only, an error of
+            # the scale would shift the reference point.
             raw = np.where(measured, (markers[head] + markers[tail]) / 2, np.nan)
             places = np.array(setup.places)
             lever, weights = -places.mean(axis=0), both
@@ -754,19 +769,22 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
         raw_angle[~measured] = np.nan
         turn = np.sqrt(2) / max(distance, 1e-12)
         angle = smooth(clock, raw_angle[None], both, segments, min_sd=turn * white, trusted=trusted)
-        # Both points on a silhouette follow from one outline. Therefore the distance between them does not
-        # show all errors of the heading.
+        # The centre and the rear point of a silhouette follow from the same outline. Therefore the distance
+        # between them does not show all errors of the heading.
         along = lasting if setup.markers[0].method == "background" else centroid[1]
-        # The errors of partly hidden markers last as long as the markers are hidden.
+        # Add the errors of partly hidden markers, which do not average out: they last as long as the markers
+        # are hidden.
         off = np.hypot(*hidden[rows]) * pixel / TWO_SIDED / distance
         angle = _widened(angle, turn * along, off)
-        # Use the smoothed heading, because the raw heading would add its noise to the path.
+        # Turn the lever from the mid-point of the markers to the reference point by the smoothed heading. The
+        # measured heading would add its noise to the path.
         raw = raw + _turned(lever, angle.position[0])
     path = smooth(clock, raw, weights, segments, min_sd=white, trusted=trusted)
     used = [head] if setup.places is None else rows
     path = _widened(path, lasting, hidden[used].max(axis=0) * pixel / TWO_SIDED)
     if angle is not None:
-        # An error of the heading moves the reference point at right angles to the lever.
+        # Add the error that results from the heading, which moves the reference point at right angles to its
+        # lever from the mid-point of the markers.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
         path = replace(
             _widened(path, across * angle.position_sd),
@@ -831,8 +849,8 @@ def _with_plane_error(
     if angle is None or separation is None:
         return path, angle
     line = float(np.nanmedian(separation)) * np.stack([np.cos(angle.position[0]), np.sin(angle.position[0])])
-    # If one end of the line between the markers moves across the line, relative to the other end, the heading
-    # changes.
+    # Compute the change of the heading: one end of the line between the markers moves across this line,
+    # relative to the other end.
     apart = (moved - plane.variations(path.position - line)) / np.nansum(line**2, axis=0)
     return path, _widened(angle, *(apart[:, 1] * line[0] - apart[:, 0] * line[1]))
 
@@ -867,7 +885,7 @@ def _segments(times: Array, measured: NDArray[np.bool_], max_gap_s: float) -> li
     Gaps of more than ``max_gap_s`` separate the segments.
     """
     seen, step = np.flatnonzero(measured), float(np.median(np.diff(times)))
-    # The gap between two frames that are one step apart is zero.
+    # Subtract one time step, so that the gap between two successive frames is zero.
     split = np.flatnonzero(np.diff(times[seen]) - step > max_gap_s + 1e-9)
     parts = [part for part in np.split(seen, split + 1) if len(part) >= MIN_SEGMENT]
     return [(int(part[0]), int(part[-1]) + 1) for part in parts]
@@ -881,8 +899,9 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     of the area, the error is at most R e / (1 - e), and less than R. The whole area is the median area on the
     plane, with an uncertainty given by its standard deviation. A sequence of smaller areas counts as hidden
     in two cases. Either two successive areas are smaller than chance explains with probability
-    :data:`FALSE_ALARM` in a film, or one area is :data:`SINGLE_FRAME` times further away. The stricter limit
-    is needed because the codec and the phase of the pixels reduce the areas of single frames.
+    :data:`FALSE_ALARM` in a film, or the deviation of one area exceeds :data:`SINGLE_FRAME` times the
+    deviation with this probability. The stricter limit is needed because the codec and the phase of the
+    pixels reduce the areas of single frames.
     """
     off = np.zeros(len(track.times))
     seen = np.flatnonzero(track.found[marker])
@@ -892,7 +911,8 @@ def hidden_px(track: RawTrack, marker: int, plane: Plane) -> Array:
     share = area * plane.size_of_pixel(track.x[marker, seen], track.y[marker, seen]) ** 2
     share /= float(np.median(share))
     whole = area / share
-    # Compute the minimum standard deviation: each pixel of the outline belongs to the marker by chance.
+    # Compute the minimum standard deviation of a relative area, which results because each pixel of the
+    # outline is counted or not by chance.
     least = np.sqrt(2 * np.sqrt(np.pi * whole) / 12) / whole
     short = -np.log(share)
     scatter = np.maximum(_scatter(short), least)
@@ -918,12 +938,13 @@ def _scatter(short: Array) -> float:
     large = -short[short < 0]
     if not len(large):
         return middle
-    # A normal variable is within two standard deviations with probability 0.9545.
+    # Take half of the 95.45 % quantile, because a normal variable is within two standard deviations with
+    # probability 0.9545.
     return max(middle, 0.5 * float(np.quantile(large, 0.9545)))
 
 
 def _weights(track: RawTrack, marker: int, hidden: Array) -> Array:
-    """Return the variance of each marker centre relative to that of a typical one, shape (n,)."""
+    """Return the variance of each measured centre of a marker relative to a typical one, shape (n,)."""
     seen = track.found[marker]
     weights = np.ones(len(track.times))
     if seen.any():
@@ -943,7 +964,7 @@ def noise_px(track: RawTrack, marker: int) -> float:
 
 
 def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
-    """Return the columns of the log of a track, in their order."""
+    """Return the columns of a log from the pose and the marker track, in the order of the log."""
     unit = pose.plane.unit
     up, angle_name, side = setup.axes
     vx, vy = pose.path.velocity
@@ -959,7 +980,7 @@ def columns(pose: Pose, track: RawTrack, setup: Setup) -> dict[str, Any]:
     if pose.angle is not None:
         turn_sd = pose.angle.position_sd[0]
         out[f"{angle_name}_sd_rad"] = turn_sd
-        # An error of the heading mixes surge and sway.
+        # Add the velocity error that results from an error of the heading. This error mixes surge and sway.
         out[f"u_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"{side}_{unit}_s"])
         out[f"{side}_sd_{unit}_s"] = np.hypot(speed_sd, turn_sd * out[f"u_{unit}_s"])
         out[f"{angle_name}_rate_sd_rad_s"] = pose.angle.velocity_sd[0]

@@ -22,7 +22,7 @@ _Positive = Annotated[float, Field(gt=0)]
 _Point = tuple[float, float]
 _Points = tuple[_Point, ...]
 _Row = tuple[float, float, float]
-#: Type of a box: its left, top, right and bottom side, px.
+#: Type of a rectangle in the picture: position of its left, top, right and bottom side, px.
 Box = tuple[float, float, float, float]
 
 
@@ -39,7 +39,10 @@ _Hue = Annotated[float, Field(ge=0, le=360)]
 
 
 class HsvRange(Document):
-    """Range of colours in hue, saturation and value. Hue is an angle: ``[345, 15]`` contains red at 0."""
+    """Range of colours in hue (degrees), saturation and value (0 to 1).
+
+    Hue is an angle. Therefore the range ``[345, 15]`` contains red at 0 degrees.
+    """
 
     hue_deg: tuple[_Hue, _Hue] = (0.0, 360.0)
     saturation: _Span = (0.0, 1.0)
@@ -47,17 +50,17 @@ class HsvRange(Document):
 
 
 class Marker(Document):
-    """One kind of marker: its colour, number and size in the picture."""
+    """Entry of a setup file for one kind of marker: colour, number of markers, and area in the picture."""
 
     name: Annotated[str, Field(max_length=40, pattern="^[A-Za-z][A-Za-z0-9_-]*$")]
-    #: Method by which the marker is found. ``background`` takes the whole body for the marker, finds it by
-    #: its difference from the empty scene, and needs no colour.
+    #: Method by which the marker is found. ``colour`` searches for the colour range ``hsv``. ``background``
+    #: needs no colour: it follows the whole body, which differs from the empty scene.
     method: Literal["colour", "background"] = "colour"
     hsv: HsvRange | None = None
     number: Annotated[int, Field(ge=1, le=20)] = 1
     area_px: _Area | None = None
-    #: Position of each marker of this kind in the first frame (px of the picture). It determines which of
-    #: several equal markers has which name.
+    #: Position of each marker of this kind in the first frame, px. The positions assign names to markers that
+    #: look alike.
     start_px: _Points | None = None
     #: Position of the marker on the robot, relative to the reference point: forward, and to port (up in the
     #: vertical plane), m.
@@ -76,14 +79,19 @@ class Marker(Document):
 
     @property
     def names(self) -> list[str]:
-        """Names of the markers of this kind: its own name, or name1, name2, ... if there are several."""
+        """Names of the tracked points of this kind of marker.
+
+        A single marker has the name of its kind. Several markers have numbered names (name1, name2, ...). A
+        silhouette has two points: its centre has the name of the kind, and its rear point has the ending
+        ``_rear``.
+        """
         if self.method == "background":
             return [self.name, f"{self.name}_rear"]
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
 
 
 class Heights(Document):
-    """Heights of the camera and of the markers above the plane in which the scale was measured."""
+    """Heights of the camera and of the markers above the plane in which the scale was measured, m."""
 
     camera_m: _Positive
     marker_m: float
@@ -96,7 +104,10 @@ class Heights(Document):
 
 
 class Scale(Document):
-    """Scale from pixels to metres: a factor, two points and their distance, or at least four points."""
+    """Scale from pixels to metres.
+
+    It is a factor, two points and their distance, or at least four points with their coordinates in metres.
+    """
 
     metres_per_pixel: _Positive | None = None
     points_px: _Points | None = None
@@ -147,15 +158,16 @@ class Setup(Document):
 
     format: Literal["swimid-setup/1"]
     markers: Annotated[list[Marker], Field(min_length=1, max_length=20)]
-    #: Name of the head marker, whose path is that of the log (the nose), and name of the tail marker behind
-    #: it. With a single kind of marker, the first marker is the default head and a tail is not needed.
+    #: Names of the head marker and of the tail marker behind it. The path in the log is that of the head
+    #: marker. With a single kind of marker, the first marker is the default head and a tail is not needed.
     head: str | None = None
     tail: str | None = None
     plane: Literal["horizontal", "vertical"] = "horizontal"
-    #: Direction in the picture in which the robot faces, in a film from the side. In the log x increases this
-    #: way.
+    #: Direction in the picture in which the robot faces, for a camera at its side. In the log, x increases in
+    #: this direction.
     facing: Literal["auto", "right", "left"] = "auto"
-    #: Direction in which the robot swims. A track in the other direction for most of the path fails a check.
+    #: Direction in which the robot swims. A check fails if the robot moves in the opposite direction over
+    #: most of its path.
     swims: Literal["head-first", "tail-first"] = "head-first"
     #: Robot file that states the position of each marker without ``at_m``. The robot file must have a marker
     #: of the same name.
@@ -208,7 +220,7 @@ class Setup(Document):
 
     @property
     def name(self) -> str:
-        """Name of a setup that is not from a file, in the provenance of a result."""
+        """Name that the provenance of a result states for a setup that was not read from a file."""
         return "setup"
 
     @property
@@ -218,17 +230,17 @@ class Setup(Document):
 
     @property
     def head_name(self) -> str:
-        """Name of the marker whose path is that of the log."""
+        """Name of the head marker. The path in the log is that of this marker."""
         return self.head or self.marker_names[0]
 
     @property
     def roles(self) -> list[str]:
-        """Names of the markers that the pose needs: head, and tail if there is one."""
+        """Names of the markers from which the pose is computed: head marker, and tail marker if it exists."""
         return [self.head_name] if self.tail is None else [self.head_name, self.tail]
 
     @property
     def axes(self) -> tuple[str, str, str]:
-        """Names of the second coordinate, the heading, and the velocity across the heading in the log."""
+        """Column names of second coordinate, heading, and velocity across the heading in the log."""
         return ("y", "yaw", "v") if self.plane == "horizontal" else ("z", "pitch", "w")
 
     def marker(self, name: str) -> Marker:
@@ -237,13 +249,13 @@ class Setup(Document):
 
     @property
     def places(self) -> tuple[_Point, _Point] | None:
-        """Positions of head and tail marker relative to the reference point (``at_m``); None if unknown."""
+        """Positions of head and tail marker on the robot (``at_m``), m; None if they are unknown."""
         known = [at for at in (self.marker(name).at_m for name in self.roles) if at is not None]
         return (known[0], known[1]) if len(known) > 1 else None
 
 
 def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
-    """Return the setup for an argument: a file, a setup, or a dictionary with the keys of the file.
+    """Return a checked setup from a setup file, a ``Setup``, or a dictionary with the keys of a setup file.
 
     Raises
     ------
@@ -257,7 +269,7 @@ def of(given: str | Path | Setup | Mapping[str, Any]) -> Setup:
 
 
 def read(path: str | Path) -> Setup:
-    """Read and check a setup file, and add the positions of the markers from its ``robot``.
+    """Read and check a setup file, and add the marker positions from the robot file that ``robot`` names.
 
     Raises
     ------
@@ -283,7 +295,10 @@ def _complete(data: Mapping[str, Any], path: Path) -> Setup:
 
 
 def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float, float]]:
-    """Return the positions of the markers on a robot; raise an error if head or tail is not among them."""
+    """Return the marker positions that a robot file states, m, by name of the marker.
+
+    Raise an error if the file does not state the position of the head or tail marker.
+    """
     from swimid.robots import file as robot_format
 
     def refuse(text: str, hint: str | None = None) -> InputError:

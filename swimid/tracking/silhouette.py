@@ -24,7 +24,8 @@ from swimid.tracking.frames import (
 )
 from swimid.tracking.setup import Setup
 
-#: Number of frames whose median is taken for the empty scene, and width to which all frames are reduced, px.
+#: Number of frames whose median is the picture of the empty scene, and width in px to which each frame is
+#: reduced before the body is searched for.
 SCENE_FRAMES, WIDTH = 41, 960
 #: Minimum difference between a pixel of the body and the empty scene: in grey levels, and relative to the
 #: median difference in the frame.
@@ -35,7 +36,7 @@ _KERNEL = np.ones((5, 5), np.uint8)
 
 
 def empty_scene(path: Path) -> Frame:
-    """Return the empty scene of a film: the median of some frames, in which moving objects are absent."""
+    """Return the empty scene of a film: the median of frames spread over the film, without moving objects."""
     video = Video(path)
     keeper = FrameKeeper(SCENE_FRAMES, max(video.claimed // SCENE_FRAMES, 1), WIDTH)
     for index, (_, frame) in enumerate(video.frames()):
@@ -80,7 +81,7 @@ class Silhouette:
         self._rows.append(self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))))
 
     def _measure(self, small: Frame) -> tuple[Row, Row]:
-        """Return the centre and the rear point of the body in a reduced frame, each as a detection."""
+        """Return centre and rear point of the body as two detections, in px at full resolution."""
         difference = largest_channel(cv2.absdiff(small, self._scene))
         noise = float(np.median(difference))
         limit = max(MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO * noise)
@@ -99,8 +100,8 @@ class Silhouette:
         body = np.where(labels[y0 : bottom + 3, x0 : right + 3] == label, 255, 0).astype(np.uint8)
         core = cv2.erode(body, _KERNEL)
         contrast = float(np.median(difference[(core if core.any() else body) > 0]))
-        # Weight the pixels of the rim of the body by their difference from the scene. Pixels inside have
-        # weight 1, also in the holes that reflections leave.
+        # Weight the pixels at the rim of the body by their difference from the empty scene. Pixels inside the
+        # body have weight 1, also where a reflection has the colour of the scene.
         weight = np.clip(difference / (contrast / 2) - 0.5, 0, 1) * (cv2.dilate(body, _KERNEL) > 0)
         outlines, _ = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         m = cv2.moments(cv2.drawContours(weight, outlines, -1, 1.0, cv2.FILLED))

@@ -38,23 +38,24 @@ N_SAMPLES, SAMPLE_WIDTH = 48, 960
 #: Minimum difference between a moving pixel and the background: in grey levels, and relative to the median
 #: difference in the frame.
 MIN_DIFFERENCE, MIN_DIFFERENCE_RATIO = 16, 4
-#: Minimum fraction of the pixels of a patch that differ from the empty scene, for a patch that counts as
-#: moving. The empty scene must also have another colour in at least this fraction of the pixels.
+#: Minimum fraction of the pixels of a moving patch that differ from the empty scene. In at least this
+#: fraction of the pixels, the empty scene must also have another colour than the patch.
 MOVING = 0.3
 #: Minimum score of a colour that is proposed as a marker, and maximum number of hues that are examined.
 MIN_SCORE, MAX_HUES = 0.02, 8
 #: Minimum score of a second proposed marker, relative to the score of the first.
 SECOND_SHARE = 0.25
-#: Maximum differences between the colour of a picked pixel and the colours of its patch that are tried, grey
-#: levels. The difference at which the patch grows least is used. Matas, J. et al. (2002), Robust wide
+#: Maximum colour differences between a picked pixel and the other pixels of its patch, grey levels. All of
+#: them are tried, and the one at which the patch grows least is used. Matas, J. et al. (2002), Robust wide
 #: baseline stereo from maximally stable extremal regions, BMVC. doi:10.5244/C.16.36
 TOLERANCES = (8, 12, 18, 27, 40)
 #: Minimum area of a patch, px; area of a patch above which a warning is given, and maximum area of a marker,
 #: both as fractions of the picture.
 MIN_PATCH_PX, LARGE, LARGEST = 5, 0.05, 0.5
-#: Maximum fraction of the surroundings of a marker that may have colours in the marker's range.
+#: Maximum fraction of the pixels around a marker that have a colour in the marker's range.
 MAX_SHARE_AROUND = 0.1
-#: Maximum difference between the hue of a marker and the hue of one of its pixels, on the scale of OpenCV.
+#: Maximum difference between the hue of a marker and that of one of its pixels, on OpenCV's scale (steps of 2
+#: deg).
 NEAR_HUE = 12
 BACKGROUND = "put the whole marker on a background of another colour or brightness"
 #: Flags of OpenCV's flood fill: compare each pixel with the start pixel, and write 255 into the mask.
@@ -205,18 +206,18 @@ def _setup(markers: list[Marker], common: dict[str, Any]) -> Setup:
 
 
 def _try(video: Path, setup: Setup, progress: Progress) -> Run:
-    """Return the result of following the markers of a setup through the film."""
+    """Follow the markers of a setup through the film, and return the track in pixels."""
     with progress(f"trying {', '.join(marker.name for marker in setup.markers)}") as step:
         return follow(video, setup, step=step)
 
 
 def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
-    """Return the track of the most likely marker in a film, with a second marker if possible.
+    """Return the track of the most likely marker in a film and, if possible, of a second marker.
 
-    The second value holds the rejected colours.
+    The second returned value holds the rejected colours, each with the reason.
 
-    All candidate colours are followed at once. The second marker is the best one at a constant distance from
-    the first.
+    All candidate colours are followed at once. The second marker is the best of those at a constant distance
+    from the first marker.
     """
     with progress(f"looking at {video.name}") as step:
         samples = sample(video, step=step)
@@ -277,8 +278,8 @@ def _from_picks(
     markers = pick_markers(frame, kinds, path=video, index=options.frame)
     run = _try(video, _setup(markers, common), progress)
     if markers[0].number > 1:
-        # Equal markers may belong to several bodies. The second marker gives a heading only if the pair is
-        # rigid.
+        # Use the second marker as tail only if its distance from the first is constant. Markers that look
+        # alike may belong to different bodies.
         separation = distance_change(run.track, *run.setup.roles)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
@@ -286,7 +287,7 @@ def _from_picks(
 
 
 def _from_background(video: Path, common: dict[str, Any], progress: Progress) -> tuple[Run, list[Candidate]]:
-    """Return the track of the body that differs from the empty scene, and no rejected colours.
+    """Return the track of the body that differs from the empty scene, and an empty list of rejected colours.
 
     Raises
     ------
@@ -331,7 +332,7 @@ class Samples:
     video: Video
     indices: NDArray[np.int64]
     frames: list[Frame]
-    #: Width of a pixel of a reduced frame in pixels of the picture.
+    #: Width of a pixel of a reduced frame, in pixels of the original picture.
     factor: float
     #: Background: median of the frames, in which moving objects are absent.
     background: Frame
@@ -347,13 +348,13 @@ class Candidate:
     name: str
     hue_deg: float
     colours: HsvRange
-    #: Score of the colour as that of a marker, from 0 to 1.
+    #: Score of the colour as the colour of a marker, from 0 to 1 (most likely).
     score: float = 0.0
-    #: Fraction of the evaluated frames in which a patch of the colour is seen.
+    #: Fraction of the sampled frames of the film in which a patch of the colour is seen.
     presence: float = 0.0
     #: Minimum and maximum area of the patch of this colour, px.
     area_px: tuple[float, float] = (0.0, 0.0)
-    #: Reason why the colour is not that of a marker; empty if it may be.
+    #: Reason why the colour is rejected as that of a marker; empty for a candidate that may be a marker.
     reason: str = ""
 
     def __str__(self) -> str:
@@ -382,7 +383,7 @@ def sample(path: Path, *, step: Step) -> Samples:
 
 
 def find_candidates(samples: Samples) -> tuple[list[Candidate], list[Candidate]]:
-    """Return the colours in a film that may be those of markers, best first, and the rejected colours.
+    """Return the colours in a film that may belong to markers, best first; and the rejected colours.
 
     Raises
     ------
@@ -433,7 +434,8 @@ def colour_range(hsv: NDArray[np.uint8], peak: int) -> HsvRange:
     offset = frames.hue_difference(hsv[:, 0].astype(float), peak)
     near = np.abs(offset) <= NEAR_HUE
     cluster = hsv[near].astype(float)
-    # The pixels of pure colour are the marker. The other pixels are its blurred rim.
+    # Use the pixels of strongest colour (saturation times value), which are inside the marker. The others are
+    # its blurred rim.
     purity = cluster[:, 1] * cluster[:, 2]
     core = purity >= np.percentile(purity, 35)
     low, high = np.percentile(offset[near][core], [3, 97])
@@ -456,7 +458,7 @@ def two_digits(value: float) -> float:
 
 
 def _judge(samples: Samples, hsv: NDArray[np.uint8], peak: int) -> Candidate:
-    """Return one colour as a candidate with its score, from its patches in all frames."""
+    """Return a candidate for one hue, with a score computed from the patches of the hue in all frames."""
     colours, hue, count = colour_range(hsv, peak), _degrees(peak), len(samples.frames)
     name, model = frames.hue_name(hue), ColourModel(colours)
     least = max(5.0, 2e-5 * samples.background[..., 0].size)
@@ -521,7 +523,7 @@ def _patches(
 def pick_markers(
     frame: Frame, kinds: dict[str, list[tuple[float, float]]], *, path: Path, index: int
 ) -> list[Marker]:
-    """Return markers of which the user picked one pixel each.
+    """Return setup entries of markers, from one pixel of each marker that the user picked.
 
     Parameters
     ----------
@@ -614,7 +616,7 @@ def _marker(hsv: Frame, name: str, masks: list[Frame], place: dict[str, Any]) ->
 def _range_of(hsv: Frame, patch: Frame) -> HsvRange | None:
     """Return the colour range that separates a patch from its surroundings; None if there is none."""
     core = cv2.erode(patch, _SQUARE)
-    # The surroundings are a ring of 10 px outside the blurred rim of 3 px.
+    # Take for the surroundings a ring of 10 px, outside the blurred rim of the patch (3 px).
     near = cv2.dilate(patch, _SQUARE, iterations=3)
     ring = cv2.subtract(cv2.dilate(near, _SQUARE, iterations=10), near)
     inside, around = hsv[(core if core.any() else patch) > 0], hsv[ring > 0]
@@ -622,7 +624,7 @@ def _range_of(hsv: Frame, patch: Frame) -> HsvRange | None:
 
 
 def _colours(inside: Frame) -> HsvRange:
-    """Return the colour range of a patch, widened for changing light.
+    """Return the colour range of a patch, widened so that it holds when the light changes.
 
     For a grey patch the range includes all hues.
     """
@@ -709,11 +711,12 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     both = track.found[i] & track.found[j]
     if both.sum() < frames.MIN_DETECTIONS:
         return None
-    points = np.stack([track.x[[i, j]][:, both], track.y[[i, j]][:, both]])  # (xy, marker, frame)
+    points = np.stack([track.x[[i, j]][:, both], track.y[[i, j]][:, both]])  # axes: x and y, marker, frame
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))
-    # If the heading changes by less, a bend of the body may change the distance.
+    # If the line between the markers turns by less than 60 degrees, a bend of the body may explain a change
+    # of their distance.
     turns = float(np.ptp(heading)) > math.radians(60.0)
 
     def scatter_of(view: Array) -> Array:
@@ -728,7 +731,8 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     size = 0.5 * np.log(track.area[[i, j]][:, both].sum(axis=0))
     design = np.column_stack([np.ones(both.sum()), *place])
     smooth, unshared = (design @ np.linalg.lstsq(design, v, rcond=None)[0] for v in (size, size + shrunk))
-    # The outline of a patch is known to one pixel. Therefore the areas of small markers are uncertain.
+    # The outline of a patch is known to one pixel. Therefore the areas of small markers are uncertain, and
+    # this part of their change is not counted.
     blurred = float(np.ptp(math.sqrt(2 * math.pi) / np.exp(smooth)))
     drift = min(float(np.ptp(shrunk)), max(float(np.ptp(unshared)) - blurred, 0.0))
     return max(1.4826 * float(np.median(np.abs(left))), drift)
@@ -737,7 +741,8 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
 def _rectified(points: Array, view: Array) -> Array:
     """Return image points, shape (2, m, n), after rectification by a homography.
 
-    ``view`` contains l and the two parameters of M (see :func:`distance_change`).
+    ``view`` contains the vector l, and optionally the two parameters of the matrix M (see
+    :func:`distance_change`).
     """
     a, b = (*view[2:], 0.0, 0.0)[:2]
     x, y = points

@@ -42,9 +42,9 @@ IMAGE_WIDTH, TRAIL_S = 640, 2.0
 #: Colours of interpolated points and of the drawn path, BGR (Okabe and Ito, for colour-blind readers).
 INTERPOLATED, TRAIL = (167, 121, 204), (233, 180, 86)
 #: Limits of the fraction of frames without a marker, and of the relative errors of lengths. Each is a pair:
-#: above the first value a check does not pass, and above the second it fails.
+#: above the first value a check warns, and above the second it fails.
 MAX_UNSEEN, MAX_LENGTH_ERROR = (0.05, 0.5), (0.02, 0.05)
-#: Maximum deviation of a time step that counts as regular from the median step, relative to the median step.
+#: Maximum deviation of a regular time step from the median time step, relative to the median.
 JITTER = 0.25
 #: Minimum normalised innovation of a measured position that counts as a jump.
 JUMP_SIGMA = 6.0
@@ -65,14 +65,15 @@ REFERENCES = [
 
 @dataclass(frozen=True, eq=False)
 class Track(Logged):
-    """Log with the track of a film, which ``track_video`` returns.
+    """Result of ``track_video``: log with the track of a film.
 
     Attributes
     ----------
     pose : Pose
         Path and heading with their standard deviations; None if the log was read from a file.
     setup : Setup
-        Setup of the film, to which boxes around motionless objects were added. They are not searched.
+        Setup of the film. Boxes around motionless objects were added to ``ignore_px``, so that no marker is
+        searched for in these boxes.
     """
 
     pose: Pose | None = None
@@ -172,7 +173,10 @@ def _evaluate(
     metadata: dict[str, Any],
     notices: list[Notice],
 ) -> tuple[Track, Painter]:
-    """Return the track of a film with its evidence, and the painter of the track."""
+    """Compute pose, stroke, checks and evidence of a tracked film; return result and painter.
+
+    The painter draws the track into the frames of the film.
+    """
     track, video, rules = run.track, run.video, run.setup
     plane = pose.plane_of(rules, video.width, video.height, file=str(provenance.path_of(source)))
     _demand_markers(run)
@@ -264,7 +268,9 @@ def _demand_markers(run: Run) -> None:
 
 
 def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimming:
-    """Return speeds, accelerations and stroke over a window (s), by default over the steady part.
+    """Return speeds, accelerations and stroke over a window of the track, s.
+
+    By default the window is the steady part of the track.
 
     Raises
     ------
@@ -301,7 +307,7 @@ def _swimming(pose: Pose, window_s: tuple[float | None, float | None]) -> Swimmi
 
 
 def _rows(found: Swimming, setup: Setup, unit: str) -> list[Row]:
-    """Return a row for each speed, acceleration and amplitude of a track."""
+    """Return a row of the table of results for each speed, acceleration and amplitude of a track."""
     up, turn, _ = setup.axes
     sway = {"horizontal": "sway", "vertical": "heave"}[setup.plane]
     advance, steady = "advance speed, not steady", None
@@ -361,9 +367,9 @@ def _data(pose: Pose, rows: list[Row], found: Swimming) -> dict[str, Any]:
 def _judged(
     code: str, name: str, value: str, limit: str, passed: bool, reason: str, *, fails: bool = False
 ) -> ev.Check:
-    """Return a check that passes, warns or fails.
+    """Return a check that passes, or else warns or (with ``fails``) fails.
 
-    A warning is recorded if the check does not pass and has a code.
+    If the check does not pass and has a code, a warning with this code is recorded, too.
     """
     if code and not passed:
         warn(code, reason)
@@ -373,7 +379,7 @@ def _judged(
 def _graded(
     code: str, name: str, value: str, limit: str, size: float, limits: tuple[float, float], reason: str
 ) -> ev.Check:
-    """Return a check of a value that passes up to the first limit, and fails beyond the second limit."""
+    """Return a check of a value that warns above the first limit and fails above the second limit."""
     return _judged(code, name, value, limit, size <= limits[0], reason, fails=not size <= limits[1])
 
 
@@ -398,12 +404,13 @@ def checks_of(
 def _presence(track: RawTrack, pose: Pose, setup: Setup) -> Iterator[ev.Check]:
     fresh, t, head = ~pose.held.repeated, pose.times, pose.rows[0]
     first, last = (int(f) for f in np.flatnonzero(pose.measured)[[0, -1]])
-    # If the edge of the picture cuts a marker just before the first detection, or just after the last, the
-    # body is not lost but outside the picture.
+    # Detect that the body enters or leaves the picture: the edge of the picture cuts a marker just before the
+    # first detection, or just after the last. Such a body is not lost.
     cut = np.any(track.at_edge[pose.rows], axis=0)
     enters, leaves = bool(cut[first - 1 : first].any()), bool(cut[last + 1 : last + 2].any())
     count, total = int(pose.measured.sum()), int(fresh.sum())
-    # Frames before the robot enters and after it leaves are not losses, but do not count as found either.
+    # Frames before the robot enters the picture and after it leaves are not losses. They do not count as
+    # found either.
     inside = slice(first if enters else 0, last + 1 if leaves else len(fresh))
     lost = 1 - float(pose.measured[inside][fresh[inside]].mean())
     bridged, empty = int((pose.interpolated & fresh).sum()), int(((pose.segment == 0) & fresh).sum())
@@ -463,7 +470,7 @@ def _camera(kept: dict[int, Frame]) -> Iterator[ev.Check]:
 
 
 def _others(track: RawTrack, setup: Setup) -> Iterator[ev.Check]:
-    """Check how often the markers that the pose does not need are found, and whether they move."""
+    """Check how often markers other than head and tail are found, and whether they move."""
     shares = {n: float(track.found[track.row(n)].mean()) for n in track.names if n not in setup.roles}
     if not shares:
         return
@@ -590,7 +597,7 @@ def _calibration(pose: Pose) -> Iterator[ev.Check]:
 
 
 def _looks(track: RawTrack) -> Iterator[ev.Check]:
-    """Check whether another object was taken for a marker at first."""
+    """Check whether another object was taken for a marker at the beginning of the film."""
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
         value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
@@ -654,7 +661,7 @@ def _table(rows: list[Row], steady: bool) -> ev.Table:
 
 
 def _methods(setup: Setup, pose: Pose) -> list[str]:
-    """Return sentences on the tracking methods, for the methods section of a paper."""
+    """Return sentences that describe the tracking method, for the methods section of a paper."""
     kinds = {2: "constant velocity with white acceleration", 3: "constant acceleration with white jerk"}
     markers = {1: "a marker", 2: "two markers"}[len(setup.roles)]
     rate, clock = "", ", and frames were timed by their own stamps"
@@ -745,7 +752,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
 
 
 class Painter:
-    """Painter of a finished track into the frames of its film."""
+    """Painter that draws a track into the frames of its film."""
 
     def __init__(self, run: Run, pose: Pose) -> None:
         self.run, self.track, self.pose = run, run.track, pose
@@ -784,7 +791,7 @@ class Painter:
         return frame
 
     def images(self) -> list[ev.Image]:
-        """Return some frames for the report, with the track drawn into them."""
+        """Return the stored frames of the film for the report, with the track drawn into them."""
         images = []
         for i, frame in self.run.kept.items():
             drawn = frames.reduced(self.draw(i, frame.copy()), IMAGE_WIDTH)

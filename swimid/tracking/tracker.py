@@ -29,18 +29,19 @@ from swimid.tracking.setup import Box, HsvRange, Marker, Setup
 REPORT_FRAMES = 6
 #: Minimum length of an isolated sequence of detections, frames. Shorter sequences are removed as false.
 MIN_RUN = 3
-#: Maximum difference between the colour of a patch and the usual colour of a lost marker that it may be: hue
-#: (steps of 2 deg), and relative saturation.
+#: Maximum colour difference between a patch and a lost marker for which the patch may be the marker:
+#: difference in hue (steps of 2 deg), and difference in saturation relative to the usual saturation of the
+#: marker.
 RETURN_HUE, RETURN_SATURATION = 12.0, 0.5
 #: Maximum length of a sequence of detections that may be false, as a fraction of all detections of the
 #: marker. Longer sequences are not tested for another colour or size.
 FALSE_SHARE = 0.2
-#: Maximum spacing of the pixels of the picture in a coarse colour mask, px.
+#: Maximum spacing of the picture pixels that are used for a coarse colour mask, px.
 MAX_STEP = 4
 #: Minimum area of a patch in a coarse colour mask, as a fraction of the minimum area of the marker.
 COARSE_AREA_SHARE = 0.4
-#: Maximum number of patches of one picture that are measured. It limits the computing time for a frame that
-#: is full of the marker's colour.
+#: Maximum number of patches of a colour that are measured in one picture. It limits the computing time for a
+#: frame that is full of the marker's colour.
 MAX_PATCHES = 24
 #: Criteria for two markers on one rigid body: minimum number of frames that show both, maximum standard
 #: deviation of their distance, and maximum deviation of the distance in one frame. The deviations are
@@ -60,18 +61,20 @@ class Target:
     vx: float = 0.0
     vy: float = 0.0
     time: float = -math.inf
-    #: Number of all detections, and number of detections of the whole marker. Only the latter define the
-    #: appearance, because a marker cut by the edge of the picture may have any size.
+    #: Number of all detections of the marker, and number of detections that show the whole marker. Only
+    #: detections of the whole marker define its appearance, because a marker cut by the edge of the picture
+    #: may have any size.
     sights: int = 0
     whole: int = 0
     #: Number of frames since the last detection of the marker.
     missed: int = 0
-    #: Moving averages of prediction error, radius, area and contrast of the marker.
+    #: Moving averages of prediction error (px), radius (px), area (px) and contrast (grey levels) of the
+    #: marker.
     innovation_px: float = 0.0
     radius: float = 0.0
     area: float = 0.0
     contrast: float = 0.0
-    #: Moving averages over a longer time of speed, area and colour of the marker.
+    #: Slow moving averages of speed (px/s), area (px) and colour (HSV) of the marker.
     pace: float = 0.0
     usual_area: float = 0.0
     colour: NDArray[np.float64] | None = None
@@ -79,8 +82,8 @@ class Target:
     rows: dict[int, Row] = field(default_factory=dict)
     #: Whether the marker has left the position of its first detection by more than its own size.
     moved: bool = False
-    #: Other object that may be the marker, which is followed while the target is missed. The detections of
-    #: the target itself may be false.
+    #: Second object that may be the marker. It is followed while this target is not detected, because the
+    #: earlier detections of this target may be false.
     challenger: Target | None = None
 
     def predict(self, time: float) -> tuple[float, float]:
@@ -89,7 +92,7 @@ class Target:
         return self.x + self.vx * dt, self.y + self.vy * dt
 
     def search_range(self, dt: float) -> float:
-        """Return the expected maximum distance of the marker from its prediction after ``dt`` seconds, px."""
+        """Return the maximum expected error of a position predicted ``dt`` s after the last detection, px."""
         start, moved = 6.0, 0.3 * math.hypot(self.vx, self.vy) * dt + 3.0 * self.innovation_px
         if self.sights < 3:
             start = 12.0 + self.radius
@@ -122,7 +125,7 @@ class Target:
         return (blob.x, blob.y, blob.area, confidence, blob.status, blob.at_edge, *blob.hsv)
 
     def prevails(self, target: Target) -> bool:
-        """Return whether this object is the marker, and the target that it challenges is not.
+        """Return whether this object, and not the target that it challenges, is the marker.
 
         The challenger is the marker if the target has less than ``FALSE_SHARE`` of the detections of the two.
         A challenger that does not move replaces only a target that was never seen whole. Example: a ladder
@@ -139,7 +142,7 @@ class Target:
             self.vx = self.vy = 0.0  # if the marker is found again elsewhere, its velocity is unknown
         else:
             # The second detection gives the velocity of the marker. Each later detection corrects it by half
-            # of the difference.
+            # of the difference between measured and predicted velocity.
             gain, dt = max(0.5, 1.0 / self.sights), time - self.time
             self.vx += gain * (blob.x - x) / dt
             self.vy += gain * (blob.y - y) / dt
@@ -170,28 +173,30 @@ class Group:
     targets: list[Target]
     #: Objects of the same colour that are known not to be markers.
     scenery: list[Blob] = field(default_factory=list)
-    #: Objects of the colour other than the markers in the last search of the whole picture, and positions of
-    #: the markers at that time.
+    #: Objects of the same colour, other than the markers, that the last search of the whole picture found;
+    #: and positions of the markers at the time of this search, px.
     rivals: list[Blob] = field(default_factory=list)
     seen_from: list[tuple[float, float]] = field(default_factory=list)
     most_rivals: int = 0
-    #: Number of the frame in which the whole picture is searched next, and number of frames until the search
-    #: after that.
+    #: Number of the next frame in which the whole picture is searched for other objects, and number of frames
+    #: from that search to the following one.
     next_look: int = 0
     pause: int = 12
 
     def is_alike(self, target: Target, blob: Blob, gone_s: float = 0.0) -> bool:
-        """Return whether a blob may be the target according to its size and contrast.
+        """Return whether size and contrast of a blob agree with those of a target.
 
-        If the target was lost for ``gone_s`` seconds, its usual size and colour are compared.
+        If the target was lost for ``gone_s`` seconds, its usual size is compared instead of the latest, and
+        its colour is compared, too.
         """
         if not target.whole:
-            # Markers of one colour have the same size.
+            # A target that was never seen whole has no size yet. Compare with the other markers of its
+            # colour, which have the same size.
             like = [other.usual_area for other in self.targets if other.whole]
             return not like or blob.at_edge or 0.5 < blob.area / max(like) < 2.0
         alone = len(self.targets) == 1
-        # Two equal markers that touch look like a single one of twice the size, and one that is half hidden
-        # has a wrong centre. Therefore the limits are narrower than for a single marker.
+        # Two markers of one colour that touch look like a single one of twice the size. A marker that is half
+        # hidden has a wrong centre. Therefore the limits of the area are narrower than for a single marker.
         low, high, area = 0.7, 1.4, target.usual_area
         if alone:
             low, high = 0.3, 3.0
@@ -206,16 +211,17 @@ class Group:
         return bool(frames.has_colour(blob.hsv, target.colour, RETURN_HUE, RETURN_SATURATION))
 
     def merit(self, blob: Blob) -> float:
-        """Return the score of a blob as a marker of which only the colour is known."""
+        """Return a score of a blob as a marker, from contrast, area and colour; larger is more likely."""
         fit = 1.5 - min(self.model.distance(blob.hsv), 1.0)
         if blob.at_edge:
             fit *= 0.3
         return math.sqrt(blob.contrast * blob.area) * fit
 
     def choose_first(self, new: list[Target], blobs: list[Blob]) -> list[tuple[Target, Blob]]:
-        """Return a blob for each target that was never seen, if there are enough blobs for all of them.
+        """Return pairs of a target that was never seen and the blob assigned to it.
 
-        Without ``start_px`` in the setup, the targets are assigned to the best blobs from left to right.
+        The list is empty if there are fewer blobs than such targets. Without ``start_px`` in the setup, the
+        targets are assigned to the best blobs from left to right.
         """
         if not new or (len(blobs) < len(new) and len(new) > 1):
             return []
@@ -227,9 +233,9 @@ class Group:
         return list(zip(new, sorted(best, key=lambda blob: blob.x), strict=False))
 
     def note_rivals(self, rivals: list[Blob], frame: int) -> None:
-        """Store objects of the colour that are no markers, so that none is taken for a lost marker.
+        """Store objects that have the colour of the markers, so that none is taken for a lost marker.
 
-        Objects that stay in place while a marker moves become scenery.
+        Objects that stay in place while a marker moves are stored as scenery.
         """
         here = [(target.x, target.y) for target in self.targets]
         moved = any(
@@ -247,18 +253,18 @@ class Group:
 
 
 def mask_step(length: float) -> int:
-    """Return the spacing of the pixels of a mask that is fine enough for a given length, px."""
+    """Return the pixel spacing of a mask that resolves a length: the length itself, from 1 to MAX_STEP px."""
     return max(min(int(length), MAX_STEP), 1)
 
 
 def is_among(blob: Blob, others: Sequence[Blob]) -> bool:
-    """Return whether a blob is one of some motionless objects that were seen at another time."""
+    """Return whether a blob has position and area of one of ``others``, which were seen in another frame."""
     near = [other for other in others if blob.away(other.x, other.y) < 0.25 * other.radius + 1.5]
     return any(0.4 < blob.area / other.area < 2.5 for other in near)
 
 
 def is_new(blob: Blob, others: Sequence[Blob]) -> bool:
-    """Return whether a blob is another object than the blobs found before in the same frame."""
+    """Return whether a blob is more than 2 px away from each of the blobs found before in the same frame."""
     return all(blob.away(other.x, other.y) > 2 for other in others)
 
 
@@ -285,14 +291,15 @@ class Follower:
             )
             for marker in setup.markers
         ]
-        #: Statistics of the distances between markers of different colours, if several markers have the same
-        #: colour: number of distances, their sum, and the sum of their squares.
+        #: Statistics of the distance (px) between each two markers of different colours: number of distances,
+        #: their sum, and the sum of their squares. They are computed only if several markers have the same
+        #: colour.
         self._pairs: dict[tuple[str, str], NDArray[np.float64]] = {}
         if any(len(group.targets) > 1 for group in self.groups):
             for one, other in combinations(setup.markers, 2):
                 self._pairs |= {pair: np.zeros(3) for pair in product(one.names, other.names)}
-        #: Number of detections that were removed because they showed another object than the marker, and area
-        #: of that object, px.
+        #: Number of removed detections that showed another object than the marker, and area of that object
+        #: (px), by name of the marker.
         self._mistaken: dict[str, tuple[int, float]] = {}
         self._times: list[float] = []
         self._frame = 0
@@ -338,7 +345,7 @@ class Follower:
     def _search_window(
         self, group: Group, frame: Frame, cx: float, cy: float, half: float, step: int = 1
     ) -> tuple[list[Blob], Box | None]:
-        """Return the whole blobs in a square window, and the box of the largest patch that the window cuts.
+        """Return the blobs inside a square window, and the box about the largest patch that the window cuts.
 
         The window has its centre at ``cx``, ``cy`` and the half width ``half``, px. The colour mask contains
         every ``step``-th pixel, and the centre of a blob is computed from all pixels.
@@ -395,7 +402,7 @@ class Follower:
     # ------------------------------------------------------------ one colour in one frame
 
     def _follow(self, group: Group, time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blob of each target of one colour in a frame, by name of the target."""
+        """Find the targets of one colour in a frame; return the blob of each target, by its name."""
         known = [t for t in group.targets if t.sights]
         sights = self._in_windows(group, known, time, frame)
         lost = [t for t in group.targets if t.name not in sights and not self._hidden(t, known, sights, time)]
@@ -417,15 +424,15 @@ class Follower:
     def _others(
         self, group: Group, frame: Frame, targets: list[Target], sights: dict[str, Blob]
     ) -> list[Blob]:
-        """Return the blobs of the whole picture that are not assigned to a target.
+        """Return the blobs of a colour in the whole picture that are not assigned to a target.
 
-        The search expects the size of ``targets``.
+        The search expects blobs as large as the markers of ``targets``.
         """
         area, taken = max((target.area for target in targets), default=0.0), list(sights.values())
         return [blob for blob in self._search_picture(group, frame, area) if is_new(blob, taken)]
 
     def _in_windows(self, group: Group, known: list[Target], time: float, frame: Frame) -> dict[str, Blob]:
-        """Return the blob of each known target, by name, from windows about predicted positions."""
+        """Find the known targets in windows about predicted positions; return the blob of each, by name."""
         candidates: list[Blob] = []
         for target in known:
             if not target.missed or time - target.time <= self.setup.max_gap_s:
@@ -435,7 +442,8 @@ class Follower:
             return {}
         cost = [[self._cost(group, target, blob, time) for blob in candidates] for target in known]
         sights = {known[i].name: candidates[j] for i, j in assign(cost)}
-        # If equal markers meet and there are fewer blobs than markers, it is unknown which marker is seen.
+        # If two markers of one colour touch and only one of them has a blob, it is unknown which of them the
+        # blob shows. Then neither counts as found.
         for first, second in combinations(known, 2):
             if (first.name in sights) != (second.name in sights) and _meet(first, second, sights, time):
                 sights.pop(first.name, None)
@@ -443,7 +451,10 @@ class Follower:
         return sights
 
     def _in_window(self, group: Group, target: Target, time: float, frame: Frame) -> list[Blob]:
-        """Return the blobs in a window about a target, which grows until one blob is like the target."""
+        """Return the blobs in a window about the predicted position of a target.
+
+        The window grows until one of its blobs resembles the target.
+        """
         cx, cy = target.predict(time)
         half = 1.3 * target.radius + target.search_range(time - target.time) + 4
         for status in (frames.WINDOW, frames.GROWN, frames.GROWN):
@@ -458,7 +469,7 @@ class Follower:
         return []
 
     def _cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
-        """Return the cost of assigning a blob near the predicted position to the target."""
+        """Return the cost of assigning a blob to a target, from prediction error and area."""
         allowed = target.radius + 2 * target.search_range(time - target.time)
         away = blob.away(*target.predict(time))
         if away > allowed + target.radius or not group.is_alike(target, blob):
@@ -469,7 +480,11 @@ class Follower:
         return min(cost + self._misfit(target, blob, time), IMPOSSIBLE)
 
     def _misfit(self, target: Target, blob: Blob, time: float) -> float:
-        """Return the cost of assigning a blob to a target, from its distances to rigid partners."""
+        """Return the cost of assigning a blob to a target, from the blob's distances to other markers.
+
+        Only markers whose distance from the target is nearly constant are compared, because they are on the
+        same rigid body.
+        """
         worst, targets = 0.0, self._targets
         for pair, (count, total, squares) in self._pairs.items():
             partner = next(targets[name] for name in pair if name != target.name)
@@ -485,9 +500,9 @@ class Follower:
         return worst
 
     def _hidden(self, target: Target, known: list[Target], sights: dict[str, Blob], time: float) -> bool:
-        """Return whether a target touches another missing marker of the same colour.
+        """Return whether a lost target touches another lost marker of the same colour.
 
-        Then a search for the target is useless.
+        The two then look like one large blob, and the whole picture is not searched for the target.
         """
         if not target.sights or time - target.time > self.setup.max_gap_s:
             return False
@@ -497,7 +512,7 @@ class Follower:
     def _find_lost(
         self, group: Group, lost: list[Target], blobs: list[Blob], time: float
     ) -> list[tuple[Target, Blob]]:
-        """Return the lost targets that are found again, each with its blob in the whole picture."""
+        """Return the lost targets that are found in the whole picture, each with the blob assigned to it."""
         pairs = group.choose_first([target for target in lost if not target.sights], blobs)
         blobs = [blob for blob in blobs if all(blob is not chosen for _, chosen in pairs)]
         if pairs and len(pairs) == len(group.targets):
@@ -509,7 +524,7 @@ class Follower:
         return pairs
 
     def _return_cost(self, group: Group, target: Target, blob: Blob, time: float) -> float:
-        """Return the cost of assigning a blob anywhere in the picture to a target that was lost."""
+        """Return the cost of assigning a blob anywhere in the picture to a lost target."""
         gone_s = time - target.time
         if not group.is_alike(target, blob, gone_s):
             return IMPOSSIBLE
@@ -582,7 +597,10 @@ def assign(cost: list[list[float]]) -> list[tuple[int, int]]:
 
 
 def _meet(first: Target, second: Target, sights: dict[str, Blob], time: float) -> bool:
-    """Return whether two equal markers touch, at their detected positions or else at predicted ones."""
+    """Return whether two markers of one colour touch.
+
+    A marker that is not detected is taken to be at its predicted position.
+    """
     predictions = {target.name: target.predict(time) for target in (first, second)}
     seen = {name: (blob.x, blob.y) for name, blob in sights.items() if name in predictions}
     return math.dist(*(predictions | seen).values()) < first.radius + second.radius + 4
@@ -598,7 +616,8 @@ def drop_false_detections(rows: NDArray[np.float64]) -> None:
     seen, hsv = rows[:, 4] > LOST, rows[:, 6:]
     if not seen.any():
         return
-    # At the edge of the picture, size and colour of a marker are not those of the whole marker.
+    # Compute the usual size and colour from detections of the whole marker. They differ where the edge of the
+    # picture cuts the marker.
     whole = seen & (rows[:, 5] == 0)
     if not whole.any():
         whole = seen
@@ -634,7 +653,8 @@ class Run:
 
     track: RawTrack
     video: Video
-    #: Setup of the film, to which boxes around motionless objects were added. They are not searched.
+    #: Setup of the film. Boxes around motionless objects were added to ``ignore_px``, so that no marker is
+    #: searched for in these boxes.
     setup: Setup
     #: Some frames of the film for the report, by frame number.
     kept: dict[int, Frame]
