@@ -203,7 +203,7 @@ def find(
         facts.differing = _differing(state, gap, noise)
     facts.unpredicted = shrinkage.unpredicted(predictions.validation[bool(causes)])
     facts.left = remaining(state, model, gap_of(state, model), noise.inside).share
-    if any(not row.passed for row in verdict.rows(facts)):
+    if verdict.decide(facts).verdict == "unexplained":
         facts.odd_trial = contradicting(state.context, nominal, gap, noise.inside)
     return Found(facts, causes)
 
