@@ -20,8 +20,8 @@ Complex = NDArray[np.complex128]
 #: Length of the windows in which a sine is fitted to a channel, in cycles of the sine. Successive windows
 #: overlap by all but one cycle.
 WINDOW_CYCLES = 2
-#: Order of the polynomial that is fitted together with the sine in each window. It describes drift and turns
-#: of the path, which are slower than two cycles.
+#: Order of the polynomial that is fitted to a channel together with the sine in each window. It describes
+#: drift and turns of the path, which are slower than two cycles.
 DRIFT_ORDER = 3
 #: Minimum number of cycles for a frequency estimate. With fewer cycles a spectral line cannot be
 #: distinguished from the noise near its frequency.
@@ -30,13 +30,13 @@ MIN_CYCLES = 4.0
 #: number of cycles of a record for this test. In longer records the beat frequency varies, and the comparison
 #: of phases between windows is powerful enough.
 BAND, N_TAPERS, MAX_LINE_CYCLES = 3.0, 5, 30.0
-#: Fraction of a record at its start, and at its end, that is tapered before the spectrum is computed.
+#: Fraction of a record at its start, and at its end, that is tapered to zero before the spectrum is computed.
 TAPERED_SHARE = 0.1
 #: Minimum fraction of samples of a record that are not missing, for the test for a spectral line.
 MIN_KNOWN_SHARE = 0.8
 #: Probability of a false detection of a beat in noise of any spectrum.
 FALSE_ALARM = 0.01
-#: Minimum fractions of a channel's variance about the drift that a beat explains. At least one beat of a
+#: Minimum fractions of a channel's variance about its drift that beats must explain. At least one beat of a
 #: channel must reach the first fraction. Every beat must reach the second fraction, which is smaller because
 #: a stroke may be weaker than its own harmonic.
 MIN_SHARE, MIN_FAINT_SHARE = 0.1, 0.02
@@ -47,8 +47,9 @@ SAME_RTOL = 0.03
 MAX_WINDOWS = 120
 #: Minimum number of samples in a window of two cycles to which a sine is fitted.
 MIN_SAMPLES = DRIFT_ORDER + 5
-#: Ridge that is added to the covariance of the phases to make it regular. The phase of a window is ignored if
-#: its amplitude, divided by the largest amplitude, is below the square root of this ridge.
+#: Ridge that is added to the covariance of a beat's phases in successive windows to make it regular. The
+#: phase of a window is ignored if its amplitude, divided by the largest amplitude, is below the square root
+#: of this ridge.
 RIDGE = 1e-9
 #: Maximum order of a harmonic that a stronger and slower motion may cause. A beat of higher order is not
 #: taken for its harmonic.
@@ -65,6 +66,7 @@ class Beat:
     Attributes
     ----------
     frequency_hz, stderr_hz : float
+        Frequency and its standard error, Hz.
     amplitude : float
         Amplitude of the fundamental, in the unit of the channel.
     share : float
@@ -208,8 +210,8 @@ def find_beats(
     if not large:
         return []
     largest = max(large, key=lambda beat: beat.amplitude)
-    # The largest beat may be the second or third harmonic of the stroke. In that case the stroke must be
-    # among the detected beats.
+    # The largest beat may be the second or third harmonic of the stroke. Therefore a detected beat at one
+    # half or one third of its frequency has precedence.
     below = [
         beat
         for _, beat in found
@@ -376,7 +378,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
 
 
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
-    """Return the probability that noise has at least the observed coherence between successive windows."""
+    """Return the probability that noise has at least the observed coherence of amplitudes between windows."""
     pairs = [(i, int(j)) for i, j in enumerate(np.searchsorted(time, time + width - 0.5 * hop))]
     pairs = [(i, j) for i, j in pairs if j < len(time) and abs(time[j] - time[i] - width) < 0.1 * hop]
     if len(pairs) < 2:
@@ -443,7 +445,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
 def _fitted(
     t: Array, x: Array, ends: NDArray[np.intp], middles: Array, width: float, frequency: float
 ) -> tuple[Complex, float]:
-    """Fit a sine and drift in each window; return its complex amplitudes and its fraction of the variance."""
+    """Fit a sine and a polynomial in each window; return the sine's amplitudes and fraction of variance."""
     rows = ends[:, :1] + np.arange(int(np.max(ends[:, 1] - ends[:, 0])))
     inside = rows < ends[:, 1:]
     rows = np.minimum(rows, len(t) - 1)
@@ -466,10 +468,10 @@ def _fitted(
 
 
 def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
-    """Return the slope of phases over time and its standard error, by restricted maximum likelihood.
+    """Return the slope of phases over time, rad/s, and its standard error, by restricted maximum likelihood.
 
     The covariance of the phases is the sum of two terms: white noise in overlapping windows, relative to the
-    amplitudes, and a random walk. The ratio of the two terms maximises the likelihood.
+    amplitudes, and a random walk. The ratio of the two variances is chosen to maximise the likelihood.
     """
     from scipy.linalg import eigh
 
@@ -513,8 +515,8 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
 
 # ---------------------------------------------------------------- stroke from all channels
 
-#: Pattern of the channels that oscillate once per stroke, because they have opposite signs in the two half
-#: strokes.
+#: Pattern of the channels that oscillate once per stroke, because their signs in the two half strokes are
+#: opposite.
 SIDEWAYS = re.compile(
     r"(joint|cmd|fin|tail)\w*(?<!_likelihood)(?<!_area_px)|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|"
     r"pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
@@ -691,10 +693,11 @@ def find_stroke(
     Parameters
     ----------
     time_s : ndarray, shape (n,)
+        Sample times, s.
     columns : mapping of str to ndarray, each shape (n,)
         Channels with names of the log format; NaN where missing.
     range_hz : (float, float), optional
-        Range of the search.
+        Lowest and highest frequency of the search, Hz.
     stated_hz : float, optional
         Stated frequency of the drive, Hz. If the search over all frequencies finds nothing, a search near
         this frequency follows, which needs less evidence.
@@ -748,7 +751,7 @@ def find_stroke(
 def _motions(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """Return the beats of the channels that may move with the stroke.
+    """Return the beats of all channels that may oscillate with the stroke, by channel.
 
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
@@ -815,7 +818,7 @@ def _turns(angle: Array) -> float:
 
 
 def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
-    """Find an oscillation with too few cycles for a frequency; return the name of its channel, and itself.
+    """Find an oscillation with too few cycles for a frequency; return the name of its channel, and its beat.
 
     If the drive is logged, only the channels of the drive are searched. Otherwise the track and all channels
     that oscillate sideways are searched. Of several slow oscillations, the one with the highest frequency is
@@ -913,7 +916,7 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
 def _beats(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """Return the beats of each channel, without the channels that have no beat."""
+    """Return the beats of each channel by its name, without the channels that have no beat."""
     low, high = within or (None, None)
     found = {}
     for name, values in columns.items():

@@ -154,9 +154,9 @@ def _judge(
     *,
     angle: bool,
 ) -> list[Comparison]:
-    """Compare rates with a pose by regression, and name the mistake that explains a gain other than 1.
+    """Regress a pose on integrated rates, and name the mistake that explains a coefficient other than 1.
 
-    Increments of the pose are regressed on increments of the integrated rates.
+    The regression is that of increments of the pose on increments of the integrated rates.
 
     ``rates[k]`` holds the contribution of the rate ``names[k]`` to each coordinate of the pose. Each
     increment spans the same number of samples: the one with which the rates explain the largest fraction of
@@ -200,7 +200,7 @@ def _judge(
 
 
 def _named(gain: float, *, angle: bool) -> str:
-    """Return the mistake in sign, unit or scale that explains a column's gain, as text; empty for gain 1."""
+    """Return the mistake (sign, unit, scale) that explains a factor between columns; empty for factor 1."""
     factors = [10.0**k for k in range(-3, 4)]
     if angle:
         factors += _DEGREES
@@ -219,8 +219,8 @@ def _named(gain: float, *, angle: bool) -> str:
 
 # ---------------------------------------------------------------- channels that are no measurement
 
-#: Minimum distance of an outlying value (a code for missing samples, or an error) from all other values,
-#: divided by the range of the other values.
+#: Minimum distance of an outlying value of a channel (a code for missing samples, or an error) from all other
+#: values, divided by the range of the other values.
 FAR = 10.0
 #: Minimum number of consecutive samples at the largest or smallest value of a channel, and minimum number of
 #: such sequences, for a channel that counts as saturated.

@@ -276,13 +276,13 @@ def _in_order(source: MappedLog) -> Order:
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
-    """Reduce all columns of a log to the given rows, in place."""
+    """Keep only the given rows in all columns of a log, in place."""
     for name in columns:
         columns[name] = columns[name][rows]
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Return a doubt about each angle that oscillates with an amplitude above 180 degrees.
+    """Return a :class:`Doubt` about each angle that oscillates with an amplitude above 180 degrees.
 
     No joint of a robot can move so far. The angle is probably in degrees.
     """
@@ -360,7 +360,8 @@ MAX_DROPPED = 0.1
 #: Maximum fraction of the samples of a track that lie in jumps. With a larger fraction the columns are
 #: probably not a track.
 MAX_JUMPED = 0.2
-#: Pattern of the columns for which the values of a swimmer have a limit (:func:`swimid.logs.log.doubts`).
+#: Pattern of the columns whose values are compared with the limits of a swimmer
+#: (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 METHODS = [
     "Repeated pictures and jumps of a track are found by a Hampel identifier on its steps. The mean speed is "

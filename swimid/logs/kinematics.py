@@ -156,7 +156,8 @@ QUANTITIES = {
     "peak_torque_N_m": Kind("N m", "maximum magnitude of a joint torque", "power"),
     "peak_joint_rate_rad_s": Kind("rad/s", "maximum magnitude of a joint rate", "power"),
 }
-#: Names of the quantities of one stroke cycle in the vertical plane (sea lion, Tables I and II).
+#: Names of the quantities of one stroke cycle in the vertical plane (Kadapa et al., bio-robotic sea lion,
+#: Tables I and II).
 CYCLE_QUANTITIES = tuple(name for name, kind in QUANTITIES.items() if "cycle" in kind.of)
 
 #: Maximum number of cycles, at the end of a trial, from which the quantities of a swim are computed.
@@ -190,8 +191,11 @@ class Window:
     Attributes
     ----------
     begin_s, end_s : float
+        Start and end of the window, s.
     cycles : int
+        Number of stroke cycles in the window.
     frequency_hz : float
+        Frequency of the stroke, Hz.
     """
 
     begin_s: float
@@ -369,7 +373,7 @@ def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> 
 
 
 def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None:
-    """Return the velocity along the world's x and z axes, m/s, shape (2, n); None without positions.
+    """Return the velocity along the world's x and z axes, m/s, shape (2, n); None if no channel gives it.
 
     Notes
     -----
@@ -570,7 +574,9 @@ class Track:
     Attributes
     ----------
     time_s : ndarray, shape (n,)
+        Sample times, s.
     measured : ndarray of bool, shape (n,)
+        Whether each sample is measured, not interpolated.
     raw, smooth, velocity : ndarray, shape (2, n)
         Measured position, smoothed position, and velocity; NaN where missing.
     raw_angle, angle : ndarray, shape (n,), or None
@@ -615,7 +621,9 @@ class Swimming:
     acceleration_xy : tuple of Estimate, or None
         Mean rates of change of the coordinates of the velocity.
     stroke : Beat or None
+        Stroke in the window; None if none is found.
     frequency_hz : Estimate or None
+        Frequency of the stroke, Hz, with its 95 % interval.
     amplitudes : dict of str to Estimate
         Significant amplitudes at the stroke frequency: ``sway`` across the mean heading (across the path if
         there is no heading), and ``turn``, the amplitude of the heading (rad).

@@ -135,7 +135,7 @@ class Log:
         digest = hashlib.sha256()
         for name, values in self.columns.items():
             digest.update(f"{name}\n".encode())
-            if values.dtype.kind == "f":  # give all NaN the same bit pattern
+            if values.dtype.kind == "f":  # give all NaN one bit pattern, for equal digests of equal logs
                 values = np.where(np.isnan(values), np.nan, values)
             if values.dtype.kind in "biufM":
                 digest.update(values.tobytes())
@@ -202,9 +202,9 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
 
 
 def unread(given: LogLike, *, name: str = "log") -> Path | Log:
-    """Convert a path, a table or a log to a path or a log, without reading or checking the data.
+    """Return the path of a log, or the log in memory, without reading or checking its data.
 
-    Text is converted to a path, and a table to a log. A log is returned unchanged.
+    Text becomes a path, and a table becomes a log. A log is returned unchanged.
     """
     if isinstance(given, str | Path):
         return Path(given)
@@ -497,7 +497,7 @@ def _warn_missing(log: Log) -> None:
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return each unbroken sequence of True as a row (first index, last index + 1), shape (k, 2).
+    """Return each unbroken sequence of True in an array as (first index, last index + 1), shape (k, 2).
 
     >>> runs(np.array([True, True, False, True])).tolist()
     [[0, 2], [3, 4]]
@@ -506,7 +506,7 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:
-    """Return the number of elements in the longest unbroken sequence of True.
+    """Return the number of elements in the longest unbroken sequence of True in an array.
 
     >>> longest_run(np.array([True, False, True, True]))
     2

@@ -519,12 +519,12 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
 
 
 def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[str]) -> tuple[str, list[str]]:
-    """Find a column that numbers instances whose rows alternate; return its name and its distinct values.
+    """Find a column that numbers sensors, animals or tags whose rows alternate; return its name and values.
 
-    An instance is a sensor, an animal or a tag. The column that numbers them has few values and changes from
-    row to row in at least half of the rows. In addition, either its name is that of an instance, or the times
-    are even within each of its values and uneven over all rows. Without such a column the result is ``("",
-    [])``.
+    Each sensor, animal or tag is an instance. The column that numbers the instances has few values and
+    changes from row to row in at least half of the rows. In addition, either its name is that of an instance,
+    or the times are even within each of its values and uneven over all rows. Without such a column the result
+    is ``("", [])``.
     """
     time = time_s[kept]
     if len(time) < 10:
@@ -808,7 +808,7 @@ class Draft(Result):
 
     @property
     def mapping(self) -> Mapping:
-        """Mapping of the draft. ``import_log`` and ``track_imu`` accept it.
+        """Mapping that the draft contains, for ``import_log`` and ``track_imu``.
 
         Raises
         ------

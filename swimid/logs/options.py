@@ -53,7 +53,7 @@ class ImportOptions(Options):
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Options that describe a foreign file, such as its format and length unit, if the user gives them.
+        """Values that the user gives for a foreign file, such as its format and unit of length, by option.
 
         They replace or complete the values of the mapping of the file.
         """

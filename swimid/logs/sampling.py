@@ -252,7 +252,7 @@ def _rounded_grid(
         if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
             continue
         if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
-            continue  # a grid with many missing samples, such as that of the rounding unit
+            continue  # reject a grid with many missing samples, such as that of the rounding unit
         off = time_s - origin - step * number
         # Allow for the error of the fitted line in addition to the rounding error of the stamps.
         if np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step:
@@ -348,9 +348,10 @@ def has_levels(values: np.ndarray) -> bool:
 
 
 def step_of(values: np.ndarray) -> float | None:
-    """Return the step of which all differences between values are multiples; None if there is none.
+    """Return the rounding step of a signal: all differences between its values are multiples of this step.
 
-    The tolerance is 2 % of the step. A step is searched only among four or more distinct values.
+    The tolerance is 2 % of the step. The result is None if there is no such step, or for fewer than four
+    distinct values.
 
     >>> step_of(np.array([0.0, 0.0, 0.5, 1.0, 1.0, 1.5, 3.0]))
     0.5
@@ -455,14 +456,14 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
 
 # ---------------------------------------------------------------- repeated samples
 
-#: Maximum ratios of the step to a repeated sample to the step after it, in the search for repeated samples
-#: with jitter. Each of these ratios is tried. The ratio 0 stands for exact repeats.
+#: Maximum ratio of the step of a signal to a repeated sample to the step after it, in the search for repeated
+#: samples with jitter. Each of these values is tried. The value 0 finds exact repeats only.
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
 #: Probability that repeated samples are found in a log that has none.
 FALSE_ALARM = 1e-3
-#: Minimum time for which a signal keeps one value if the robot rests or the sensor is frozen, in measurement
-#: intervals; and maximum step of the signal after a rest, in median steps. The step after a frozen sensor
-#: value is larger.
+#: Minimum time for which a signal must keep one value to count as a rest of the robot or a frozen sensor, in
+#: measurement intervals; and maximum step of the signal after a rest, in median steps. The step after a
+#: frozen sensor value is larger.
 LONG_HOLD, NEAR = 5.0, 3.0
 #: Pattern of the columns that are commanded or computed, not measured: commands, standard deviations,
 #: likelihoods and confidences.
@@ -631,7 +632,7 @@ def _step_sizes(place: Array) -> Array:
 
 
 def _turns(place: Array) -> Flags:
-    """Flag the steps at a turning point of all channels. They are small, but show no repeated samples."""
+    """Flag the steps at a turning point of all channels, which are small although no sample is repeated."""
     steps = np.diff(place, axis=0)
     before, after = steps[:-2], steps[2:]
     back = np.abs(before + after) <= TURN * (np.abs(before) + np.abs(after))
@@ -641,7 +642,7 @@ def _turns(place: Array) -> Flags:
 
 
 def rounding_ratio(values: Array) -> float:
-    """Return the rounding step of a channel divided by its mean change per sample."""
+    """Return the rounding step of a channel divided by its mean change per sample; inf if it is constant."""
     known = values[np.isfinite(values)]
     if len(known) == 0 or not np.ptp(known) > 0:
         return np.inf

@@ -31,8 +31,9 @@ Flags = NDArray[np.bool_]
 #: Window lengths, in steps, of two running medians over a track: that of the expected velocity, and that of
 #: the usual deviation from this velocity.
 WINDOW, WIDE = 11, 41
-#: Minimum deviation of an outlying step of a track from its expected value, in median deviations. For
-#: Gaussian noise in a plane, six median deviations are seven standard deviations.
+#: Minimum deviation of an outlying step of a track (displacement between two samples) from its expected
+#: value, in median deviations. For Gaussian noise in a plane, six median deviations are seven standard
+#: deviations.
 OUTLYING = 6.0
 #: Minimum speed of an outlying step of a track, divided by the speed of the fastest part of the track; and
 #: number of steps in the running median that gives the latter speed. A robot can be fast for several steps,
@@ -77,7 +78,7 @@ class Cleaning:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Counts of the findings in a track: repeated samples, jumps, and samples in jumps, by name."""
+        """Number of repeated samples, number of jumps, and number of samples in jumps of a track, by name."""
         repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
         return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
 
@@ -132,7 +133,7 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
 
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
-    """Return flags of the samples on the track, and the rows at which it continues at another place."""
+    """Find jumps; return flags of the samples on the track, and the rows at which it continues elsewhere."""
     from scipy import ndimage
 
     steps_s, steps = np.diff(time), np.diff(place, axis=0)

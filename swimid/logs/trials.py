@@ -177,7 +177,7 @@ class Multibody(Trials):
 
 
 class Arma(Trials):
-    """Trials file for a black-box model from one input column to one output column."""
+    """Trials file for a black-box model from one input column to one output column of the logs."""
 
     experiment: Literal["arma"]
     input: str | None = None
@@ -328,7 +328,7 @@ def read(
     *experiments: type[T],
     uses: Mapping[str, Collection[str]] | None = None,
 ) -> T:
-    """Return the trials of a file or in memory; raise an error unless they are of a given experiment.
+    """Return the content of a trials file or of trials in memory, if it is of one of the given experiments.
 
     Parameters
     ----------

@@ -289,7 +289,7 @@ class Peek:
         return [cell.strip().strip('"') for cell in (self.lines or [""])[0].split(",")]
 
     def holds(self, *names: str) -> bool:
-        """Return whether the file is HDF5 and contains data sets or groups with all these names."""
+        """Return whether the file is HDF5 and contains data sets or groups with all given names."""
         if self.head.startswith(b"\x89HDF"):
             # Ignore a missing h5py here. The reader of HDF5 then names the extra to install.
             with contextlib.suppress(OSError, ImportError):

@@ -148,7 +148,8 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
         # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
         above[-1] = [*above[-1], ""]
     levels: list[list[str]] = []
-    # If names repeat, complete them by the names in the line above.
+    # Read several header lines: if the names in one line repeat, complete them by the names in the line
+    # above.
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:

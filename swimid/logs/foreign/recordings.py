@@ -91,7 +91,7 @@ MCAP = Format("mcap", MCAP_TITLE, _open_mcap, endings=(".mcap",), magic=(MCAP_MA
 
 
 def _pose(at: str) -> dict[str, str]:
-    """Return the columns of a log for the fields of a pose, whose names begin with ``at``."""
+    """Return the log column for each field of a ROS 2 pose, whose name begins with the prefix ``at``."""
     return axes(f"{at}position.{{}}", "{}_m") | axes(f"{at}orientation.{{}}", "q{}", "wxyz")
 
 
@@ -116,7 +116,7 @@ def _topics(path: Path) -> dict[str, str]:
 
 
 def _recognises(peek: Peek) -> bool:
-    with contextlib.suppress(Exception):  # a damaged file is refused by its reader
+    with contextlib.suppress(Exception):  # let the reader refuse a damaged file
         return bool(_topics(peek.path))
     return False
 

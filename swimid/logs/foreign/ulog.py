@@ -67,7 +67,7 @@ def _topics(path: Path) -> dict[str, str]:
 
 
 def _recognises(peek: Peek) -> bool:
-    with contextlib.suppress(Exception):  # a damaged file is refused by its reader
+    with contextlib.suppress(Exception):  # let the reader refuse a damaged file
         return bool(_topics(peek.path))
     return False
 
