@@ -170,7 +170,7 @@ class FreeSwim(Trials):
 
 
 class Multibody(Trials):
-    """Trials file for a robot with links. The logs have joint angles, a pose, or both."""
+    """Trials file for a robot of rigid links. The logs have joint angles, a pose, or both."""
 
     experiment: Literal["multibody"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]

@@ -137,7 +137,7 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _joints(table: Table) -> dict[str, str]:
-    """Return the log column of each field of joint states. All joints are taken for revolute joints."""
+    """Return the log column for each field of ROS 2 joint states. All joints are taken to be revolute."""
     fields = {}
     for name, words in table.columns.items():
         if not name.startswith("name["):
