@@ -1,13 +1,14 @@
 """Logs of trials: reading, import from other programs, cleaning, and examination without a model.
 
-``log`` is the log of one trial, ``trials`` the file that lists the trials. ``plot`` draws logs. ``options``
-holds the options of the commands of this package.
+The module ``log`` reads and writes the log of one trial. ``trials`` reads the file that lists the trials.
+``plot`` draws logs. ``options`` defines the options of the commands of this package.
 
-Import: ``foreign`` (readers of file formats, and units), ``mapping`` (a drafted mapping, sample times, and
-assignment of a file's columns to those of a log), ``import_log``, ``consistency`` (contradicting columns,
-faulty channels).
+Modules for the import: ``import_log`` is the command. ``foreign`` has the readers of file formats, and units.
+``mapping`` drafts a mapping, assigns the columns of a file to those of a log, and computes the sample times.
+``consistency`` finds columns that contradict each other, and faulty channels.
 
-Samples: ``sampling`` (rate, gaps, repeats, rounding, noise, derivative). Tracks: ``tracks`` (jumps, mean
-speed, and the result of commands that write a log). Strokes: ``beat`` (frequency of one channel, and stroke
-from all channels). ``kinematics`` has attitudes, quantities of whole cycles, and steady swimming.
+Modules for samples and motion: ``sampling`` estimates the rate, gaps, repeated samples, rounding, noise and
+derivatives. ``tracks`` finds jumps, computes the mean speed, and defines the result of commands that write a
+log. ``beat`` finds the frequency of one channel, and the stroke from all channels. ``kinematics`` computes
+attitudes, quantities over whole cycles, and steady swimming.
 """

@@ -17,11 +17,11 @@ from swimid.notices import warn
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Length of the windows in which a sine is fitted to a channel, cycles. Successive windows overlap by all but
-#: one cycle.
+#: Length of the windows in which a sine is fitted to a channel, in cycles of the sine. Successive windows
+#: overlap by all but one cycle.
 WINDOW_CYCLES = 2
-#: Order of the polynomial that is fitted together with the sine in each window. It describes drift and turns
-#: of the path, which are slower than two cycles.
+#: Order of the polynomial that is fitted to a channel together with the sine in each window. It describes
+#: drift and turns of the path, which are slower than two cycles.
 DRIFT_ORDER = 3
 #: Minimum number of cycles for a frequency estimate. With fewer cycles a spectral line cannot be
 #: distinguished from the noise near its frequency.
@@ -30,13 +30,13 @@ MIN_CYCLES = 4.0
 #: number of cycles of a record for this test. In longer records the beat frequency varies, and the comparison
 #: of phases between windows is powerful enough.
 BAND, N_TAPERS, MAX_LINE_CYCLES = 3.0, 5, 30.0
-#: Fraction of a record at its start, and at its end, that is tapered before the spectrum is computed.
+#: Fraction of a record at its start, and at its end, that is tapered to zero before the spectrum is computed.
 TAPERED_SHARE = 0.1
 #: Minimum fraction of samples of a record that are not missing, for the test for a spectral line.
 MIN_KNOWN_SHARE = 0.8
 #: Probability of a false detection of a beat in noise of any spectrum.
 FALSE_ALARM = 0.01
-#: Minimum fractions of a channel's variance about the drift that a beat explains. At least one beat of a
+#: Minimum fractions of a channel's variance about its drift that beats must explain. At least one beat of a
 #: channel must reach the first fraction. Every beat must reach the second fraction, which is smaller because
 #: a stroke may be weaker than its own harmonic.
 MIN_SHARE, MIN_FAINT_SHARE = 0.1, 0.02
@@ -47,10 +47,12 @@ SAME_RTOL = 0.03
 MAX_WINDOWS = 120
 #: Minimum number of samples in a window of two cycles to which a sine is fitted.
 MIN_SAMPLES = DRIFT_ORDER + 5
-#: Ridge that is added to the covariance of the phases to make it regular. The phase of a window is ignored if
-#: its amplitude, divided by the largest amplitude, is below the square root of this ridge.
+#: Ridge that is added to the covariance of a beat's phases in successive windows to make it regular. The
+#: phase of a window is ignored if its amplitude, divided by the largest amplitude, is below the square root
+#: of this ridge.
 RIDGE = 1e-9
-#: Maximum order of a harmonic of a stronger and slower motion. A faster beat is not taken for a harmonic.
+#: Maximum order of a harmonic that a stronger and slower motion may cause. A beat of higher order is not
+#: taken for its harmonic.
 MAX_HARMONIC = 5
 #: Maximum ratio of two sums of squared residuals for a slow motion that counts as periodic: that of a sine
 #: fit divided by that of a polynomial with as many coefficients. The polynomial describes a drift or a turn.
@@ -64,6 +66,7 @@ class Beat:
     Attributes
     ----------
     frequency_hz, stderr_hz : float
+        Frequency and its standard error, Hz.
     amplitude : float
         Amplitude of the fundamental, in the unit of the channel.
     share : float
@@ -181,8 +184,8 @@ def find_beats(
         return []
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = max(lowest_hz or 0.0, MIN_CYCLES / duration)
-    # An unevenly sampled record determines no more frequencies than an evenly sampled record of as many
-    # samples.
+    # Limit the range of the search: an unevenly sampled record determines no more frequencies than an evenly
+    # sampled record of as many samples.
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
         return []
@@ -192,8 +195,8 @@ def find_beats(
     sure = [beat for chance, beat in found if chance < limit]
     slow = find_slow_motion(t, x) if lowest_hz is None else None
     if has_levels(x):
-        # A signal that jumps between levels has harmonics of any order. It has at most half as many cycles as
-        # jumps.
+        # Remove beats that are harmonics of jumps between levels. A signal with jumps has harmonics of any
+        # order, but at most half as many cycles as jumps.
         jumps = np.count_nonzero(np.diff(x))
         sure = [beat for beat in sure if 2.0 * beat.cycles <= jumps + 1.0]
     if slow is not None:
@@ -207,15 +210,16 @@ def find_beats(
     if not large:
         return []
     largest = max(large, key=lambda beat: beat.amplitude)
-    # A harmonic may be larger than the stroke itself. In that case the stroke must be among the detected
-    # beats.
+    # The largest beat may be the second or third harmonic of the stroke. Therefore a detected beat at one
+    # half or one third of its frequency has precedence.
     below = [
         beat
         for _, beat in found
         if any(abs(k * beat.frequency_hz - largest.frequency_hz) < 1.0 / duration for k in (2, 3))
     ]
     first = max(below, key=lambda beat: beat.amplitude, default=largest)
-    # Windows of two cycles cannot separate two beats of similar frequency.
+    # Leave out multiples of the first beat, and beats near its frequency, from which windows of two cycles
+    # cannot separate them.
     others = [
         beat
         for beat in sure
@@ -275,9 +279,8 @@ def waves(t: Array, frequency_hz: float, harmonics: Iterable[int] = (1,)) -> Arr
 def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
     """Return the ratio of two beat frequencies if it is a whole number; 0 if it is not.
 
-    Frequencies are compared within their errors.
-
-    Frequencies are compared within their errors.
+    The ratio need be a whole number only within the errors of the frequencies. ``resolution_hz`` is a minimum
+    of this tolerance, Hz.
     """
     order = round(beat.frequency_hz / of.frequency_hz)
     error = 3.0 * float(np.hypot(beat.stderr_hz, order * of.stderr_hz))
@@ -287,8 +290,8 @@ def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
 
 def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list[float]:
     """Return the frequencies of spectral peaks in a channel and in its first two derivatives."""
-    # The frequency grid begins below ``low``, so that the flank of the peak of a slower motion is not taken
-    # for a peak.
+    # Begin the frequency grid below ``low``, so that the flank of the spectral peak of a slower motion is not
+    # taken for a peak.
     grid = np.arange(max(low - 3.0 / duration, 1.0 / duration), high, 0.1 / duration)
     if len(grid) < 4:
         return []
@@ -307,7 +310,7 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
 
 
 def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float, Beat] | None:
-    """Return the probability that noise passes the test for a beat at a frequency, and the beat.
+    """Return the probability that noise passes the test for a beat at a frequency, and the beat found there.
 
     The result is None if the channel has no beat at this frequency.
     """
@@ -322,8 +325,8 @@ def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float,
     slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
     found = frequency + slope / (2 * np.pi)
     beat = Beat(found, stderr / (2 * np.pi), float(np.mean(size)), share, found * duration)
-    # Phases that drift by a cycle over the record belong to another frequency. Therefore the number of cycles
-    # in the record must be known with an error below one.
+    # Accept the beat only if the number of cycles in the record is known with an error below one. Phases that
+    # drift by a cycle over the record belong to another frequency.
     resolved = beat.interval_hz[1] - found < 1.0 / duration
     return (chance, beat) if resolved and abs(found - frequency) < 1.0 / duration else None
 
@@ -358,7 +361,8 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
         return None
     starts = t[0] + hop * np.arange(count)
     if count > MAX_WINDOWS:
-        # Select pairs of successive windows that do not overlap, spread over the record.
+        # Limit the number of windows: select pairs of successive windows that do not overlap, spread over the
+        # record.
         first = np.linspace(0, count - WINDOW_CYCLES - 1, MAX_WINDOWS // 2).astype(int)
         starts = starts[np.unique(np.concatenate((first, first + WINDOW_CYCLES)))]
     ends = np.searchsorted(t, np.column_stack((starts, starts + width)))
@@ -374,7 +378,7 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
 
 
 def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
-    """Return the probability that noise has the observed coherence between successive windows, or more."""
+    """Return the probability that noise has at least the observed coherence of amplitudes between windows."""
     pairs = [(i, int(j)) for i, j in enumerate(np.searchsorted(time, time + width - 0.5 * hop))]
     pairs = [(i, j) for i, j in pairs if j < len(time) and abs(time[j] - time[i] - width) < 0.1 * hop]
     if len(pairs) < 2:
@@ -383,7 +387,7 @@ def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> fl
     inner = abs(np.vdot(amplitude[i], amplitude[j]))
     size = float(np.sqrt(np.sum(np.abs(amplitude[i]) ** 2) * np.sum(np.abs(amplitude[j]) ** 2)))
     coherence = min(inner / max(size, 1e-300), 1.0)
-    # A window that overlaps another window by one half counts as two thirds of an independent window.
+    # Count a window that overlaps another window by one half as two thirds of an independent window.
     independent = len(pairs) * 2.0 / 3.0
     return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
 
@@ -415,7 +419,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
     even = np.linspace(t[0], t[-1], count)
     u = 2.0 * (even - t[0]) / duration - 1.0
     values = np.interp(even, t, x)
-    # Fill a gap of more than a quarter of a cycle with the fitted line itself.
+    # Fill gaps of more than a quarter of a cycle with the fitted sine and polynomial.
     after = np.clip(np.searchsorted(t, even), 1, len(t) - 1)
     known = t[after] - t[after - 1] <= 0.25 / frequency
     if known.mean() < MIN_KNOWN_SHARE:
@@ -441,7 +445,7 @@ def _no_line(t: Array, x: Array, frequency: float) -> float:
 def _fitted(
     t: Array, x: Array, ends: NDArray[np.intp], middles: Array, width: float, frequency: float
 ) -> tuple[Complex, float]:
-    """Return a sine's complex amplitude in each window, and the fraction of variance that it explains."""
+    """Fit a sine and a polynomial in each window; return the sine's amplitudes and fraction of variance."""
     rows = ends[:, :1] + np.arange(int(np.max(ends[:, 1] - ends[:, 0])))
     inside = rows < ends[:, 1:]
     rows = np.minimum(rows, len(t) - 1)
@@ -464,10 +468,10 @@ def _fitted(
 
 
 def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
-    """Return the slope of phases over time and its standard error, by restricted maximum likelihood.
+    """Return the slope of phases over time, rad/s, and its standard error, by restricted maximum likelihood.
 
     The covariance of the phases is the sum of two terms: white noise in overlapping windows, relative to the
-    amplitudes, and a random walk. The ratio of the two terms maximises the likelihood.
+    amplitudes, and a random walk. The ratio of the two variances is chosen to maximise the likelihood.
     """
     from scipy.linalg import eigh
 
@@ -511,8 +515,8 @@ def _power(t: Array, x: Array, grid: Array) -> Array:
 
 # ---------------------------------------------------------------- stroke from all channels
 
-#: Pattern of the channels that oscillate once per stroke, because they have opposite signs in the two half
-#: strokes.
+#: Pattern of the channels that oscillate once per stroke, because their signs in the two half strokes are
+#: opposite.
 SIDEWAYS = re.compile(
     r"(joint|cmd|fin|tail)\w*(?<!_likelihood)(?<!_area_px)|yaw_rad|yaw_rate_rad_s|roll_rad|pitch_rad|"
     r"pitch_rate_rad_s|v_m_s|w_m_s|w[xyz]_rad_s|ay_m_s2|sway"
@@ -520,8 +524,8 @@ SIDEWAYS = re.compile(
 #: Pattern of the channels that may oscillate twice per stroke, because the robot is pushed forward in both
 #: half strokes.
 PUSHED = re.compile(r"u_m_s|a[xz]_m_s2|force_N")
-#: Pattern of the channels of the drive. If one of them is logged, its frequency is taken for the stroke
-#: frequency.
+#: Pattern of the channels that show the drive: commands, and angles of joints, fins and tail. If one of them
+#: is logged, its frequency is taken for the stroke frequency.
 DRIVEN = re.compile(r"cmd\w*|(joint|fin|tail)\w*_rad(_s)?")
 #: Names of the channels returned by :func:`swing` that may oscillate twice per stroke.
 ALONG = ("surge", "long_axis", "short_axis")
@@ -545,9 +549,9 @@ MOTIONS = tuple(
 NO_MOTION = re.compile(
     r"[xyz](_raw)?_(m|px)|sd_.*|.*_sd(_.*)?|.*likelihood|.*confidence|.*area_px|interpolated|status|frame"
 )
-#: Maximum ratio of the smaller to the larger of the two counter-rotating components of a periodic path. Below
-#: this ratio the path counts as a lap. For an ellipse with half axes a and b the ratio is (a - b) / (a + b).
-#: Below the maximum the circular component has more power than the linear component.
+#: Maximum ratio of the smaller to the larger of the two counter-rotating components of a periodic path that
+#: counts as a lap. For an ellipse with half axes a and b the ratio is (a - b) / (a + b). Below the maximum
+#: the circular component of the path has more power than the linear component.
 MAX_LAP_RATIO = np.sqrt(2.0) - 1.0
 #: Maximum order of a harmonic that laps of the path cause (a rectangular pool has four corners), and maximum
 #: order of a harmonic that rotation causes in a compass heading. The deviation of a compass has one or two
@@ -559,8 +563,9 @@ MAX_STROKE_HZ = 20.0
 #: Maximum sample rate in the search for a beat, Hz. Channels with a higher rate are averaged over blocks of
 #: samples.
 MAX_RATE_HZ = 60.0
-#: Minimum fraction of a channel's samples that its longest gap-free segment holds. Then only this segment is
-#: searched for a beat. Otherwise all samples are searched, if there are at most ``MAX_SAMPLES``.
+#: Minimum fraction of a channel's samples in its longest gap-free segment, and maximum number of samples of a
+#: channel. If the segment has this fraction, only the segment is searched for a beat. Otherwise all samples
+#: are searched, unless there are more than the maximum.
 MIN_STRETCH_SHARE, MAX_SAMPLES = 0.8, 20_000
 
 
@@ -573,7 +578,7 @@ class Rhythm:
     beat : Beat
         Beat of the channel whose frequency has the smallest standard error.
     channel : str
-        Name of that channel.
+        Name of the channel of ``beat``.
     channels : dict of str to Beat
         Strongest beat of each channel that has a beat.
     maybe_double : bool
@@ -650,7 +655,7 @@ def swing(columns: Mapping[str, Array], share: float = 1.0 / MIN_CYCLES) -> dict
 
 
 def _averaged_path(place: Array, width: int) -> tuple[Array, Array]:
-    """Return the values and the slopes of straight lines fitted to ``width`` samples around each sample.
+    """Return values and slopes of straight lines fitted to ``width`` samples around each sample of a path.
 
     The slopes are per sample. Within half a window of either end of the path, the line of the first or last
     complete window is used.
@@ -672,7 +677,7 @@ def coordinates(columns: Mapping[str, Array]) -> list[str]:
 
 
 def _coordinates(columns: Mapping[str, Array]) -> list[Array]:
-    """Return the samples of the first two position columns, or of the only one; empty if there is none."""
+    """Return the samples of a log's first two position columns, or of the only one; empty without any."""
     return [columns[name] for name in coordinates(columns)[:2]]
 
 
@@ -683,15 +688,16 @@ def find_stroke(
     range_hz: tuple[float, float] | None = None,
     stated_hz: float | None = None,
 ) -> Rhythm | None:
-    """Find the stroke in the channels of a log; None if no stroke is found.
+    """Find the stroke of a swimmer (its beat frequency) in the channels of a log; return None without one.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
+        Sample times, s.
     columns : mapping of str to ndarray, each shape (n,)
         Channels with names of the log format; NaN where missing.
     range_hz : (float, float), optional
-        Range of the search.
+        Lowest and highest frequency of the search, Hz.
     stated_hz : float, optional
         Stated frequency of the drive, Hz. If the search over all frequencies finds nothing, a search near
         this frequency follows, which needs less evidence.
@@ -745,7 +751,7 @@ def find_stroke(
 def _motions(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """Return the beats of the channels that may move with the stroke.
+    """Return the beats of all channels that may oscillate with the stroke, by channel.
 
     Beats caused by laps of the path, by rotations of the heading, or by rounding are left out.
     """
@@ -771,8 +777,9 @@ def _motions(
             seen[name] = [
                 b for b in seen[name] if not 1 <= multiple(b, turning, resolution) <= MAX_COMPASS_HARMONIC
             ]
-        # A rounding error is at most half of the rounding step, and it is periodic in a steady motion. A beat
-        # that is not larger cannot be distinguished from a rounding error.
+        # Leave out beats that are not larger than the rounding error, because they cannot be distinguished
+        # from it. A rounding error is at most half of the rounding step, and it is periodic in a steady
+        # motion.
         measured = _coordinates(columns)
         if name in columns:
             measured = [columns[name]]
@@ -795,7 +802,7 @@ def _is_lap(time_s: Array, columns: Mapping[str, Array], frequency_hz: float) ->
 
 
 def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
-    """Return the complex amplitude of a sine in each window; in a short record, a single amplitude."""
+    """Return the complex amplitude of a sine in each window of a channel, or one in a short record."""
     windows = demodulate(t, x, frequency_hz)
     if windows is not None:
         return windows[1]
@@ -805,13 +812,13 @@ def _phasors(t: Array, x: Array, frequency_hz: float) -> NDArray[np.complex128]:
 
 
 def _turns(angle: Array) -> float:
-    """Return by how many full rotations an unwrapped angle changes from its first to its last sample."""
+    """Return the number of full rotations of an unwrapped angle from its first to its last sample."""
     known = angle[np.isfinite(angle)]
     return abs(float(known[-1] - known[0])) / (2 * np.pi) if len(known) else 0.0
 
 
 def find_slowest(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, Beat] | None:
-    """Return the channel whose slow oscillation has too few cycles for a frequency, and this oscillation.
+    """Find an oscillation with too few cycles for a frequency; return the name of its channel, and its beat.
 
     If the drive is logged, only the channels of the drive are searched. Otherwise the track and all channels
     that oscillate sideways are searched. Of several slow oscillations, the one with the highest frequency is
@@ -838,7 +845,8 @@ def _chosen(candidates: Mapping[str, list[Beat]], seen: Mapping[str, list[Beat]]
     """Return the candidate beat that is taken for the stroke, by the rules given in :func:`find_stroke`."""
 
     def worth(beat: Beat) -> tuple[bool, bool, int, bool, float, float]:
-        # Compute the fraction of each channel's variance that the beats explain, from their amplitudes.
+        # Compute from the amplitudes the fraction of each channel's variance at once or twice the frequency
+        # of the beat.
         at_it = {}
         for name, beats in seen.items():
             whole = sum(b.amplitude**2 for b in beats) / beats[0].share
@@ -883,7 +891,7 @@ def add_time_error(stroke: Rhythm, time_sd_s: float, time_s: Array) -> Rhythm:
 
 
 def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float | None]:
-    """Return the reason why no stroke is found in a log, and the frequency of a slow motion, Hz, or None."""
+    """Return the reason why a log has no stroke, and the frequency of a slow motion, Hz, or None."""
     duration = float(np.ptp(time_s)) if len(time_s) else 0.0
     slow = find_slowest(time_s, columns)
     slow_hz, laps, axes = None, [], _coordinates(columns)
@@ -908,7 +916,7 @@ def explain_missing(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, f
 def _beats(
     time_s: Array, columns: Mapping[str, Array], within: tuple[float, float] | None
 ) -> dict[str, list[Beat]]:
-    """Return the beats of each channel, without the channels that have no beat."""
+    """Return the beats of each channel by its name, without the channels that have no beat."""
     low, high = within or (None, None)
     found = {}
     for name, values in columns.items():
@@ -919,7 +927,7 @@ def _beats(
 
 
 def _unwrap(name: str, values: Array) -> Array:
-    """Return the samples of a channel; those of an angle are unwrapped."""
+    """Return the samples of a channel, unwrapped if the name of the channel is that of an angle."""
     if name.endswith("_rad"):
         known = np.isfinite(values)
         values = values.copy()
@@ -1005,9 +1013,10 @@ def compare_course(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s
 
 
 def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s: float) -> bool:
-    """Return whether the course follows the headings only if these are taken to be in degrees.
+    """Return whether the headings of tracks are in degrees: only then do they agree with the course.
 
-    If all tracks have the same course, the unit cannot be determined, and the result is False.
+    If all tracks have the same course, the unit of the headings cannot be determined, and the result is
+    False.
 
     Parameters
     ----------
@@ -1028,7 +1037,7 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
 def _windows(
     time: Array, x: Array, y: Array, heading: Array, window_s: float
 ) -> list[tuple[complex, complex]]:
-    """Return unit vectors of course and mean heading, for each window in which advance exceeds sway."""
+    """Return course and mean heading as complex unit vectors, for each window with more advance than sway."""
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(heading)
     if there.sum() < 3:
         return []
@@ -1055,8 +1064,8 @@ def _likelihood(length: float, count: int) -> float:
     from scipy.special import i0e
 
     length = min(length, 1.0 - 1e-6)
-    # Use the maximum-likelihood estimate of the concentration: Fisher 1993, *Statistical Analysis of Circular
-    # Data*, 4.5.5.
+    # Estimate the concentration by maximum likelihood: Fisher 1993, *Statistical Analysis of Circular Data*,
+    # 4.5.5.
     if length < 0.53:
         kappa = 2 * length + length**3 + 5 * length**5 / 6
     elif length < 0.85:

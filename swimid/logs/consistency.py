@@ -1,7 +1,7 @@
 """Checks of a log: columns that contradict each other, and channels whose values no working sensor gives.
 
-One cause of a contradiction is the y axis of an image, which points down. If only the track, or only the
-heading, is converted to a y axis that points up, one is the mirror image of the other. Each column still
+One cause of a contradiction is the y axis of an image, which points down. If only the track or only the
+heading is converted to a y axis that points up, the track turns opposite to the heading. Each column still
 looks plausible, but a model fitted to them is wrong.
 """
 
@@ -22,13 +22,14 @@ from swimid.logs.log import TIME, runs
 from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, has_levels, rounding_ratio
 
 Array = NDArray[np.float64]
-#: Minimum ratio of a gain (regression coefficient between two columns) to its standard error, for a judgement
-#: of the gain. Unrelated columns exceed this ratio in one of 16,000 pairs.
+#: Minimum ratio of a gain (regression coefficient between two columns of a log) to its standard error.
+#: Smaller gains are not judged. Unrelated columns exceed this ratio in one of 16,000 pairs.
 MIN_STDERRS = 4.0
-#: Minimum number of non-overlapping increments of a column in a regression. With fewer increments the
-#: standard error of the gain is not useful.
+#: Minimum number of non-overlapping increments of a column in the regression on another column. With fewer
+#: increments the standard error of the gain is not useful.
 MIN_WINDOWS = 8
-#: Gains of a column that is in degrees instead of radians, and in radians instead of degrees.
+#: Gain of a column that is in degrees instead of radians, and gain of a column that is in radians instead of
+#: degrees.
 _DEGREES = (np.pi / 180, 180 / np.pi)
 
 
@@ -55,11 +56,11 @@ class Comparison:
 
 
 def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
-    """Compare rates with the derivatives of the pose, and the direction of travel with the heading.
+    """Compare rates in a log with derivatives of its pose, and the direction of travel with the heading.
 
-    A comparison is made if the log has its columns: u, v with the velocity of the track in the body frame,
-    every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and ``<name>_rad``, the yaw rate with the
-    heading, and turn rates with the attitude quaternion.
+    Each comparison is made if the log has the columns for it: u, v with the velocity of the track in the body
+    frame, every ``<name>_m_s`` and ``<name>_rad_s`` with ``<name>_m`` and ``<name>_rad``, the yaw rate with
+    the heading, and turn rates with the attitude quaternion.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
 
 
 def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float) -> list[Comparison]:
-    """Compare the direction of travel with the heading, averaged over windows of one stroke."""
+    """Compare the direction of travel of a track with the heading, averaged over windows of one stroke."""
     seen = compare_course([(time, x, y, yaw)], period_s)
     if seen is None:
         return []
@@ -119,7 +120,7 @@ def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float) -> 
 def _of_quaternion(
     time: Array, q: Array, columns: Mapping[str, Array], turns: Sequence[str]
 ) -> list[Comparison]:
-    """Compare turn rates about body axes with the rotation between consecutive attitudes."""
+    """Compare turn rates about body axes with the rotations between successive attitude quaternions."""
     from scipy.spatial.transform import Rotation
 
     there = np.isfinite(q).all(axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05)
@@ -153,7 +154,7 @@ def _judge(
     *,
     angle: bool,
 ) -> list[Comparison]:
-    """Compare rates with a pose by regression, and describe the mistake of each gain that differs from 1.
+    """Regress a pose on integrated rates, and name the mistake that explains a coefficient other than 1.
 
     The regression is that of increments of the pose on increments of the integrated rates.
 
@@ -199,7 +200,7 @@ def _judge(
 
 
 def _named(gain: float, *, angle: bool) -> str:
-    """Return a description of the mistake that explains a column's gain; empty for a gain near 1."""
+    """Return the mistake (sign, unit, scale) that explains a factor between columns; empty for factor 1."""
     factors = [10.0**k for k in range(-3, 4)]
     if angle:
         factors += _DEGREES
@@ -218,8 +219,8 @@ def _named(gain: float, *, angle: bool) -> str:
 
 # ---------------------------------------------------------------- channels that are no measurement
 
-#: Minimum distance of an outlying value (a code for missing samples, or an error) from all other values,
-#: divided by the range of the other values.
+#: Minimum distance of an outlying value of a channel (a code for missing samples, or an error) from all other
+#: values, divided by the range of the other values.
 FAR = 10.0
 #: Minimum number of consecutive samples at the largest or smallest value of a channel, and minimum number of
 #: such sequences, for a channel that counts as saturated.
@@ -277,7 +278,7 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
 
 
 def _find_far(known: Array) -> str:
-    """Return a message on an extreme value of a channel far from all other values; empty if none is."""
+    """Return a message on an extreme value of a channel far from all other values; empty without one."""
     for extreme in (known.min(), known.max()):
         others = known[known != extreme]
         away = float(np.min(np.abs(others - extreme)))

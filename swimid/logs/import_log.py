@@ -117,8 +117,8 @@ def import_log(
 # ---------------------------------------------------------------- examination
 
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
-#: Pattern of the columns of ``swimid track`` with a pose before smoothing, and pattern of the columns of a
-#: pose or of its rates of change.
+#: Pattern of the columns that ``swimid track`` writes for a pose before smoothing, and pattern of all columns
+#: of a pose or of its rates of change.
 _RAW = re.compile(r"(x|y|z|yaw|pitch|roll)_raw_(.+)")
 _OF_POSE = re.compile(r"(x|y|z|yaw|pitch|roll)_.+|(u|v|w|vx|vy|vz)_(sd_)?(m|px)_s2?")
 
@@ -173,17 +173,17 @@ class Examined:
 
     @property
     def unit(self) -> str:
-        """Unit of the positions: m or px."""
+        """Unit of the positions in the imported log: m or px."""
         return "px" if {"x_px", "y_px", "z_px"} & set(beat.coordinates(self.log.columns)) else "m"
 
     @property
     def done(self) -> str:
-        """Treatment of repeated samples and jumps of the track, as a participle for messages."""
+        """Participle for messages: whether repeated samples and jumps of the track are left out or kept."""
         return "left out" if self.cleaned else "kept"
 
 
 def examine(source: MappedLog, options: ImportOptions) -> Examined:
-    """Clean the rows and the track of a foreign log, and estimate speed and stroke.
+    """Sort the rows and clean the track of a foreign log, and estimate its speed and stroke.
 
     ``source.columns`` is changed in place, so that a long log is in memory only once.
 
@@ -221,7 +221,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
         measured_s = np.interp(times, stamps, cleaning.held.measured_s)
-        if (np.diff(measured_s) > 0).all():  # false if other channels have rows between pictures
+        if (np.diff(measured_s) > 0).all():  # equal times occur if other channels have rows between pictures
             times, times_sd_s = measured_s, cleaning.held.measured_sd_s
     stated_hz = metadata.get("frequency_hz")
     if isinstance(stated_hz, bool) or not isinstance(stated_hz, int | float) or not stated_hz > 0:
@@ -276,15 +276,15 @@ def _in_order(source: MappedLog) -> Order:
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
-    """Reduce all columns of a log to the given rows, in place."""
+    """Keep only the given rows in all columns of a log, in place."""
     for name in columns:
         columns[name] = columns[name][rows]
 
 
 def _bent(stroke: Rhythm | None) -> list[Doubt]:
-    """Return a doubt about each angle that oscillates with an amplitude above 180 degrees.
+    """Return a :class:`Doubt` about each angle that oscillates with an amplitude above 180 degrees.
 
-    No joint of a robot can move so far.
+    No joint of a robot can move so far. The angle is probably in degrees.
     """
     if stroke is None:
         return []
@@ -294,9 +294,9 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
 
 
 def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
-    """Remove repeated samples and jumps from a track, in place.
+    """Remove the repeated samples and jumps of a track from the columns of a log, in place.
 
-    Their poses become NaN. Rows that hold nothing but the pose are removed.
+    The pose of such a sample becomes NaN. A row that holds no other value than the pose is removed.
     """
     done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
     elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
@@ -322,7 +322,7 @@ def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata
 
 
 def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
-    """Return a message on how the stroke contradicts the metadata; warn of this and of a doubtful stroke."""
+    """Return a message if the stroke contradicts the metadata; warn of this and of a doubtful stroke."""
     against = ""
     if stated_hz is not None and (text := contradiction(stroke.beat, stated_hz)):
         against = f"{stroke.channel} {text}; the metadata say {stated_hz:g} Hz"
@@ -333,7 +333,7 @@ def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
 
 
 def _measured(columns: dict[str, Array]) -> dict[str, Array]:
-    """Return the columns of a log as they were before smoothing and interpolation.
+    """Return the columns of a log, with the poses as they were before smoothing and interpolation.
 
     A log written by ``swimid track`` has the positions before smoothing in separate columns. Interpolated
     samples become NaN.
@@ -351,16 +351,17 @@ def _measured(columns: dict[str, Array]) -> dict[str, Array]:
 #: Minimum number of values of each channel, and minimum number of samples of a log, for the checks of an
 #: imported log.
 MIN_SAMPLES = LONG_ENOUGH + 1
-#: Minimum number of samples per stroke. With fewer samples the path of the robot between two samples is not
-#: known.
+#: Minimum number of track samples per stroke. With fewer samples the path of the robot between two samples is
+#: not known.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: Maximum fraction of the rows that are left out for their times. With a larger fraction the time column is
-#: probably incomplete.
+#: Maximum fraction of the rows of a log that are left out because of a missing or repeated time. With a
+#: larger fraction the time column is probably incomplete.
 MAX_DROPPED = 0.1
 #: Maximum fraction of the samples of a track that lie in jumps. With a larger fraction the columns are
 #: probably not a track.
 MAX_JUMPED = 0.2
-#: Pattern of the columns for which the values of a swimmer have a limit (:func:`swimid.logs.log.doubts`).
+#: Pattern of the columns whose values are compared with the limits of a swimmer
+#: (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
 METHODS = [
     "Repeated pictures and jumps of a track are found by a Hampel identifier on its steps. The mean speed is "
@@ -406,7 +407,7 @@ def _check(
     made: bool = True,
     fails: bool = False,
 ) -> Check:
-    """Return a check of an imported log with its verdict: pass, warn, fail or "not judged".
+    """Return a check of an imported log, whose verdict is pass, warn, fail or "not judged".
 
     The verdict is "not judged" if nothing is wrong but the data do not allow the check (``made`` is False).
     ``reason`` says what is wrong if the check does not pass. By default ``value`` is the reason, or the limit
@@ -420,7 +421,7 @@ def _check(
 
 
 def _amount_checks(found: Examined) -> list[Check]:
-    """Return the checks of whether the rows, columns and times of an imported log are complete."""
+    """Return the checks that the rows, the columns and the times of an imported log are complete."""
     time, n, rows = found.log.time_s, len(found.log.time_s), len(found.mapped)
     counts = {name: int(np.isfinite(values).sum()) for name, values in found.log.signals.items()}
     scarce = [f"{name} ({count} of {n})" for name, count in counts.items() if count < MIN_SAMPLES]
@@ -451,7 +452,7 @@ def _amount_checks(found: Examined) -> list[Check]:
         _check("Rows in order", not (odd or notes), "none", remarks, f"{odd} of {rows} odd", fails=many),
         _check("Quantity of every column", not names, "known", open_, names, fails=True),
     ]
-    # The metadata of a mapping may say that the sample rate is assumed.
+    # Fail the check of the sample rate if the metadata of a mapping say that the rate is assumed.
     if found.log.metadata.get("sample_rate") == "assumed":
         why = "the sample rate is assumed, and speeds and frequencies are as wrong as it is"
         checks.append(_check("Sample rate", False, "stated", why, "assumed", fails=True))
@@ -462,7 +463,7 @@ def _amount_checks(found: Examined) -> list[Check]:
 
 
 def _value_checks(found: Examined) -> list[Check]:
-    """Return the checks of sample values and sampling: contradictions, frozen or faulty channels, limits."""
+    """Return the checks for uneven sampling and for contradicting, frozen, faulty or unusual channels."""
     stuck = find_frozen(found.log.time_s, _measured(found.log.columns))
     scales = {target: factor for target, (_, factor, _) in found.mapped.sources.items()}
     wrong = [one for one in found.comparisons if one.text]
@@ -551,7 +552,7 @@ def _facts(found: Examined) -> dict[str, str]:
 
 
 def _tables(found: Examined) -> list[Table]:
-    """Return the table of mean speeds, and the table of the source of each column."""
+    """Return two tables of an imported log: its mean speeds, and the source of each of its columns."""
     tables, speed, unit = [], found.speed, found.unit
     if speed is not None:
         rows: list[list[Any]] = [
@@ -572,7 +573,7 @@ def _frequency(stroke: Rhythm) -> str:
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
-    """Return the findings of an import as plain data (numbers, text, lists and dicts)."""
+    """Return the findings of the import of a log as plain data (numbers, text, lists and dicts)."""
     time, unit, step = found.log.time_s, found.unit, usual_step(found.log.time_s)
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     made: dict[str, Any] = {

@@ -45,7 +45,7 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
     [0.0, 0.1, 0.0]
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # at a pitch of ±90 degrees roll is set to 0
+        warnings.simplefilter("ignore", UserWarning)  # scipy warns at a pitch of ±90 degrees
         yaw, pitch, roll = np.atleast_2d(rotation.as_euler("ZYX")).T
     return roll, -pitch, np.unwrap(yaw)
 
@@ -57,12 +57,13 @@ def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:
     return Rotation.from_euler("ZYX", np.column_stack((yaw, -np.asarray(pitch), roll)))
 
 
-#: Columns of the quaternion that rotates from body to world. The real part is the first.
+#: Columns of a log with the attitude quaternion, which rotates from body to world. The real part is the
+#: first.
 AXES = ("qw", "qx", "qy", "qz")
 
 
 def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") -> Array:
-    """Return quaternions, shape (n, 4), that have the real part first and rotate from body to world.
+    """Convert quaternions, shape (n, 4), to real part first and to the rotation from body to world.
 
     >>> rearranged(np.array([[0.0, 0.0, 0.6, 0.8]]), "xyzw", "world-to-body").tolist()
     [[0.8, -0.0, -0.0, -0.6]]
@@ -77,8 +78,8 @@ def rearranged(q: Array, order: str = "wxyz", direction: str = "body-to-world") 
 def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
     """Convert columns from body axes forward, right, down to body axes forward, left, up.
 
-    The components along y and z change their sign, and so does yaw. Roll (right side down is port side up),
-    pitch (nose up), and the real and the x component of a quaternion keep theirs.
+    The y and z components of vectors and quaternions change their sign, and so does yaw. Roll (right side
+    down is port side up), pitch (nose up), and the real and the x component of a quaternion keep theirs.
     """
     turned = re.compile(r"(desired_)?([awvmq]?[yz]|yaw)(_.*)?")
     return {name: -values if turned.fullmatch(name) else values for name, values in columns.items()}
@@ -155,27 +156,27 @@ QUANTITIES = {
     "peak_torque_N_m": Kind("N m", "maximum magnitude of a joint torque", "power"),
     "peak_joint_rate_rad_s": Kind("rad/s", "maximum magnitude of a joint rate", "power"),
 }
-#: Names of the quantities of one stroke cycle in the vertical plane (sea lion, Tables I and II).
+#: Names of the quantities of one stroke cycle in the vertical plane (Kadapa et al., bio-robotic sea lion,
+#: Tables I and II).
 CYCLE_QUANTITIES = tuple(name for name, kind in QUANTITIES.items() if "cycle" in kind.of)
 
 #: Maximum number of cycles, at the end of a trial, from which the quantities of a swim are computed.
 N_CYCLES = 4
-#: Number of samples per cycle of a simulated trial that is evaluated over whole cycles.
+#: Number of samples per stroke cycle from which the quantities of a simulated trial are computed.
 PER_CYCLE = 64
-#: Minimum number of samples in a cycle whose quantities are computed.
+#: Minimum number of samples in a stroke cycle whose quantities are computed.
 MIN_SAMPLES = 6
-#: Conditions for a Strouhal number: minimum speed, body lengths per second, and maximum change of the heading
-#: from beat to beat, rad.
+#: Conditions under which the Strouhal number of a swim is computed: minimum speed, body lengths per second,
+#: and maximum change of the heading from beat to beat, rad.
 MIN_SPEED_BL_S, MAX_TURN_IN_BEAT = 0.05, math.radians(15.0)
-#: Minimum turning rate, rad/s, for the computation of a turning radius. It applies to a robot that is not
-#: commanded to turn.
+#: Minimum turning rate, rad/s, for which a turning radius is computed if the robot is not commanded to turn.
 MIN_TURNING_RATE = math.radians(2.0)
 #: Maximum change of the speed from beat to beat in a swim that counts as steady, divided by the speed.
 UNSTEADY = 0.005
 #: Relative tolerance of the settling time: maximum deviation of the mean surge from its last value, divided
 #: by that value.
 SETTLED_RTOL = 0.05
-#: Maximum change of the course between successive blocks of a path, rad. If the course changes faster, the
+#: Maximum change of the course between successive blocks of a path, rad. If the course changes by more, the
 #: speed is not corrected for the curvature of the path.
 MAX_TURN_OF_COURSE = 1.0
 
@@ -190,8 +191,11 @@ class Window:
     Attributes
     ----------
     begin_s, end_s : float
+        Start and end of the window, s.
     cycles : int
+        Number of stroke cycles in the window.
     frequency_hz : float
+        Frequency of the stroke, Hz.
     """
 
     begin_s: float
@@ -206,7 +210,7 @@ class Window:
 
     @property
     def edges_s(self) -> Array:
-        """Times of the start of each cycle and of the end of the last one, s, shape (cycles + 1,)."""
+        """Times at which the cycles in the window start and the last one ends, s, shape (cycles + 1,)."""
         return np.linspace(self.begin_s, self.end_s, self.cycles + 1)
 
     def times(self) -> Array:
@@ -269,7 +273,7 @@ def cycle_means(time_s: Array, values: Array, edges_s: Array) -> Array:
 
 
 def block_speeds(place: Array, duration_s: float, turn_rad: Array | None = None) -> Array:
-    """Return the speeds along a path between its mean positions in successive blocks, shape (m - 1,).
+    """Return the speeds along a path between its mean positions over successive blocks, shape (m - 1,).
 
     Parameters
     ----------
@@ -327,7 +331,7 @@ def cycle_speeds(time_s: Array, place: Array, window: Window, heading_rad: Array
 
 
 def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float:
-    """Return the time, s, after which the surge averaged over a beat stays near its last value.
+    """Return the time, s, after which the forward speed averaged over a beat stays near its last value.
 
     The tolerance of the deviation from the last value is :data:`SETTLED_RTOL`.
 
@@ -352,7 +356,9 @@ def settling_time(time_s: Array, surge_m_s: Array, frequency_hz: float) -> float
 
 
 def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> list[Array]:
-    """Return surge, sway and turning rate, computed from the pose by :func:`swimid.logs.sampling.slope`.
+    """Return surge speed, sway speed and turning rate, computed from the pose in m and rad.
+
+    The derivatives are those of :func:`swimid.logs.sampling.slope`.
 
     Parameters
     ----------
@@ -367,7 +373,7 @@ def body_velocity(time_s: Array, pose: Sequence[Array], half_width_s: float) -> 
 
 
 def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None:
-    """Return the velocity along the world's x and z axes, m/s, shape (2, n); None without positions.
+    """Return the velocity along the world's x and z axes, m/s, shape (2, n); None if no channel gives it.
 
     Notes
     -----
@@ -393,7 +399,7 @@ def world_velocity(time_s: Array, channels: Mapping[str, Array]) -> Array | None
 
 
 def _differences(time_s: Array, values: Array) -> Array:
-    """Return the central differences of a channel's known samples; NaN where a sample is missing."""
+    """Return the time derivative of a channel by central differences; NaN where a sample is missing."""
     known = np.isfinite(values)
     rates = np.full(len(values), np.nan)
     if known.sum() > 1:
@@ -452,7 +458,7 @@ def plane_quantities(
 
 
 def is_straight(heading_rad: Array, speed_m_s: float, length_m: float) -> bool:
-    """Return whether a swim is fast and straight enough for a Strouhal number.
+    """Return whether a swim is fast and straight enough to have a defined Strouhal number.
 
     Parameters
     ----------
@@ -480,14 +486,13 @@ def tail_excursion(x_m: Array, y_m: Array) -> float:
 
 
 def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Window) -> dict[str, float]:
-    """Return the :data:`CYCLE_QUANTITIES` of one cycle, as far as the channels determine them.
+    """Return those :data:`CYCLE_QUANTITIES` of one stroke cycle that the channels of a log determine.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
     channels : mapping of str to ndarray, each shape (n,)
-        Those of the channels ``x_m``, ``z_m``, ``pitch_rad`` and their rates (see :func:`world_velocity`)
-        that are known.
+        Known channels among ``x_m``, ``z_m``, ``pitch_rad`` and their rates (see :func:`world_velocity`).
 
     Notes
     -----
@@ -533,42 +538,45 @@ def cycle_quantities(time_s: Array, channels: Mapping[str, Array], window: Windo
 # ---------------------------------------------------------------- swimming motion from a track
 
 #: Number of blocks into which a track without a stroke is divided, and maximum number of blocks of any track.
-#: In a longer track each block has several strokes.
+#: In a track with more strokes each block has several strokes.
 N_BLOCKS, MAX_BLOCKS = 20, 200
-#: Minimum number of measured samples in the window of a track that is evaluated.
+#: Minimum number of measured samples in the window of a track from which speeds are computed.
 MIN_WINDOW_SAMPLES = 12
-#: Minimum number of blocks in a period of steady swimming. With fewer blocks a trend cannot be distinguished
-#: from scatter.
+#: Minimum number of blocks in a period of steady swimming. With fewer blocks a trend of the speed cannot be
+#: distinguished from random variation.
 MIN_BLOCKS = 5
-#: Minimum speed of a block that belongs to the cruise, divided by the 90th percentile of the block speeds.
-#: Slower blocks are start, coasting or rest.
+#: Minimum speed of a block of a track that belongs to the cruise, divided by the 90th percentile of the block
+#: speeds. Slower blocks are start, coasting or rest.
 MIN_CRUISE = 0.5
 #: Maximum change of the speed over a period of steady swimming, divided by the mean speed. A larger change is
-#: accepted if it is not significant.
+#: accepted if it does not differ significantly from zero.
 MAX_CHANGE = 0.02
-#: Maximum absolute value, within its 95 % interval, of the change of speed over a period of steady swimming,
+#: Maximum magnitude of the limits of the 95 % interval of the speed change over a period of steady swimming,
 #: divided by the mean speed.
 MAX_CHANGE_REACH = 0.2
-#: Maximum fraction of the cruise blocks that is cut off as the start of the motion, and maximum fraction of
-#: the remaining blocks that is cut off as its end.
+#: Maximum fraction of the cruise blocks of a track that are left out as the start of the motion, and maximum
+#: fraction of the remaining blocks that are left out as its end.
 MAX_START, MAX_END = 1 / 2, 1 / 3
-#: Number of strokes to which each sine is fitted, for the amplitude.
+#: Number of strokes in each segment of a track to which a sine is fitted, for the amplitude of the stroke.
 N_STROKES = 2.0
-#: Minimum ratio of a significant amplitude to its standard error, and to the systematic error of the track.
+#: Minimum ratio of a significant stroke amplitude to its standard error, and to the systematic error of the
+#: track.
 AMPLITUDE_Z = 3.0
-#: Minimum ratio of the lowest speed of a point to its mean speed. Below it the course is not defined at all
-#: times.
+#: Minimum ratio of the lowest speed of a tracked point to its mean speed. Below this ratio the point nearly
+#: stops, and its course is not defined at all times.
 MIN_SPEED_SHARE = 0.2
 
 
 @dataclass(frozen=True)
 class Track:
-    """Measured and smoothed track, in one unit of length.
+    """Measured and smoothed positions and headings of a robot, with all lengths in the same unit.
 
     Attributes
     ----------
     time_s : ndarray, shape (n,)
+        Sample times, s.
     measured : ndarray of bool, shape (n,)
+        Whether each sample is measured, not interpolated.
     raw, smooth, velocity : ndarray, shape (2, n)
         Measured position, smoothed position, and velocity; NaN where missing.
     raw_angle, angle : ndarray, shape (n,), or None
@@ -613,7 +621,9 @@ class Swimming:
     acceleration_xy : tuple of Estimate, or None
         Mean rates of change of the coordinates of the velocity.
     stroke : Beat or None
+        Stroke in the window; None if none is found.
     frequency_hz : Estimate or None
+        Frequency of the stroke, Hz, with its 95 % interval.
     amplitudes : dict of str to Estimate
         Significant amplitudes at the stroke frequency: ``sway`` across the mean heading (across the path if
         there is no heading), and ``turn``, the amplitude of the heading (rad).
@@ -639,7 +649,7 @@ class Swimming:
 
     @property
     def steady(self) -> bool:
-        """Whether the change of the advance speed over the window is small or not significant."""
+        """Whether the change of the swimming speed over the window is small or not significant."""
         if self.advance is None or self.change is None:
             return False
         return _is_level(self.change, self.advance.value)
@@ -667,9 +677,10 @@ class _Blocks:
 
 @dataclass(frozen=True)
 class _Stroke:
-    """Stroke in a window of a track, with a reason to doubt it.
+    """Stroke in a window of a track with a reason to doubt it, or the reason why no stroke is found.
 
-    Without a stroke, the fields are the reason why none is found, and the frequency of a slow motion, Hz.
+    Without a stroke, ``beat`` is None, ``unknown`` is the reason, and ``slow_hz`` is the frequency of a slow
+    motion, Hz, if there is one.
     """
 
     beat: Beat | None = None
@@ -721,8 +732,8 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
     stroke = _find_stroke(track, begin, end)
     blocks = _blocks(track, begin, end, stroke.period_s)
     advance = change = acceleration = across = frequency = None
-    # Speeds are computed unless a stroke is slower than the blocks, because the block speeds oscillate with
-    # it. A lap of the path is no such stroke.
+    # Do not compute speeds if a periodic motion is slower than the blocks, because the block speeds oscillate
+    # with it. Laps of the path are no such motion.
     if len(blocks.middle) >= 3 and (stroke.slow_hz is None or blocks.turn_round):
         durations = np.full(len(blocks.speed), blocks.duration_s)
         advance = _not_negative(mean_of_blocks(blocks.speed, durations))
@@ -759,9 +770,10 @@ def measure(track: Track, window_s: tuple[float | None, float | None] = (None, N
 
 
 def _is_level(change: Estimate, speed: float) -> bool:
-    """Return whether a change of speed counts as none.
+    """Return whether a change of the swimming speed is so small that the speed counts as constant.
 
-    Its uncertainty must be small relative to the speed. In addition it must be small or not significant.
+    The 95 % interval of the change must be small relative to the speed. In addition the change itself must be
+    small or not significant.
     """
     if max(-change.low, change.high) > MAX_CHANGE_REACH * abs(speed):
         return False
@@ -779,15 +791,15 @@ def _not_negative(speed: Estimate | None) -> Estimate | None:
 
 
 def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
-    """Return the stroke in a window of a track.
+    """Find the stroke in a window of a track.
 
-    In a track without a heading the course is searched for the stroke.
+    In a track without a heading, the direction of travel is searched for the stroke instead.
     """
     rows = np.flatnonzero((track.time_s >= begin) & (track.time_s <= end))
     if len(rows) < 3:
         return _Stroke(unknown="too few samples")
     raw, (vx, vy) = track.raw[:, rows], track.velocity[:, rows]
-    # The column names are those of the log format, even if the unit of length is not the metre.
+    # Use the column names of the log format, even if the unit of length is not the metre.
     columns = {"x_m": raw[0], "y_m": raw[1]}
     if track.angle is not None and track.raw_angle is not None:
         angle = track.angle[rows]
@@ -807,8 +819,8 @@ def _find_stroke(track: Track, begin: float, end: float) -> _Stroke:
     if found.maybe_double:
         return _Stroke(unknown="only motions that may swing twice a stroke keep a beat")
 
-    # Any bend of a path deviates from a cubic and may look like a beat. Therefore the amplitude of a stroke
-    # must be significant in the track.
+    # Accept a stroke only if its amplitude is significant in the track. Any bend of a path deviates from a
+    # cubic polynomial and may look like a beat.
     def is_significant(beat: Beat) -> bool:
         return bool(_amplitudes(track, begin, end, beat.frequency_hz))
 
@@ -831,7 +843,7 @@ def _stays(place: Array) -> bool:
     """Return whether a point of the robot oscillates about one place.
 
     The criterion is the distance between the mean positions of the first and the second half of the track. It
-    must be smaller than half of the distance at constant speed.
+    must be smaller than half of the distance for a motion at constant speed.
     """
     along = _long_axis(place) @ place[:, np.isfinite(place).all(axis=0)]
     half = len(along) // 2
@@ -845,7 +857,7 @@ def _long_axis(place: Array) -> Array:
 
 
 def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dict[str, Estimate]:
-    """Return the amplitudes of sway and heading at a frequency, as far as they are significant.
+    """Return the amplitudes of sway and heading at a frequency, if they are significant.
 
     The sway is the motion across the mean heading. Without a heading it is the motion across the mean path,
     or, for a point that stays in place, along the direction of its largest motion.
@@ -875,7 +887,7 @@ def _amplitudes(track: Track, begin: float, end: float, frequency: float) -> dic
 
 
 def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
-    """Return the mean amplitude of the sines fitted to successive strokes; None if it is not significant."""
+    """Return the mean amplitude of sines fitted to successive strokes; None if it is not significant."""
     if not len(time):
         return None
     strokes = min(N_STROKES, float(time[-1] - time[0]) * frequency)
@@ -908,7 +920,7 @@ def _amplitude(time: Array, values: Array, frequency: float) -> Estimate | None:
 
 
 def _running_mean(time: Array, values: Array, period: float) -> Array:
-    """Return the running mean of a channel over one period; NaN where samples of the period are missing."""
+    """Return the running mean of a channel over one period; NaN where the period has missing samples."""
     known = np.isfinite(values)
     safe = np.where(known, values, 0.0)
     area = np.concatenate(([0.0], np.cumsum(0.5 * np.diff(time) * (safe[1:] + safe[:-1]))))
@@ -921,14 +933,14 @@ def _running_mean(time: Array, values: Array, period: float) -> Array:
 
 
 def _blocks(track: Track, begin: float, end: float, period: float | None) -> _Blocks:
-    """Return the blocks of a track, each of whole strokes and without gaps.
+    """Return the speeds of a track in successive blocks of whole strokes, without blocks that have gaps.
 
     Without a stroke the blocks have equal durations.
     """
     time = track.time_s
     if period is None or period > (end - begin) / 3:
         period = (end - begin) / N_BLOCKS
-    # The errors of smoothed samples are correlated. Therefore measured samples are used where there are any.
+    # Use measured samples where there are any, because the errors of smoothed samples are correlated.
     filled = np.where(track.measured & np.isfinite(track.raw), track.raw, track.smooth)
     path = np.array([_running_mean(time, row, period) for row in filled])
     known = np.isfinite(path[0])
@@ -964,7 +976,7 @@ def _steady_part(blocks: _Blocks) -> tuple[float, float] | None:
 
 
 def _transient(speed: Array, most: float) -> int:
-    """Return the number of blocks at the beginning that belong to the start of the motion.
+    """Return the number of blocks at the beginning of a track that belong to the start of the motion.
 
     At most the fraction ``most`` of all blocks is cut off. The result is the smallest number for which the
     squared standard error of the mean speed of the remaining blocks is within one standard error of its
@@ -976,18 +988,18 @@ def _transient(speed: Array, most: float) -> int:
         return 0
     scores = np.array([float(np.var(speed[len(speed) - n :], ddof=1)) / n for n in counts])
     best = int(np.argmin(scores))
-    # A variance that is estimated from n samples has the relative standard error sqrt(2 / (n - 1)).
+    # Allow for the relative standard error of a variance that is estimated from n samples, sqrt(2 / (n - 1)).
     return int(np.argmax(scores <= scores[best] * (1 + math.sqrt(2 / (counts[best] - 1)))))
 
 
 def _change(middle: Array, speed: Array) -> Estimate:
-    """Return the change of the speed from the first to the last block, according to a fitted line."""
+    """Return the change of speed from the first to the last block of a track, according to a fitted line."""
     span, slope = float(middle[-1] - middle[0]), _slope(middle, speed)
     return Estimate(span * slope.value, span * slope.low, span * slope.high)
 
 
 def _slope(time: Array, values: Array) -> Estimate:
-    """Return the slope of a fitted line with its 95 % interval.
+    """Return the slope of a line fitted to values over time, with its 95 % interval.
 
     The interval is widened for correlated residuals.
     """

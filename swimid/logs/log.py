@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIME = "t_s"
-#: Relative tolerance of a stroke frequency. A measured frequency that differs by more contradicts the
-#: frequency that the metadata state.
+#: Maximum relative difference between the measured stroke frequency and the one stated in the metadata of a
+#: log. A larger difference counts as a contradiction.
 FREQUENCY_RTOL = 0.05
-#: Number of rows that are written to a file at once.
+#: Number of rows of a log that are written to its file in one block.
 ROWS = 100_000
-#: Type of an argument that stands for a log: the path of the log, the log itself, or a table.
+#: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
 
@@ -115,11 +115,11 @@ class Log:
 
     @property
     def source(self) -> Path | Log:
-        """Source of the log for the provenance: path of its file, or the log itself if it is in memory."""
+        """Log as named in the provenance of a result: path of its file, or the log itself if in memory."""
         return self if self.first_line is None else self.path
 
     def chosen(self, required: Sequence[str], optional: Sequence[str] | None = None) -> Log:
-        """Return a copy of the log with the required and the optional columns, checked as by :func:`read`."""
+        """Return a copy of the log with only the requested columns, checked as by :func:`read`."""
         wanted = _wanted(list(self.columns), required, optional, self.path, None)
         log = replace(self, columns={name: self.columns[name] for name in wanted})
         _check(log, required)
@@ -135,7 +135,7 @@ class Log:
         digest = hashlib.sha256()
         for name, values in self.columns.items():
             digest.update(f"{name}\n".encode())
-            if values.dtype.kind == "f":  # NaN has several bit patterns, of which one is used
+            if values.dtype.kind == "f":  # give all NaN one bit pattern, for equal digests of equal logs
                 values = np.where(np.isnan(values), np.nan, values)
             if values.dtype.kind in "biufM":
                 digest.update(values.tobytes())
@@ -145,12 +145,12 @@ class Log:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Sample times, s, shape (n,)."""
+        """Sample times of the log, s, shape (n,)."""
         return self.columns[TIME]
 
     @property
     def signals(self) -> dict[str, NDArray[np.float64]]:
-        """Columns of the log except the time."""
+        """Columns of the log by name, without the time ``t_s``."""
         return {name: values for name, values in self.columns.items() if name != TIME}
 
     def frame(self) -> pd.DataFrame:
@@ -175,16 +175,16 @@ class Log:
         return len(self.time_s)
 
     def line(self, row: int) -> int | None:
-        """Return the line number of a sample in the file; None for Parquet and for a log in memory."""
+        """Return the line number of a sample in the file of the log; None for Parquet or a log in memory."""
         return _line_of(self.path, self.first_line - 1, row) if self.first_line else None
 
     def place(self, row: int) -> dict[str, Any]:
-        """Return the line number of a sample, or its row in memory, as an argument of :class:`InputError`."""
+        """Return the place of a sample for an :class:`InputError`: line, or row for a log in memory."""
         return {"row": row} if self.first_line is None else {"line": self.line(row)}
 
 
 def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Log:
-    """Return the log for an argument of any allowed type.
+    """Return the log for an argument that is a path, a table or a log.
 
     A path is read, a table is checked, and a log is returned unchanged.
 
@@ -202,9 +202,9 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
 
 
 def unread(given: LogLike, *, name: str = "log") -> Path | Log:
-    """Return the argument as a path or a log, without reading or checking it.
+    """Return the path of a log, or the log in memory, without reading or checking its data.
 
-    A table is converted to a log.
+    Text becomes a path, and a table becomes a log. A log is returned unchanged.
     """
     if isinstance(given, str | Path):
         return Path(given)
@@ -214,7 +214,10 @@ def unread(given: LogLike, *, name: str = "log") -> Path | Log:
 
 
 def numeric(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns of numbers, converted as in :func:`read`, without the columns of text."""
+    """Return the numeric columns of a table as arrays of floats, with NaN for missing cells.
+
+    Columns of text are left out.
+    """
     import pandas as pd
 
     frame = pd.DataFrame(dict(columns)).select_dtypes(["number", "bool"])
@@ -264,7 +267,7 @@ def read(
     required: Sequence[str] = (),
     optional: Sequence[str] | None = None,
 ) -> Log:
-    """Read a log and check it.
+    """Read a log from a CSV or Parquet file, and check it.
 
     Parameters
     ----------
@@ -320,7 +323,7 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     try:
         table = read(dict.fromkeys(wanted, float))
     except ValueError:
-        # Read the cells as text, to find the columns of numbers and the cell that is not a number.
+        # At least one cell is not a number. Read all cells as text, to find columns of text and faulty cells.
         try:
             table = read(str)
         except ValueError as error:
@@ -349,9 +352,9 @@ def _columns(
 def cells_to_numbers(
     cells: Any, strict: bool, place: Callable[[int], dict[str, Any]], path: Path, name: str, more: str = ""
 ) -> NDArray[np.float64] | None:
-    """Return a column as numbers; None for a column of text.
+    """Convert the cells of a column to numbers; return None for a column of text.
 
-    ``more`` is added to the hint of the error.
+    ``more`` is text that is appended to the hint of the error message.
 
     Raises
     ------
@@ -375,7 +378,9 @@ def cells_to_numbers(
 
 
 def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict[str, Any]:
-    """Return the entries of ``# key: value`` lines, each parsed as YAML; other comments are left out.
+    """Return the metadata in comment lines ``# key: value``, with each value parsed as YAML.
+
+    Other comment lines are left out.
 
     Raises
     ------
@@ -398,14 +403,14 @@ def metadata_of(comments: list[str], path: Path, *, strict: bool = True) -> dict
 
 
 def _samples(path: Path, header_line: int) -> Iterator[tuple[int, str]]:
-    """Yield the number and the text of each line of a file after its header, without blank lines."""
+    """Yield the line number and the text of each line after the header of a file, without blank lines."""
     with path.open("r", encoding="utf-8", errors="replace") as stream:
         lines = enumerate(stream, start=1)
         yield from ((at, line) for at, line in lines if at > header_line and line.strip())
 
 
 def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
-    """Raise an error that names the first line with more or fewer cells than the header."""
+    """Raise an error if a line has more or fewer cells than the header; name the first such line."""
     for at, line in _samples(path, header_line):
         cells = tabular.count_cells(line.rstrip("\n"))
         if cells != width:
@@ -414,7 +419,7 @@ def _refuse_ragged(path: Path, header_line: int, width: int) -> None:
 
 
 def _line_of(path: Path, header_line: int, row: int) -> int:
-    """Return the line number of a sample in its file, counting blank lines."""
+    """Return the line number of a sample in a CSV file. Blank lines are counted, but hold no sample."""
     samples = islice(_samples(path, header_line), row, None)
     return next((at for at, _ in samples), header_line + 1 + row)
 
@@ -424,7 +429,7 @@ def _line_of(path: Path, header_line: int, row: int) -> int:
 
 def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] | None) -> Log:
     pyarrow = tabular.pyarrow()
-    path.stat()  # raise the error for a missing file, before the file counts as damaged
+    path.stat()  # raise the error for a missing file here; below, it would count as damaged
     try:
         file = pyarrow.parquet.ParquetFile(path)
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
@@ -467,7 +472,7 @@ def _check(log: Log, required: Sequence[str]) -> None:
 
 
 def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str | None = None) -> None:
-    """Raise an error that names the first sample flagged as bad, if any sample is."""
+    """Raise an error if a sample of a column is flagged as bad; name the first such sample."""
     if bad.any():
         raise InputError(text, file=log.path, column=column, hint=hint, **log.place(int(np.argmax(bad))))
 
@@ -475,7 +480,7 @@ def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str 
 def _warn_missing(log: Log) -> None:
     """Warn of all missing samples of a log in one message.
 
-    Columns with equal numbers of missing samples share one entry.
+    Columns share one entry if they have the same number of missing samples and the same longest gap.
     """
     gaps: dict[tuple[int, int], list[str]] = {}
     for name, values in log.columns.items():
@@ -492,7 +497,7 @@ def _warn_missing(log: Log) -> None:
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return each unbroken sequence of True as a row (first index, last index + 1), shape (k, 2).
+    """Return each unbroken sequence of True in an array as (first index, last index + 1), shape (k, 2).
 
     >>> runs(np.array([True, True, False, True])).tolist()
     [[0, 2], [3, 4]]
@@ -501,7 +506,7 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:
-    """Return the number of elements in the longest unbroken sequence of True.
+    """Return the number of elements in the longest unbroken sequence of True in an array.
 
     >>> longest_run(np.array([True, False, True, True]))
     2
@@ -510,7 +515,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 
 def warn_units(log: Log) -> None:
-    """Warn of values of a log that are unusual in the unit of their column."""
+    """Warn of columns of a log whose values are unusual for their unit, such as degrees in ``yaw_rad``."""
     for doubt in doubts(log.time_s, log.columns):
         warn("SWM002", f"{log.path.name}, '{doubt.column}': {doubt.text}")
 
@@ -523,7 +528,7 @@ def write(
     columns: Mapping[str, Any],
     metadata: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a log in blocks of rows. If writing fails, an existing file is not changed.
+    """Write a log to a CSV or Parquet file. If writing fails, an existing file is not changed.
 
     Parameters
     ----------
@@ -543,7 +548,8 @@ def write(
             pyarrow = tabular.pyarrow()
             schema = pyarrow.Schema.from_pandas(frame, preserve_index=False)
             schema = schema.with_metadata({**(schema.metadata or {}), b"swimid": "\n".join(lines).encode()})
-            # Measured values hardly ever repeat. A dictionary of the values would only cost time.
+            # Switch off the dictionary of repeated values in Parquet. Measured values rarely repeat, so that
+            # it would only cost time.
             options = {"use_dictionary": False, "write_statistics": False}
             with pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer:
                 for piece in pieces:
@@ -560,8 +566,8 @@ def write(
 
 
 def _printed(samples: NDArray[np.float64]) -> bytes:
-    """Return samples, shape (n, k), as lines of CSV without loss of digits."""
-    # Let pydantic write a JSON list of numbers, which is ten times as fast as writing CSV with pandas.
+    """Return samples, shape (n, k), as lines of CSV with all significant digits."""
+    # Format the numbers as a JSON list with pydantic, which is ten times as fast as writing CSV with pandas.
     text = np.frombuffer(bytearray(to_json(samples.ravel().tolist(), inf_nan_mode="constants")), np.uint8)
     text[-1] = ord(",")
     width = samples.shape[1]
@@ -571,33 +577,35 @@ def _printed(samples: NDArray[np.float64]) -> bytes:
 
 # ---------------------------------------------------------------- values that are unusual in the stated unit
 
-# A warning of unusual values does not change the unit. The values are used in the unit of their column.
+# Values that are unusual for the unit of their column cause a warning only. They are still used in this unit.
 
-#: Maximum speed of a swimmer, m/s. Cavitation and muscle power limit it to 10 to 15 m/s. Iosilevskii, G.,
-#: Weihs, D. (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface 5, 329-338.
+#: Maximum plausible speed of a swimmer, m/s. Cavitation and muscle power limit it to 10 to 15 m/s.
+#: Iosilevskii, G., Weihs, D. (2008). Speed limits on swimming of fishes and cetaceans. J. R. Soc. Interface
+#: 5, 329-338.
 MAX_SPEED_M_S = 15.0
-#: Maximum usual turn rate, rad/s: about ten rotations per second. This is more than in the fastest escape of
-#: a fish, or of a fin that beats through ±50 degrees at 10 Hz.
+#: Maximum plausible turn rate of a robot or a fin, rad/s: about ten rotations per second. Neither the fastest
+#: escape of a fish nor a fin that beats through ±50 degrees at 10 Hz reaches it.
 MAX_RATE_RAD_S = 60.0
-#: Maximum usual extent of a track, m. Tanks, pools and fields of view are smaller.
+#: Maximum plausible extent of a track along one axis, m. Tanks, pools and fields of view are smaller.
 MAX_EXTENT_M = 100.0
-#: Minimum time step and minimum duration, s, of a record whose times are probably in milliseconds.
+#: Minimum median time step and minimum duration of a record, both read in s. A record that reaches both
+#: limits probably has its times in milliseconds.
 MS_STEP_S, MS_DURATION_S = 5.0, 2000.0
-#: Maximum fraction of the samples of a record that may exceed a limit without a warning. They are taken for
-#: outliers of the tracking.
+#: Maximum fraction of the samples of a column whose rate of change may exceed its limit without a warning.
+#: Such samples are taken for outliers of the tracking.
 OUTLIER_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Doubt about a column: its unusual values, and the unit that would explain them."""
+    """Column of a log with unusual values, and a message that names the unit that would explain them."""
 
     column: str
     text: str
 
 
 def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
-    """Return the columns of a log whose values are unusual for a swimmer, each with a probable unit.
+    """Return the columns of a log whose values are unusual for a swimmer, each with a message on its unit.
 
     Parameters
     ----------
@@ -617,7 +625,7 @@ def doubts(time_s: Array, columns: Mapping[str, Array]) -> list[Doubt]:
 
 
 def _doubt(name: str, time_s: Array, values: Array) -> str | None:
-    """Return a message on the unusual values of a column; None if there are none."""
+    """Return a message on unusual values of a column and their probable unit; None if none are unusual."""
     low, high = _ends(values)
     largest = max(-low, high)
     if name.endswith("_rad"):
@@ -643,9 +651,9 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
 
 
 def _usual_rate(time_s: Array, values: Array) -> float:
-    """Return the rate of change that only a fraction :data:`OUTLIER_SHARE` of the samples exceeds.
+    """Return the rate of change that only the fastest :data:`OUTLIER_SHARE` of a channel's samples exceed.
 
-    The result is 0 if the record is too short.
+    The unit is that of the channel per s. The result is 0 if the record is too short.
     """
     known = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[known], values[known]
@@ -663,7 +671,7 @@ def _usual_rate(time_s: Array, values: Array) -> float:
 
 
 def _ends(values: Array) -> tuple[float, float]:
-    """Return the minimum and the maximum of an array; zeros if it has no value."""
+    """Return the minimum and the maximum of an array without its NaN; zeros if it holds no number."""
     if len(values) == 0:
         return 0.0, 0.0
     low, high = np.nan_to_num([np.fmin.reduce(values), np.fmax.reduce(values)])

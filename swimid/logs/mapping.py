@@ -43,10 +43,11 @@ from swimid.results.result import Result
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-#: Maximum number of instances (sensors, animals, tags) whose rows may alternate in one table.
+#: Maximum number of instances (sensors, animals, tags) that are recognised if their rows alternate in one
+#: table.
 MAX_INSTANCES = 16
 #: Pattern of the names of columns that hold a time or a part of it, and pattern of the names of columns that
-#: number instances.
+#: number instances (sensors, animals, tags).
 OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
 _INSTANCE = re.compile(
     r"(.*[ _.])?(i|id|instance|instances|tag|track|individual|animal|sensor|marker|device)"
@@ -67,14 +68,14 @@ COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
 
-#: Placeholder in a drafted mapping. The user must replace it by a value.
+#: Placeholder for an unknown value in a drafted mapping. The user must replace it by a value.
 ASK = "ASK"
-#: Type of the key of a column: its name in the file, or its number, counted from 1.
+#: Type of the reference to a column of a foreign file: its name, or its number, counted from 1.
 ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
 
 
 class Stated(yamlio.Document):
-    """Base class of the sections of a mapping. It refuses a value that is still ``ASK``."""
+    """Base class of the sections of a mapping. It refuses a value that is still the placeholder ``ASK``."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -124,7 +125,7 @@ class Time(Stated):
 
     @property
     def sources(self) -> list[str | int]:
-        """Keys of the columns that hold the time; empty if the time is counted from the rows."""
+        """Keys of the columns that hold the sample times; empty if the times follow from the row numbers."""
         if self.frame is not None:
             return [self.frame]
         if isinstance(self.source, list):
@@ -148,7 +149,7 @@ class Column(Stated):
     #: The unit of a dimensionless quantity is ``1``.
     unit: str | None = None
     factor: float = 1.0
-    #: Offset that is added, in the unit of the target column.
+    #: Offset that is added to the converted values, in the unit of the target column.
     offset: float = 0.0
 
     @field_validator("target")
@@ -180,10 +181,10 @@ class Quaternion(Stated):
 
 
 class Mapping(Stated):
-    """Content of a mapping file."""
+    """Content of a mapping file, which assigns the columns of a foreign file to those of a log."""
 
     format: Literal["swimid-mapping/1"]
-    #: Name of the file format. If the format is a profile, the columns are named by the profile.
+    #: Name of the file format, such as ``deeplabcut``. A format that is a profile names the columns itself.
     profile: str | None = Field(default=None, alias="as")
     #: Track, individual, topic, message type, struct or group to read, if the file holds several.
     select: str | int | None = None
@@ -219,7 +220,7 @@ class Mapping(Stated):
 
     @property
     def name(self) -> str:
-        """Name of a mapping in memory, for the provenance of a result."""
+        """Name of a mapping in memory, by which the provenance of a result refers to it."""
         return "mapping"
 
 
@@ -384,7 +385,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
 
 
 def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
-    """Return the mapping of a column with the unit stated in the file, unless the mapping states a unit."""
+    """Complete the mapping of a column by the unit that the file states, unless the mapping states one."""
     unit = canonical(stated or "")
     if unit not in UNITS.get(quantity_of(column.target) or "", {}):
         return column
@@ -403,7 +404,7 @@ def _short(value: Any) -> Any:
 
 
 def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column]:
-    """Return a mapping of each column with a name of the log format to itself; warn of all other columns."""
+    """Map each column with a name of the log format to itself; warn of all other columns."""
     names = ", ".join(list(table.columns)[:20])
     hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
     if not {TIME, "frame"} & set(table.columns):
@@ -429,7 +430,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
 
 
 def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -> Time | None:
-    """Return the rule for computing the sample times; None if the time is a column of the log format."""
+    """Return the source of a file's sample times; None if the mapping has a column ``t_s``."""
     time, has_frames = mapping.time, "frame" in table.columns and mapping.profile is not None
     if TIME in sources:
         if time is not None:
@@ -445,7 +446,7 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
 
 
 def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
-    """Return the common number of rows of the columns in use; raise an error if their lengths differ."""
+    """Return the common number of rows of the mapped columns; raise an error if their lengths differ."""
     lengths = {name: len(table.columns[name]) for name in names}
     if len(set(lengths.values())) > 1:
         text = ", ".join(f"{name} {rows}" for name, rows in lengths.items())
@@ -458,7 +459,7 @@ def _same_length(names: Sequence[str], table: Table, path: Path) -> int:
 
 
 def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path) -> Array | None:
-    """Return a column as numbers, with NaN for codes of missing samples; None for dates or text."""
+    """Return a column of a file as numbers, with NaN for missing-sample codes; None for dates or text."""
     values = table.columns[name]
     if values.dtype.kind == "M":
         return None
@@ -473,9 +474,9 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
 
 
 def _contradicted(table: Table, name: str) -> list[str]:
-    """Return a note on a time column that holds frame numbers, according to its name and its steps.
+    """Return a note if the name and the steps of a time column are those of a frame number.
 
-    The result is a list, which is empty for any other column.
+    The result is a list with this note. It is empty for any other column.
     """
     values = table.columns[name]
     if values.dtype.kind not in "iuf" or not COUNT.fullmatch(name.strip().lower()):
@@ -491,7 +492,9 @@ def _contradicted(table: Table, name: str) -> list[str]:
 
 
 def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArray[np.bool_]:
-    """Return flags of the rows that have one of the wanted values in each column of ``where``, shape (rows,).
+    """Flag the rows of a table that have one of the wanted values in each column of ``where``.
+
+    The result has the shape (rows,).
 
     Raises
     ------
@@ -516,12 +519,12 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
 
 
 def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[str]) -> tuple[str, list[str]]:
-    """Return the column that numbers several instances whose rows alternate, and the values in it.
+    """Find a column that numbers sensors, animals or tags whose rows alternate; return its name and values.
 
-    An instance is a sensor, an animal or a tag. The column that numbers them has few values and changes from
-    row to row in at least half of the rows. In addition, either its name is that of an instance, or the times
-    are even within each of its values and uneven over all rows. Without such a column the result is ``("",
-    [])``.
+    Each sensor, animal or tag is an instance. The column that numbers the instances has few values and
+    changes from row to row in at least half of the rows. In addition, either its name is that of an instance,
+    or the times are even within each of its values and uneven over all rows. Without such a column the result
+    is ``("", [])``.
     """
     time = time_s[kept]
     if len(time) < 10:
@@ -548,7 +551,7 @@ def find_mixed(table: Table, time_s: Array, kept: NDArray[np.bool_], used: Set[s
 
 
 def _evenness(time: Array) -> float:
-    """Return the fraction of the time steps that differ from the median step by at most half of it."""
+    """Return the fraction of time steps that differ from the median time step by at most half of it."""
     steps = np.diff(time)
     if len(steps) == 0 or not np.median(steps) > 0:
         return 0.0
@@ -566,7 +569,7 @@ def _distinct(values: NDArray[Any]) -> list[str]:
 
 
 def empty_unlikely(columns: dict[str, Array], sources: dict[str, str], minimum: float) -> dict[str, int]:
-    """Set coordinates of unlikely tracked points to NaN, in place; return their number by likelihood column.
+    """Set coordinates of unlikely tracked points to NaN, in place; count them by likelihood column.
 
     A likelihood applies to the coordinates whose names begin with the name of the same point, in the log or
     in the file. A sample without a likelihood counts as unlikely.
@@ -597,7 +600,7 @@ def empty_unlikely(columns: dict[str, Array], sources: dict[str, str], minimum: 
 
 
 def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str, Any]) -> Array:
-    """Return the sample times in s, shape (rows,); NaN for a row without a time.
+    """Return the sample times of a foreign file, s, shape (rows,); NaN for a row without a time.
 
     The origin is subtracted before integers become floating-point numbers, so that no digit is lost. With
     ``origin: first`` the time of the first sample in the file's clock is stored as
@@ -620,7 +623,8 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
             raise InputError(f"holds no positive number '{time.rate_hz}' for the rate", file=path, hint=hint)
         factors = [1.0 / rate]
     elif any(is_text(part) for part in parts):
-        # The text of times of day is already converted to seconds at this point.
+        # Parse the text to dates or times of day. Times of day are then in seconds, so that their factor is
+        # 1.
         parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
     known = np.logical_and.reduce([np.isfinite(part) for part in parts])
     if not known.any():
@@ -643,7 +647,7 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
 
 
 def _frames(table: Table, name: str, path: Path) -> Array:
-    """Return a column of frame numbers as floating-point numbers; raise an error for a fraction or a text."""
+    """Return a column of frame numbers as floats; raise an error if a cell is a fraction or text."""
     values = table.columns[name]
     if is_text(values) or values.dtype.kind == "M":
         raise InputError("holds no frame numbers", file=path, column=name)
@@ -658,7 +662,7 @@ def _frames(table: Table, name: str, path: Path) -> Array:
 
 
 def unwrapped(counts: NDArray[Any], period: float) -> Array:
-    """Return the values of a counter that restarts from 0 at ``period``, converted to values that only grow.
+    """Unwrap a counter that restarts from 0 at ``period``: return values that never decrease.
 
     >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
     [65534.0, 65535.0, 65536.0, 65537.0]
@@ -671,10 +675,10 @@ def unwrapped(counts: NDArray[Any], period: float) -> Array:
 def _parsed(
     parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
 ) -> NDArray[Any]:
-    """Return cells of text converted to dates (``datetime64[ns]``), or to times of day in s."""
+    """Convert the text of time cells to dates (``datetime64[ns]``), or to times of day in s."""
     import pandas as pd
 
-    # Write whole numbers in a column next to a text column without a decimal point.
+    # Write whole numbers without a decimal point, before they are joined with the text of another column.
     columns = [pd.Series(part).convert_dtypes().astype("string").str.strip() for part in parts]
     cells = columns[0].str.cat(columns[1:], sep=" ") if columns[1:] else columns[0]
     plain = cells.str.replace(",", ".", regex=False)
@@ -702,7 +706,7 @@ def _parsed(
 #: Maximum fraction of samples in a record with an earlier time than the sample before, and maximum number of
 #: such late samples in sequence. With more late samples, the clock is taken to have been reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
-#: Text in the summary of a record for each kind of rows that are left out or moved.
+#: Text of the import summary for each kind of row that is left out or moved. A number precedes this text.
 ODD_ROWS = {
     "untimed": "without a time left out",
     "repeated": "repeated left out",
@@ -733,7 +737,7 @@ class Order:
 
     @property
     def summary(self) -> str:
-        """Summary of how many rows of each kind are left out or moved; empty if none is."""
+        """Message on the numbers of rows that are left out or moved, by reason; empty if there are none."""
         return "; ".join(f"{count} {ODD_ROWS[name]}" for name, count in self.counts.items() if count)
 
 
@@ -774,8 +778,8 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
 # ---------------------------------------------------------------- draft of a mapping
 
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
-#: Names of columns that state a quantity but no unit: pattern of the whole name in lower case, and target
-#: column.
+#: Target column of the log for each name of a foreign column that states a quantity but no unit. The names
+#: are patterns, which must match the whole name in lower case.
 _NAMES: list[tuple[str, str]] = [
     (r"(lin(ear)?[ _.]*)?acc(el(eration|erometer)?)?" + _XYZ, "a{axis}_m_s2"),
     (r"(gyr(o(scope)?)?|ang(ular)?[ _.]?(vel(ocity)?|rate)|omega)" + _XYZ, "w{axis}_rad_s"),
@@ -804,7 +808,7 @@ class Draft(Result):
 
     @property
     def mapping(self) -> Mapping:
-        """Mapping of the draft. ``import_log`` and ``track_imu`` accept it.
+        """Mapping that the draft contains, for ``import_log`` and ``track_imu``.
 
         Raises
         ------
@@ -885,7 +889,10 @@ def _of_profile(table: Table) -> list[str]:
 
 
 def _of_names(table: Table) -> list[str]:
-    """Return the lines of a drafted mapping that follow from column names and stated units."""
+    """Return the lines of a drafted mapping for a file without a profile.
+
+    The lines follow from the column names and the stated units.
+    """
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
     time = _guess_time(table, columns)
@@ -924,7 +931,7 @@ def _line(key: str, value: Any, comment: str = "") -> str:
 
 
 def _written(key: str, value: Any) -> str:
-    """Return a value as YAML.
+    """Return the value of a key in a drafted mapping as YAML text.
 
     Names and units of the file are in quotes, column numbers and keywords are not.
     """
@@ -934,7 +941,7 @@ def _written(key: str, value: Any) -> str:
 
 
 def named(source: str, written: str | None = None) -> tuple[str, str | None]:
-    """Return target column and unit that follow from the name of a column and from its stated unit.
+    """Return the target column and the unit that follow from a foreign column's name and stated unit.
 
     An unknown target column or unit is ``ASK``. The unit is None for a column of the log format.
 
@@ -966,7 +973,7 @@ def _split(name: str) -> tuple[str, str | None]:
 
 
 def _target(bare: str, unit: str | None) -> str | None:
-    """Return the column of the log format for a name without its unit; None if there is none."""
+    """Return the log column for a foreign column name (without its unit) and unit; None if unknown."""
     for pattern, target in _NAMES:
         hit = re.fullmatch(pattern, bare)
         if hit is not None:
@@ -975,7 +982,7 @@ def _target(bare: str, unit: str | None) -> str | None:
             return wanted if unit is None or unit in fitting else None
     if unit is None or bare == "":
         return None
-    # The unit determines the quantity if no other quantity has this unit.
+    # Derive the quantity from the unit, if no other quantity has this unit.
     quantities = [quantity for quantity, table in UNITS.items() if unit in table]
     word = re.sub(r"[^a-z0-9]+", "_", bare).strip("_")
     if len(quantities) != 1 or not word[:1].isalpha():
@@ -984,10 +991,10 @@ def _target(bare: str, unit: str | None) -> str | None:
 
 
 def _guess_time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
-    """Return the value of ``time:`` for a drafted mapping, as far as names and units state it."""
+    """Return the value of ``time:`` for a drafted mapping, as far as column names and units state it."""
     stated = {name: _unit_of_time(name, table.units.get(name)) for name in columns}
     stamps = [n for n in columns if stated[n] != ASK or OF_TIME.fullmatch(_split(n.strip())[0])]
-    # The time stamp of the sensor has precedence over the time stamp of the recorder.
+    # Prefer the time stamp of the sensor (in the message header) to the time stamp of the recorder.
     stamps.sort(key=lambda name: "header" not in name.lower())
     counts = [name for name in columns if COUNT.fullmatch(name.strip().lower())]
     if TIME in columns:
@@ -1011,7 +1018,7 @@ def _unit_of_time(name: str, written: str | None) -> str:
 
 
 def _first(values: Any) -> str:
-    """Return the first three values of a column as text, for a comment."""
+    """Return the first three values of a column as text, for a comment in a drafted mapping."""
     if values.dtype.kind == "f":
         return ", ".join(f"{value:.6g}" for value in values[:3])
     return ", ".join(str(value)[:30] for value in values[:3])

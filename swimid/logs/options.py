@@ -11,7 +11,7 @@ from swimid.options import Options, Source, option
 
 
 class ImportOptions(Options):
-    """Options of the import of a log."""
+    """Options of the command ``import``, which converts a foreign log to the log format."""
 
     map_path: Source = option(None, flag="--map", recorded=False, help="Mapping file (swimid-mapping/1).")
     profile: str | None = option(
@@ -53,7 +53,10 @@ class ImportOptions(Options):
 
     @property
     def stated(self) -> dict[str, Any]:
-        """Values that the user states about a foreign file. They replace or complete those of its mapping."""
+        """Values that the user gives for a foreign file, such as its format and unit of length, by option.
+
+        They replace or complete the values of the mapping of the file.
+        """
         names = {"profile", "select", "rate_hz", "length_unit", "min_likelihood"}
         return self.model_dump(include=names, exclude_none=True)
 
@@ -64,7 +67,7 @@ class ImportOptions(Options):
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
-        """Return the options for the provenance, without those that the user did not give."""
+        """Return the import options for the provenance of a log, without those that the user did not give."""
         return {key: value for key, value in super().settings(**found).items() if value is not None}
 
 

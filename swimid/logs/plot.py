@@ -30,7 +30,7 @@ PICTURES = (".svg", ".png")
 
 @dataclass(frozen=True, eq=False)
 class Drawn(Result):
-    """Figures of logs, which ``plot`` returns. They are saved as one picture."""
+    """Result of ``plot``: figures of one or several logs, which are saved as one picture."""
 
     kind = "Log"
 
@@ -127,9 +127,9 @@ def _picture(path: Path) -> Path:
 
 # ---------------------------------------------------------------- figures
 
-#: Maximum number of channels in a figure. Further channels are only listed in the table.
+#: Maximum number of channels that a figure of logs draws. The caption states the number of further channels.
 MAX_PANELS = 12
-#: Maximum number of shaded gaps in a panel, maximum number of spectra in a figure, and maximum number of
+#: Limits for the figures of logs: maximum number of shaded gaps in a panel, of spectra in a figure, and of
 #: arrows along a path.
 MAX_GAPS, MAX_SPECTRA, MAX_ARROWS = 60, 6, 24
 
@@ -163,7 +163,10 @@ def _missing(time: Array, values: Array, after: NDArray[np.intp]) -> list[tuple[
 
 
 def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return a channel with a NaN sample in every pause, so that no line is drawn across the pause."""
+    """Return times and values of a channel, with a NaN sample inserted in each pause of the time stamps.
+
+    No line is then drawn across the pause. ``after`` has the index of the last sample before each pause.
+    """
     if not len(after):
         return time, values
     middle = 0.5 * (time[after] + time[after + 1])
@@ -171,14 +174,14 @@ def _broken(time: Array, values: Array, after: NDArray[np.intp]) -> tuple[Array,
 
 
 def channels(logs: Sequence[Log]) -> Figure:
-    """Return the figure of the channels over time, with shaded gaps. Several logs share the panels."""
+    """Return the figure of log channels over time, with shaded gaps. Several logs share the panels."""
     names, several = _names(logs), len(logs) > 1
     after = [pauses(record.time_s) for record in logs]
     by_channel: dict[str, list[tuple[int, Log, Array]]] = {}
     for number, record in enumerate(logs):
         for column, values in record.signals.items():
             by_channel.setdefault(column, []).append((number, record, values))
-    # List the channels that several logs have before the others.
+    # Draw the channels that the largest number of logs have in common first.
     order = sorted(by_channel, key=lambda channel: -len(by_channel[channel]))
     panels = []
     for channel in order[:MAX_PANELS]:
@@ -217,7 +220,10 @@ def _names(logs: Sequence[Log]) -> list[str]:
 
 
 def track(logs: Sequence[Log]) -> Figure | None:
-    """Return the figure of the path, to scale, from above or from the side, with arrows along the heading."""
+    """Return the figure of the robot's path, to scale, from above or from the side; None without a path.
+
+    Arrows along the path show the heading.
+    """
     traces: list[Trace] = []
     across, several = "", len(logs) > 1
     for name, record in zip(_names(logs), logs, strict=True):
@@ -243,7 +249,7 @@ def track(logs: Sequence[Log]) -> Figure | None:
 
 
 def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
-    """Return a trace with arrows along the heading. It is one line with interruptions."""
+    """Return arrows along the heading at points of a path, drawn as one line with interruptions."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(angle))
     rows = good[np.linspace(0, len(good) - 1, min(MAX_ARROWS, len(good))).astype(int)]
     size = 0.06 * max(float(np.ptp(x[good])), float(np.ptp(y[good])), 1e-9) if len(good) else 0.0
@@ -257,7 +263,10 @@ def _arrows(x: Array, y: Array, angle: Array, label: str) -> Trace:
 
 
 def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
-    """Return the spectra of the channels that move with the stroke, with marked stroke harmonics."""
+    """Return the figure of the spectra of channels that may oscillate with the stroke.
+
+    The harmonics of the stroke are marked, if a stroke was found.
+    """
     told = (SIDEWAYS, PUSHED)
     signals = {n: v for n, v in record.signals.items() if any(names.fullmatch(n) for names in told)}
     caption = "No stroke was found."
@@ -293,7 +302,7 @@ def _spectra(record: Log, stroke: Rhythm | None) -> Figure:
 
 
 def _spectrum(time: Array, values: Array, stroke: Rhythm | None) -> tuple[Array, Array] | None:
-    """Return the spectrum of a channel: frequencies, Hz, and amplitudes; None if it is too short."""
+    """Return the spectrum of a channel: frequencies, Hz, and amplitudes; None if too short or constant."""
     even_s, even = longest_even(time, values, MAX_RATE_HZ)
     if len(even) < 32 or np.ptp(even) == 0:
         return None

@@ -13,36 +13,36 @@ from swimid.logs.log import runs
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-#: Minimum length of a gap in a record, in sampling intervals. A shorter pause is no gap.
+#: Minimum time between successive samples of a record that counts as a gap, in sampling intervals.
 PAUSE = 6.0
 #: Maximum difference between a time step and a whole number of sampling intervals, as a fraction of one
 #: interval. A time step within this tolerance is on the grid.
 ON_GRID = 0.15
-#: Minimum fraction of the time steps on the grid, for a record that counts as uniformly sampled.
+#: Minimum fraction of the time steps that are a whole number of sampling intervals, in a record that counts
+#: as uniformly sampled.
 UNIFORM_SHARE = 0.8
-#: Minimum root-mean-square jitter of the time steps, in sampling intervals, for a warning.
+#: Root-mean-square jitter of the time steps above which a warning is given, in sampling intervals.
 NOTABLE_JITTER = 0.05
-#: Limits for the judgement of the sampling: minimum ratio of neighbouring time steps in uneven sampling,
-#: minimum ratio in bursts, and minimum fraction of the steps that have such a ratio. A single missing sample
+#: Criteria for uneven sampling: minimum ratio of successive time steps that counts as uneven, minimum ratio
+#: that counts as a burst, and minimum fraction of the time steps with such a ratio. A single missing sample
 #: causes a ratio of 2.
 UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
-#: Minimum number of time steps of a record whose sampling is judged. With fewer steps a missing sample cannot
-#: be distinguished from coarse rounding.
+#: Minimum number of time steps of a record whose sampling is judged. With fewer time steps a missing sample
+#: cannot be distinguished from coarse rounding of the time stamps.
 LONG_ENOUGH = 20
-#: Maximum number of consecutive missing samples within one piece of a record. A longer gap starts a new
-#: piece.
+#: Maximum length of a gap within one evenly sampled piece of a record, in sampling intervals. The record is
+#: divided at longer gaps.
 LONGEST_FILL = 1000
 #: Maximum relative difference between two sampling intervals that count as equal.
 SAME_RATE = 0.01
 #: Minimum number of distinct values of a continuous signal, and minimum ratio of this number to the number of
 #: samples. A column with fewer distinct values is taken for commanded levels.
 LEVELS, LEVEL_SHARE = 100, 0.05
-#: Maximum number of samples of a record that are searched for a motion. Only the middle of a longer record is
-#: searched.
+#: Maximum number of samples of a record in the search for a periodic motion. Only the middle of a longer
+#: record is searched.
 LONGEST_SOUGHT = 1_000_000
-#: Maximum rounding step of a computed periodic signal, as a fraction of its range. Such a signal has few
-#: distinct values, like commanded levels, but levels are coarser. An example is a sine with 20 samples per
-#: period.
+#: Maximum rounding step, as a fraction of the range, of a signal with few distinct values that still counts
+#: as continuous. An example is a computed sine with 20 samples per period. Commanded levels are coarser.
 FINE = 1e-4
 
 
@@ -133,7 +133,7 @@ class Piece:
     rows: np.ndarray
 
     def take(self, column: np.ndarray) -> np.ndarray:
-        """Return a column of the record on the time grid of this piece, with NaN for missing samples."""
+        """Return a column of the record at the grid times of this piece, with NaN for missing samples."""
         return np.where(self.rows >= 0, np.asarray(column, dtype=float)[self.rows], np.nan)
 
 
@@ -154,8 +154,8 @@ def rate(time_s: np.ndarray) -> Rate:
         line = _rounded_grid(time_s, (float(np.mean(steps)), median))
         if line is not None:
             return Rate(float(f"{line[0]:.10g}"), 0.0, 1.0)
-    # The median time step of stamps rounded to milliseconds is biased. The mean of the steps near the median
-    # is not.
+    # Compute the sampling interval as the mean of the time steps near their median. The median itself is
+    # biased if the stamps are rounded to milliseconds.
     typical = float(f"{np.mean(steps[np.abs(steps - median) <= 0.5 * median]):.10g}")
     relative = steps / typical
     whole = np.maximum(np.round(relative), 1)
@@ -168,7 +168,7 @@ def rate(time_s: np.ndarray) -> Rate:
 def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[float, np.ndarray, float] | None:
     """Return the measurement times of an evenly sampling sensor whose samples are stamped late.
 
-    Return None if no even times agree with the stamps.
+    Return None if no evenly spaced times agree with the stamps.
 
     Parameters
     ----------
@@ -195,14 +195,16 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
     fits = [line for line in lines if line is not None]
     if not fits:
         return None
-    # Take the longest sampling interval that fits, because it needs the fewest missing samples.
+    # Of the sampling intervals that agree with the stamps, choose the longest, because it implies the
+    # smallest number of missing samples.
     step, number = max(fits, key=lambda line: line[0])
     reach = 4.0 * lateness_s / number[-1]
 
     def excess(one: float) -> float:
         return float(np.ptp(time_s - one * number)) - lateness_s
 
-    # The excess is convex in the step. Evenly spaced times fit the stamps where the excess is not positive.
+    # Find the range of sampling intervals for which evenly spaced times agree with the stamps. In this range
+    # the excess, a convex function of the interval, is not positive.
     bounds = step - reach, step + reach
     best = optimize.minimize_scalar(excess, bounds=bounds, method="bounded", options={"xatol": 1e-6 * reach})
     if best.fun >= 0.0 or min(excess(bound) for bound in bounds) <= 0.0:
@@ -216,12 +218,12 @@ def late_grid(time_s: np.ndarray, step_s: float, lateness_s: float) -> tuple[flo
 def _rounded_grid(
     time_s: np.ndarray, starts: Sequence[float], unit: float | None = None, first_s: float | None = None
 ) -> tuple[float, np.ndarray] | None:
-    """Return step and sample numbers of the uniform grid whose rounded times are the given time stamps.
+    """Return step and sample numbers of the uniform time grid whose rounded times equal the time stamps.
 
     ``starts`` are guesses of the step. ``unit`` is the rounding unit of the stamps (default: their last
-    decimal place). ``first_s`` is a guess of the first grid point (default: the first stamp). A line through
-    stamps against sample numbers is fitted to a growing part of the record, so that the guess of the step
-    need be good for a few samples only. The result is None if any stamp differs from the grid by more than
+    decimal place). ``first_s`` is a guess of the first grid point (default: the first stamp). A straight line
+    of time over sample number is fitted to a growing part of the record. Therefore the guess of the step need
+    be good only for the first few samples. The result is None if any stamp differs from the grid by more than
     the rounding.
     """
     time_s = np.asarray(time_s, dtype=float)
@@ -250,25 +252,25 @@ def _rounded_grid(
         if np.any(np.diff(number) < 1) or unit > step * (1 + 1e-6):
             continue
         if np.mean(np.diff(number) == 1) < UNIFORM_SHARE:
-            continue  # any rounded stamps lie on the grid of their rounding unit, with many gaps
+            continue  # reject a grid with many missing samples, such as that of the rounding unit
         off = time_s - origin - step * number
-        # The error of the fitted line adds to the rounding error of the stamps.
+        # Allow for the error of the fitted line in addition to the rounding error of the stamps.
         if np.ptp(off) <= unit * (1 + 4 / np.sqrt(n)) + 1e-9 * step:
             return step, number.astype(int)
     return None
 
 
 def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
-    """Return the pieces of a record that lie on time grids of the same rate.
+    """Divide a record into pieces whose samples lie on time grids of the same constant rate.
 
-    The record is cut where the time stamps leave the grid.
+    The record is divided where the time stamps leave the grid.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
         Strictly increasing, s.
     step_s : float
-        Sample time.
+        Sampling interval, s.
 
     Returns
     -------
@@ -279,8 +281,8 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
     time_s = np.asarray(time_s, dtype=float)
     line = _rounded_grid(time_s, (step_s,))
     if line is not None and abs(line[0] / step_s - 1) < SAME_RATE:
-        # Rounded stamps can lie on the grid although single steps are far from a whole number of sampling
-        # intervals.
+        # All stamps agree with one grid within their rounding. Do not divide the record at single time steps,
+        # although rounding may shift them far from a whole number of sampling intervals.
         whole = np.diff(line[1]).astype(float)
         cut = np.zeros(len(whole), dtype=bool)
     else:
@@ -299,9 +301,10 @@ def pieces(time_s: np.ndarray, step_s: float) -> list[Piece]:
 
 
 def _one_late_stamp(relative: np.ndarray) -> np.ndarray:
-    """Return flags of pairs of time steps that add up to two sampling intervals.
+    """Flag each pair of successive time steps that add up to two sampling intervals.
 
-    The stamp between the two steps is off the grid.
+    Only the time stamp between such steps is off the grid. ``relative`` holds the time steps in sampling
+    intervals.
     """
     pair = relative[:-1] + relative[1:]
     whole = (np.abs(pair - np.round(pair)) <= ON_GRID) & (np.round(pair) == 2)
@@ -345,11 +348,10 @@ def has_levels(values: np.ndarray) -> bool:
 
 
 def step_of(values: np.ndarray) -> float | None:
-    """Return the step of which all values are multiples; None if there is none.
+    """Return the rounding step of a signal: all differences between its values are multiples of this step.
 
-    The tolerance is 2 % of the step.
-
-    Fewer than four distinct values have no step.
+    The tolerance is 2 % of the step. The result is None if there is no such step, or for fewer than four
+    distinct values.
 
     >>> step_of(np.array([0.0, 0.0, 0.5, 1.0, 1.0, 1.5, 3.0]))
     0.5
@@ -361,13 +363,13 @@ def step_of(values: np.ndarray) -> float | None:
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     count = np.round((values - values[0]) / step)
     if count[-1] > 0:
-        # Compute the step again from the whole range, which gives a more precise value.
+        # Compute the step again from the range of all values, which gives a more precise result.
         step = float((values[-1] - values[0]) / count[-1])
     return step if np.max(np.abs((values - values[0]) / step - count)) < 0.02 else None
 
 
 def quantum(values: Sequence[float] | np.ndarray) -> float:
-    """Return the last decimal place of values as a step (0.01 for two decimals); 0 if not rounded.
+    """Return the unit of the last decimal place of values (0.01 for two decimals); 0 if not rounded.
 
     >>> quantum(np.array([0.25, 1.5, -0.75]))
     0.01
@@ -425,7 +427,7 @@ def longest_even(
         return np.empty(0), np.empty(0)
     even = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / float(np.median(np.diff(t)))) + 1, 2))
     if len(even) == len(t) and np.allclose(even, t, rtol=0.0, atol=1e-6 * (even[1] - even[0])):
-        return t, x  # interpolation would distort a signal with jumps
+        return t, x  # do not interpolate even samples, because this would distort jumps
     return even, np.interp(even, t, x)
 
 
@@ -454,13 +456,14 @@ def white_noise_sd(values: np.ndarray, least: float) -> float:
 
 # ---------------------------------------------------------------- repeated samples
 
-#: Maximum ratios of a step of the signal to the next step in the search for repeated samples with jitter.
-#: Each ratio is tried. The ratio 0 stands for exact repeats.
+#: Maximum ratio of the step of a signal to a repeated sample to the step after it, in the search for repeated
+#: samples with jitter. Each of these values is tried. The value 0 finds exact repeats only.
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1)
-#: Probability of a false detection of repeated samples in a log that has none.
+#: Probability that repeated samples are found in a log that has none.
 FALSE_ALARM = 1e-3
-#: Minimum length of a rest, or of a period with a frozen sensor value, in measurement intervals; and maximum
-#: step of the signal after a rest, in median steps. The step after a frozen value is larger.
+#: Minimum time for which a signal must keep one value to count as a rest of the robot or a frozen sensor, in
+#: measurement intervals; and maximum step of the signal after a rest, in median steps. The step after a
+#: frozen sensor value is larger.
 LONG_HOLD, NEAR = 5.0, 3.0
 #: Pattern of the columns that are commanded or computed, not measured: commands, standard deviations,
 #: likelihoods and confidences.
@@ -468,9 +471,9 @@ SET = re.compile(r"cmd.*|.*_sd(_.*)?|.*likelihood|.*confidence")
 #: Maximum rounding step of a channel that is searched for a sudden stop, as a fraction of its mean change per
 #: sample. A channel with coarser rounding repeats values even while it moves.
 NEAR_ROUNDED = 0.2
-#: Maximum sum of the steps before and after a turning point of a smooth signal, relative to the sum of their
-#: magnitudes. The value is twice the largest of ``RATIOS``, because the mean of the two steps is about equal
-#: to the step between them.
+#: Maximum magnitude of the sum of the steps before and after a turning point of a smooth signal, relative to
+#: the sum of their magnitudes. At a turning point the mean of these two steps is about equal to the step
+#: between them. Therefore the limit is twice the largest of ``RATIOS``.
 TURN = 2.0 * RATIOS[-1]
 
 
@@ -506,7 +509,7 @@ class Held:
 
 
 def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
-    """Find the samples of a sensor that repeat the previous measurement, in a log with a higher rate.
+    """Find repeats of a sensor's previous measurement, in a log with a higher rate than the sensor.
 
     Equal samples of a robot at rest, of a counter between its increments, and of a command with a few levels
     are not taken for repeats.
@@ -568,13 +571,13 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
 
 
 def may_freeze(name: str, values: Array) -> bool:
-    """Return whether a channel can show a frozen sensor: it is measured, continuous, and long enough."""
+    """Return whether a channel can be checked for a frozen sensor: measured, continuous and long enough."""
     known = values[np.isfinite(values)]
     return not SET.fullmatch(name) and len(known) >= LONG_ENOUGH and not has_levels(known)
 
 
 def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
-    """Return the longest period, by start and end in s, over which each frozen channel holds one value.
+    """Find frozen channels; return start and end, s, of the longest period in which each holds one value.
 
     A channel is frozen under two conditions. It holds one value more than :data:`LONG_HOLD` times as long as
     it usually does. In addition it jumps to or from that value, or stops suddenly while it moves. A robot
@@ -611,10 +614,10 @@ def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[
 
 
 def _step_sizes(place: Array) -> Array:
-    """Return the size of each step between samples, relative to the usual changes of the channels.
+    """Return a dimensionless size of each step between successive samples of a sensor, shape (n - 1,).
 
-    A change is divided by the 95th percentile of the changes of its channel. The size is the largest
-    quotient.
+    The change of each channel is divided by the 95th percentile of the changes of that channel. The size of a
+    step is the largest of these quotients over all channels.
     """
     steps = np.abs(np.diff(place, axis=0))
     missing = np.isnan(place)
@@ -629,7 +632,7 @@ def _step_sizes(place: Array) -> Array:
 
 
 def _turns(place: Array) -> Flags:
-    """Return flags of the steps at a turning point of all channels, which do not show repeated samples."""
+    """Flag the steps at a turning point of all channels, which are small although no sample is repeated."""
     steps = np.diff(place, axis=0)
     before, after = steps[:-2], steps[2:]
     back = np.abs(before + after) <= TURN * (np.abs(before) + np.abs(after))
@@ -639,7 +642,7 @@ def _turns(place: Array) -> Flags:
 
 
 def rounding_ratio(values: Array) -> float:
-    """Return the rounding step of a channel divided by its mean change per sample."""
+    """Return the rounding step of a channel divided by its mean change per sample; inf if it is constant."""
     known = values[np.isfinite(values)]
     if len(known) == 0 or not np.ptp(known) > 0:
         return np.inf
@@ -647,10 +650,10 @@ def rounding_ratio(values: Array) -> float:
 
 
 def _small(sizes: Array, ratio: float) -> Flags:
-    """Return flags of the steps smaller than ``ratio`` times the next step, and of steps of similar size.
+    """Flag the steps that are smaller than ``ratio`` times the next step, and all steps of similar size.
 
-    A step is of similar size if it is below the geometric mean of the small steps and the large steps next to
-    them.
+    The limit of similar size is the geometric mean of two medians: that of the small steps, and that of the
+    large steps that follow them.
     """
     if ratio == 0.0:
         return sizes == 0.0
@@ -662,9 +665,9 @@ def _small(sizes: Array, ratio: float) -> Flags:
 
 
 def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
-    """Return the flags of small steps, with those at rest removed.
+    """Return the flags of small steps without the steps during a rest of the robot.
 
-    After a rest the signal continues from the same value.
+    A rest is a long sequence of small steps that no large step follows.
     """
     fresh = np.concatenate(([True], ~small))
     if fresh.sum() < 3 or not small.any():
@@ -680,29 +683,31 @@ def _without_rests(time_s: Array, sizes: Array, small: Flags) -> Flags:
 
 
 def _timed(time_s: Array, rows: NDArray[np.intp], repeated: Flags) -> Held:
-    """Return repeated samples, with an estimate of the time at which each sample was measured."""
+    """Return the repeated samples of a log, with an estimate of the time at which each was measured."""
     fresh = rows[~repeated[rows]]
     stamps, step = time_s[fresh], usual_step(time_s)
     gaps = np.diff(stamps)
     period = float(np.mean(gaps[gaps <= LONG_HOLD * np.median(gaps)]))
-    # The log may begin while a value is repeated. Then the first stamp is late by more than one step.
+    # Leave out the first stamp. If the log begins during repeats of a measurement, this stamp is late by more
+    # than one time step.
     line = late_grid(stamps[1:], period, step)
-    # Each unevenly spaced stamp agrees with an evenly sampling sensor by chance with probability step /
-    # period.
+    # Unevenly spaced stamps may agree with an evenly sampling sensor by chance, each with the probability
+    # step / period. Accept an evenly sampling sensor only if this is improbable for all stamps together.
     if line is None or (len(stamps) - 3) * np.log(line[0] / step) < -np.log(FALSE_ALARM):
         return Held(repeated, period, step, time_s, step / np.sqrt(12.0))
     period, measured, slack = line
     measured = np.append(measured[0] - period, measured)
-    # A repeated sample holds the measurement of the last new sample before it.
+    # Give each repeated sample the measurement time of the last new sample before it.
     shown = np.clip(np.searchsorted(fresh, np.arange(len(time_s)), side="right") - 1, 0, None)
-    # The time of the last measurement is uniformly distributed over the interval ``slack`` in which it can
-    # lie. Half of the variance of this time is assigned to each end of the record.
+    # The time of the last measurement, relative to the first, is uniformly distributed over an interval of
+    # length ``slack``. Half of the variance of this time is assigned to each end of the record.
     return Held(repeated, period, step, measured[shown], slack / np.sqrt(24.0), even=True)
 
 
 # ---------------------------------------------------------------- rate of change
 
-#: Minimum number of samples to which a cubic polynomial with its 4 coefficients is fitted.
+#: Minimum number of samples in the window to which a cubic polynomial is fitted for a derivative. The
+#: polynomial has 4 coefficients.
 SLOPE_SAMPLES = 6
 
 

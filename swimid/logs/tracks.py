@@ -28,18 +28,20 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Number of steps in the running median that gives the expected velocity, and in the running median that
-#: gives the usual deviation from it.
+#: Window lengths, in steps, of two running medians over a track: that of the expected velocity, and that of
+#: the usual deviation from this velocity.
 WINDOW, WIDE = 11, 41
-#: Minimum deviation of a step that counts as outlying from the expected step, in median deviations. For
-#: Gaussian noise in a plane, six median deviations are seven standard deviations.
+#: Minimum deviation of an outlying step of a track (displacement between two samples) from its expected
+#: value, in median deviations. For Gaussian noise in a plane, six median deviations are seven standard
+#: deviations.
 OUTLYING = 6.0
-#: Minimum speed of an outlying step, divided by the speed of the fastest part of the track; and number of
-#: steps in the running median that gives this speed. A robot can be fast for several steps, but a jump and
-#: return has only two fast steps.
+#: Minimum speed of an outlying step of a track, divided by the speed of the fastest part of the track; and
+#: number of steps in the running median that gives the latter speed. A robot can be fast for several steps,
+#: but a tracking error with return has only two fast steps.
 FASTER, ALIKE = 2.0, 5
-#: Minimum number of samples, and minimum fraction of all samples, in a segment of the track at another place.
-#: A segment with fewer samples is taken for a jump with return.
+#: Minimum number of samples, and minimum fraction of the samples of a track, in a segment that continues the
+#: track at another place after a jump. A shorter segment is taken for a tracking error, after which the track
+#: returns.
 FEW, FEW_SHARE = 12, 0.05
 
 
@@ -76,7 +78,7 @@ class Cleaning:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of repeated samples, number of jumps, and number of samples in jumps."""
+        """Number of repeated samples, number of jumps, and number of samples in jumps of a track, by name."""
         repeats, lost = int(self.repeated.sum()), int(self.jumped.sum())
         return {"repeats": repeats, "jumps": self.jumps, "samples_jumped": lost}
 
@@ -91,7 +93,7 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     positions : list of ndarray, each shape (n,)
         Coordinates, m; NaN where missing.
     others : list of ndarray, optional
-        Other columns of the same picture (angles). In a repeated sample they repeat as well.
+        Other columns from the same camera picture (angles). In a repeated sample they repeat as well.
 
     Notes
     -----
@@ -125,13 +127,13 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
 
 
 def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
-    """Return start and end, s, of each gap between good samples (see :func:`swimid.logs.sampling.pauses`)."""
+    """Return start and end, s, of each gap between good samples of a track, as found by :func:`pauses`."""
     times = time_s[good]
     return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
 
 
 def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
-    """Return flags of the samples that belong to the track, and the rows at which it continues elsewhere."""
+    """Find jumps; return flags of the samples on the track, and the rows at which it continues elsewhere."""
     from scipy import ndimage
 
     steps_s, steps = np.diff(time), np.diff(place, axis=0)
@@ -167,7 +169,11 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
 
 
 def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: float) -> list[int]:
-    """Return the sequence of track pieces that has the most samples, minus ``cost`` for each interruption."""
+    """Return the sequence of track pieces with the most samples, minus ``cost`` for each interruption.
+
+    ``sizes`` holds the number of samples of each piece. ``goes_on(one, other)`` says whether a piece
+    continues another one without an interruption.
+    """
     best = np.zeros(len(sizes))
     link = np.full(len(sizes), -1)
     for k, size in enumerate(sizes):
@@ -186,26 +192,26 @@ def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: 
 
 # ---------------------------------------------------------------- mean speed
 
-#: Minimum number of samples of a gap-free segment from which the speed is estimated.
+#: Minimum number of samples of a gap-free segment of a track from which the speed is estimated.
 MIN_SAMPLES = 12
-#: Maximum number of samples to which one smoothing spline is fitted. A longer segment is cut.
+#: Maximum number of samples of a track to which one smoothing spline is fitted. A longer segment is divided.
 MAX_STRETCH = 1500
-#: Maximum number of samples of a track that are smoothed. Samples of a longer track are left out at equal
-#: intervals.
+#: Number of samples of a track above which it is thinned before smoothing: only every k-th sample is used.
 MAX_SAMPLES = 60_000
-#: Smoothing weights (factors of the squared curvature) among which cross-validation chooses. They are defined
-#: for one sample per unit of time.
+#: Candidates for the smoothing weight of a spline (factor of the squared curvature), among which
+#: cross-validation chooses. Their unit of time is the mean time step of the track.
 STRENGTHS = np.logspace(-4, 6, 11)
-#: Number of folds of the cross-validation that chooses the smoothing weight.
+#: Number of folds of the cross-validation that chooses the smoothing weight of a track.
 FOLDS = 5
-#: Length of the start and of the end of a track whose fits give the displacement: number of cycles of the
-#: periodic motion, or, without a periodic motion, fraction of the duration. A track shorter than both
-#: together is fitted as a whole.
+#: Length of each of the two segments, at the start and at the end of a track, whose fits give the
+#: displacement: number of cycles of the periodic motion, or, without a periodic motion, fraction of the
+#: duration. A track shorter than the two segments together is fitted as a whole.
 END_CYCLES, END_SHARE = 4.0, 0.125
-#: Maximum order of the polynomial that is fitted to a whole track, and order of the polynomials that are
-#: fitted to its start and its end.
+#: Polynomial orders in the fits that give the displacement of a track: maximum order for a whole track, and
+#: order for the segments at its start and its end.
 MAX_ORDER, END_ORDER = 3, 2
-#: Number of blocks of a track whose mean speeds give the uncertainty of the mean speed.
+#: Number of blocks into which a track is divided. The variation of their mean speeds gives the uncertainty of
+#: the mean speed of the track.
 BLOCKS = 12
 
 
@@ -241,9 +247,10 @@ class TrackSpeed:
 
 
 def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimate:
-    """Return a weighted mean with its 95 % interval from the means of :data:`BLOCKS` blocks.
+    """Return the weighted mean of values with its 95 % interval from the means of :data:`BLOCKS` blocks.
 
-    The blocks have equal weight. The interval is that of Student's t.
+    The values are divided into blocks of equal weight. The interval is Student's t interval of the block
+    means.
 
     Parameters
     ----------
@@ -263,7 +270,7 @@ def mean_of_blocks(values: Array, weights: Array, shift: float = 0.0) -> Estimat
     means = np.bincount(block, weights * values, BLOCKS)[held] / totals[held]
     half = 0.0
     if len(means) > 1:
-        # Widen the interval for the correlation of neighbouring blocks.
+        # Widen the interval, because the means of successive blocks are correlated.
         off = means - means.mean()
         together = float(off[1:] @ off[:-1] / max(float(off @ off), 1e-300))
         widen = np.sqrt((1 + max(together, 0.0)) / (1 - min(max(together, 0.0), 0.8)))
@@ -277,7 +284,7 @@ def net_speed(
 ) -> Estimate | None:
     """Return the net speed of a track: the displacement of its averaged path divided by its duration.
 
-    The unit is that of ``place`` per s.
+    The unit is that of the positions ``place`` per s.
 
     Parameters
     ----------
@@ -289,7 +296,7 @@ def net_speed(
         Frequency of the periodic motion, Hz, known to a tenth of a cycle over the record. This motion is
         fitted and left out of the displacement.
     stamp_sd_s : float
-        Standard deviation of the stamps, s.
+        Standard deviation of the errors of the time stamps, s.
 
     Returns
     -------
@@ -425,7 +432,7 @@ def speed(
         smooth, slope = _smoothed(t, x, strength)
         left = x - smooth
         again = _smoothed(t, smooth + rng.choice(left, len(left)), strength)[1]
-        part = np.convolve(np.diff(t), [0.5, 0.5])  # each sample represents this duration
+        part = np.convolve(np.diff(t), [0.5, 0.5])  # duration, s, that each sample represents
         weights[rows] = part
         velocity[rows] = slope
         excess += float(part @ (np.linalg.norm(again, axis=1) - np.linalg.norm(slope, axis=1)))
@@ -444,9 +451,9 @@ def speed(
 
 
 def _stretches(time_s: Array, cleaning: Cleaning) -> list[NDArray[np.int64]]:
-    """Return the rows of each segment without a gap or jump, if it is long enough for smoothing.
+    """Return the rows of each segment of a track without gaps and jumps, if long enough for smoothing.
 
-    Long segments are cut.
+    Segments of more than :data:`MAX_STRETCH` samples are divided.
     """
     rows = np.flatnonzero(cleaning.good)
     rows = rows[:: max(len(rows) // MAX_SAMPLES, 1)]
@@ -468,7 +475,7 @@ def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
     from scipy.interpolate import make_smoothing_spline
 
     step = float(np.mean(np.diff(t)))
-    unit = (t - t[0]) / step  # the equations of the spline are ill-conditioned in other units
+    unit = (t - t[0]) / step  # the spline is ill-conditioned in other units of time
     smooth, slope = np.empty_like(x), np.empty_like(x)
     for axis, lam in enumerate(strength):
         size = max(float(np.ptp(x[:, axis])), 1e-300)
@@ -479,7 +486,10 @@ def _smoothed(t: Array, x: Array, strength: Array) -> tuple[Array, Array]:
 
 
 def _strength(t: Array, x: Array) -> Array:
-    """Return the smoothing weight of each coordinate with the smallest held-out squared error, shape (d,)."""
+    """Return the smoothing weight of each coordinate of a track with the least held-out squared error.
+
+    The result has the shape (d,).
+    """
     from scipy.interpolate import make_smoothing_spline
 
     unit = (t - t[0]) / float(np.mean(np.diff(t)))

@@ -47,7 +47,7 @@ class StrokeDrive(yamlio.Document):
     stroke: str
     #: Frequency of the stroke, Hz; by default the one in the robot file.
     frequency_hz: PositiveFloat | None = None
-    #: Factor by which the joint angles of the stroke are multiplied.
+    #: Factor by which the joint angles of the stroke in the robot file are multiplied.
     scale: Annotated[float, Field(ge=0)] = 1.0
     ramp_s: Annotated[float, Field(ge=0)] = 0.0
     #: Number of stroke cycles after which the joints rest; by default the stroke does not end.
@@ -63,13 +63,14 @@ def _kind_of_drive(value: Any) -> str:
 class Trial(yamlio.Document):
     """Keys that a trial of any experiment has in a trials file."""
 
-    #: Log of the trial if it is in memory. In this case ``log`` is the name of the log.
+    #: Log of the trial if the log is in memory; None if it is a file. For a log in memory, the key ``log`` is
+    #: its name.
     _held: Log | None = PrivateAttr(default=None)
 
     id: str = ""
     log: str
     role: Literal["fit", "validate"] = "fit"
-    #: Start and end of the period of the log that is used, s.
+    #: Start and end of the part of the log that is used, s; by default the start and the end of the log.
     start_s: float | None = None
     end_s: float | None = None
 
@@ -111,16 +112,16 @@ class FreeSwimTrial(Trial):
         ]
         | None
     ) = None
-    #: Coefficients of the model that have another value in this trial, for instance the stiffness of a
-    #: spring.
+    #: Coefficients of the model, by name, whose values in this trial differ from the robot file, such as the
+    #: stiffness of a spring.
     coefficients: dict[str, float] = {}
-    #: Initial state of the trial, at the first sample: at rest, estimated, or steady swimming under the
-    #: drive.
+    #: Initial state of the robot at the first sample of the trial: at rest, estimated from the log, or in
+    #: steady swimming under the drive.
     start_state: Literal["auto", "rest", "estimate", "steady"] = "auto"
 
 
 class Trials(yamlio.Document):
-    """Keys that the trials file of any experiment has."""
+    """Keys that a trials file has for every kind of experiment."""
 
     _in_memory: bool = PrivateAttr(default=False)
 
@@ -150,9 +151,10 @@ class FreeDecay(Trials):
 
 
 class Cruise(Trials):
-    """Trials file of a cruise: a table of cruising speeds."""
+    """Trials file of a cruise experiment, which names a table of cruising speeds."""
 
-    #: Table of cruising speeds if it is in memory. In this case ``table`` is its name.
+    #: Table of cruising speeds if it is in memory; None if it is a file. For a table in memory, the key
+    #: ``table`` is its name.
     _held: Any = PrivateAttr(default=None)
 
     experiment: Literal["cruise"]
@@ -168,14 +170,14 @@ class FreeSwim(Trials):
 
 
 class Multibody(Trials):
-    """Trials file for a robot with links. The logs have joint angles, a pose, or both."""
+    """Trials file for a robot of rigid links. The logs have joint angles, a pose, or both."""
 
     experiment: Literal["multibody"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
 
 class Arma(Trials):
-    """Trials file for a black-box model from one input column to one output column."""
+    """Trials file for a black-box model from one input column to one output column of the logs."""
 
     experiment: Literal["arma"]
     input: str | None = None
@@ -194,7 +196,7 @@ AnyTrials = Annotated[
     Field(discriminator="experiment"),
 ]
 
-#: Paths of the keys of a trials file that every function with trials uses.
+#: Keys of a trials file, as dotted paths, that every function that computes with trials uses.
 EVERYWHERE = frozenset(
     {"format", "experiment", "robot", "trials"}
     | {f"trials.{key}" for key in ("id", "log", "role", "start_s", "end_s")}
@@ -314,9 +316,9 @@ class TrialSet:
 
 
 def place(source: str | Path | TrialSet) -> Path:
-    """Return the path of trials: that of the file, or a name for trials in memory.
+    """Return the path of a trials file; for trials in memory, return their name as a path.
 
-    Messages name this path, and the paths of logs are relative to it.
+    Messages name this path. Paths of logs and robot files are relative to its folder.
     """
     return source.path if isinstance(source, TrialSet) else Path(source)
 
@@ -326,7 +328,7 @@ def read(
     *experiments: type[T],
     uses: Mapping[str, Collection[str]] | None = None,
 ) -> T:
-    """Return trials in a file or in memory; raise an error if their experiment is not one of those given.
+    """Return the content of a trials file or of trials in memory, if it is of one of the given experiments.
 
     Parameters
     ----------
@@ -386,7 +388,7 @@ def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the path and the value of each key of a document that differs from its default."""
+    """Yield the dotted path and the value of each key of a document whose value is not the default."""
     for name in type(document).model_fields:
         value = getattr(document, name)
         if name not in document.model_fields_set or value == type(document).model_fields[name].default:
@@ -416,7 +418,7 @@ def _refuse_unused(trials: Trials, path: Path, uses: Collection[str], data: Any)
 
 
 def check_apart(one: Trial, other: Trial, file: Path, line: int | None = None) -> None:
-    """Raise an error if one trial fits rows of a log that the other holds out; warn if both fit them.
+    """Raise an error if a trial fits rows of a log that another one holds out; warn if both fit them.
 
     Two adjacent trials may have one row in common.
 

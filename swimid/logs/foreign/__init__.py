@@ -45,10 +45,11 @@ Array = NDArray[np.float64]
 
 # ---------------------------------------------------------------- units
 
-_G = 9.80665  # standard gravity, ISO 80000-3
+_G = 9.80665  # standard gravity, m/s², ISO 80000-3
 _DEG, _REV, _RPM = math.pi / 180, 2 * math.pi, 2 * math.pi / 60
 
-#: Factor from each unit to the SI unit, for each quantity. The first unit of a quantity is the SI unit.
+#: Factor from each unit to the SI unit, by quantity and name of the unit. The first unit of a quantity is the
+#: SI unit.
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
     "pixels": {"px": 1},
@@ -82,7 +83,7 @@ UNITS: dict[str, dict[str, float]] = {
 SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
 #: Names of all known units.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)
-#: Other spellings of each unit.
+#: Other spellings of each unit that are accepted in files and mappings.
 _SPELLED = {
     "s": ("sec", "secs", "second", "seconds"),
     "ms": ("msec", "millis", "milliseconds"),
@@ -112,7 +113,8 @@ def canonical(unit: str) -> str:
     >>> canonical("m/s^2"), canonical("°/s"), canonical("µT"), canonical("m s-1")
     ('m/s2', 'deg/s', 'uT', 'm/s')
     """
-    # Normalise the characters: NFKC converts "m/s²" to "m/s2", and both characters for micro to the same one.
+    # Normalise the characters of a unit: NFKC converts "m/s²" to "m/s2", and both characters for micro to the
+    # same one.
     text = unicodedata.normalize("NFKC", unit.strip()).replace("μ", "u")
     text = re.sub(r"\*\*|\^", "", text)
     text = re.sub(r"[ *]s-2|/s/s", "/s2", re.sub(r"[ *]s-1", "/s", text))
@@ -168,12 +170,12 @@ def unit_factor(unit: str, column: str) -> float:
 
 # ---------------------------------------------------------------- tables
 
-#: Maximum length of a list in a record whose elements become columns of the table.
+#: Maximum length of a list in a record whose elements become columns of a table. Longer lists are left out.
 MAX_ELEMENTS = 100
 
 
 class Options(yamlio.Document):
-    """Layout of a file that the file does not state itself (key ``reader:`` of a mapping)."""
+    """Layout of a foreign file, as far as the user states it (key ``reader:`` of a mapping)."""
 
     #: Delimiter of a text file: one character, ``tab`` or ``whitespace``.
     delimiter: Annotated[str, Field(pattern=r"^([ !#-~\t]|tab|whitespace)$")] | None = None
@@ -226,7 +228,7 @@ class Table:
     profile: str = ""
 
     def column(self, key: str | int, path: Path) -> str:
-        """Return the name of the column for a key: its name, or its number, counted from 1.
+        """Return the name of the column to which a key refers, which is a name or a number, counted from 1.
 
         Raises
         ------
@@ -247,13 +249,13 @@ class Table:
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
-        """Return the line number of a row, or its row number, as an argument of :class:`InputError`."""
+        """Return the place of a row in the file for an :class:`InputError`: line number, or row number."""
         return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)
 class Peek:
-    """Beginning of a file. A profile recognises its format from it."""
+    """Beginning of a file, by which a profile recognises the format of the file."""
 
     path: Path
     head: bytes
@@ -287,9 +289,9 @@ class Peek:
         return [cell.strip().strip('"') for cell in (self.lines or [""])[0].split(",")]
 
     def holds(self, *names: str) -> bool:
-        """Return whether the file is HDF5 and contains data sets or groups with all these names."""
+        """Return whether the file is HDF5 and contains data sets or groups with all given names."""
         if self.head.startswith(b"\x89HDF"):
-            # If h5py is missing, let the reader of HDF5 name the extra to install.
+            # Ignore a missing h5py here. The reader of HDF5 then names the extra to install.
             with contextlib.suppress(OSError, ImportError):
                 import h5py
 
@@ -361,7 +363,7 @@ def flat(
 
 
 def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Return records without nesting as columns of numbers, dates or text.
+    """Convert flat records to columns of numbers, dates or text, with one row per record.
 
     A number is NaN where a record has no value.
     """
@@ -369,7 +371,8 @@ def of_records(records: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
 
     frame = pd.DataFrame.from_records(records)
     for name, values in frame.items():
-        # The column holds integers over 64 bits, or some records have no value for it.
+        # Convert a column without text to floats. It holds integers over 64 bits, or has no value in some
+        # records.
         if values.dtype == object and not values.map(lambda value: isinstance(value, str)).any():
             frame[name] = pd.to_numeric(values, errors="coerce").astype(float)
     return log.arrays(frame, "records")
@@ -468,7 +471,7 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
 
 
 def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
-    """Return the name of each component of a vector in the file, with its column name in the log.
+    """Return the column name in the log for each component of a vector, by the name in the file.
 
     >>> axes("Gyr{}", "w{}_rad_s", "XYZ", "xyz")
     {'GyrX': 'wx_rad_s', 'GyrY': 'wy_rad_s', 'GyrZ': 'wz_rad_s'}
@@ -478,14 +481,17 @@ def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dic
 
 
 def renamed(table: Table, names: Mapping[str, str]) -> dict[str, Array]:
-    """Return the columns of numbers that ``names`` lists, renamed from the file to the log."""
+    """Return the numeric columns of a table that ``names`` lists, by their names in the log.
+
+    ``names`` maps names in the file to names in the log.
+    """
     columns = table.columns
     found = [name for name in names if name in columns and not is_text(columns[name])]
     return {names[name]: columns[name].astype(float) for name in found}
 
 
 def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
-    """Return a copy of a table with only the rows flagged in ``kept``."""
+    """Return a copy of a table with only the rows that ``kept`` flags."""
     lines = None if table.lines is None else table.lines[kept]
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
 
@@ -523,7 +529,7 @@ def formats() -> dict[str, Format]:
 
 
 def find_format(path: Path, name: str | None) -> Format:
-    """Return the format with a given name, or without a name the format of a file.
+    """Return the file format of a given name, or, without a name, the one that fits a file's content.
 
     Without a name, the format is the profile that recognises the content of the file. If there is none, the
     first bytes and then the ending of the file determine the format. If the name is None, no profile is
@@ -544,8 +550,8 @@ def find_format(path: Path, name: str | None) -> Format:
         return known[name]
     begins = [one for one in known.values() if one.magic and peek.head.startswith(one.magic)]
     ends = [one for one in known.values() if path.suffix.lower() in one.endings]
-    # Try the log format of swimid last, because a log of another program may have a column named like its
-    # time.
+    # Try the profile of swimid's own log format last, because a log of another program may have a column
+    # named like its time.
     for one in sorted(known.values(), key=lambda one: one.name == "swimid"):
         fits = one in begins or not one.magic
         if name is not None and one.recognises is not None and fits and one.recognises(peek):

@@ -28,7 +28,8 @@ FIELDS: dict[str, str] = {
     **axes("V{}", "v{}_m_s", "NED", "xyz"),
     **axes("Q{}", "q{}", "1234", "wxyz"),
 }
-#: Factors from degrees to radians and from milligauss to tesla, by the ending of the column name.
+#: Factors from the units of ArduPilot to SI (degrees to radians, milligauss to tesla), by the ending of the
+#: log column.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
 
 
@@ -68,7 +69,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _messages(path: Path, kind: str | None) -> Table:
-    """Return a table of the messages of one type in a text log."""
+    """Return a table of the messages of one type in a text log of ArduPilot."""
     import pandas as pd
 
     text = path.read_text(encoding="utf-8", errors="replace")

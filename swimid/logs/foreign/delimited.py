@@ -26,18 +26,19 @@ if TYPE_CHECKING:
 #: Number of bytes at the beginning of a file from which its layout is determined, and number of lines from
 #: which delimiter and decimal mark are determined.
 SAMPLE, LINES = 1 << 18, 200
-#: Maximum fraction of rows with a wrong number of cells. Up to this fraction, such rows are left out. Above
-#: it the file is refused.
+#: Maximum fraction of the rows of a file with a wrong number of cells. Up to this fraction, such rows are
+#: left out. Above it the file is refused.
 MAX_RAGGED = 0.01
 #: Weight of each delimiter when the delimiter of a file is chosen. Commas and blanks have lower weights,
 #: because commas can also be decimal marks, and blanks can occur within cells.
 DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
 _MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
 _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-#: Exchange of characters that makes the decimal mark a point, for each decimal mark of a file.
+#: Translation table for the cells of a file, by decimal mark of the file. It converts the decimal mark to a
+#: point.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-#: Pattern of a cell in a line of samples that is not a plain number: a date or a time of day.
+#: Pattern of a cell with a date or a time of day. Like a number, such a cell shows that a line holds samples.
 _SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
 
@@ -147,7 +148,8 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
         # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
         above[-1] = [*above[-1], ""]
     levels: list[list[str]] = []
-    # If names repeat, complete them by the names in the line above.
+    # Read several header lines: if the names in one line repeat, complete them by the names in the line
+    # above.
     while above and len(above[-1]) == width and not (levels and _differ(levels[0])):
         levels.insert(0, above.pop())
     if levels and above and options.skip_rows is None:
@@ -162,14 +164,14 @@ def _likely_delimiter(lines: list[str]) -> str:
     scores = {}
     for mark, weight in DELIMITERS.items():
         width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
-        # The score is dominated by the number of lines with the same number of cells, then by that number of
-        # cells.
+        # Score the delimiter mainly by the number of lines with the same number of cells, then by that number
+        # of cells.
         scores[mark] = weight * times * (1 + min(width, 50) / 1000) * (width > 1)
     return max(scores, key=lambda mark: scores[mark])
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one line, without surrounding blanks."""
+    """Return the cells of one line of a file, without surrounding blanks."""
     if delimiter == " ":
         line = " ".join(line.split())
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
@@ -224,8 +226,8 @@ def _names(levels: list[list[str]], width: int) -> list[str]:
     telling = [row for row in map(_fill, levels[:-1]) if len(set(row[1:])) > 1]
     joined = ["_".join(filter(None, cells)) for cells in zip(*telling, levels[-1], strict=True)]
     if len(levels) > 1:
-        # The header cells of the first column name the levels. In a table of DeepLabCut this column counts
-        # the frames.
+        # In a table with several header lines, the header cells of the first column name the levels. In a
+        # table of DeepLabCut this column counts the frames.
         joined[0] = levels[-1][0].replace("coords", "") or "frame"
     names: list[str] = []
     for at, name in enumerate(joined, start=1):
@@ -247,7 +249,7 @@ def _fill(cells: list[str]) -> list[str]:
 
 
 def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
-    """Return the cells of the samples in a text, as numbers or as text."""
+    """Parse the samples in the text of a file; return a table with cells of numbers or of text."""
     read = partial(
         parse,
         text,
@@ -259,14 +261,14 @@ def _parse(text: bytes, found: Layout, options: Options) -> pd.DataFrame:
     try:
         return read(dict.fromkeys(found.names, str) | dict.fromkeys(found.numbers, float))
     except ValueError:
-        # If a cell is not a number, keep the columns as text, so that a mapping can report the cell.
+        # At least one cell is not a number. Keep all columns as text, so that a mapping can report the cell.
         return read(str)
 
 
 def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
-    """Return whether the text has one line per row, with the same number of cells in each line.
+    """Return whether a text has one line per parsed row, and the same number of cells in each line.
 
-    In a line with too few cells the last cell is missing.
+    A line with too few cells is parsed with a missing last cell.
     """
     lines = text.count(b"\n") + (not text.endswith(b"\n"))
     marks = text.count(delimiter.encode())
@@ -308,5 +310,5 @@ def _has_time(peek: Peek) -> bool:
 
 ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log")
 DELIMITED = Format("delimited", "delimited text file", _open, endings=ENDINGS)
-#: Format of logs of swimid. Their columns keep their names.
+#: Format of logs that swimid writes. Their columns keep their names on import.
 SWIMID = Format("swimid", "log of swimid", _open, _has_time)

@@ -1,6 +1,6 @@
 """Reader of logs of Dynamixel servos (X series) with the column names of the servo's control table.
 
-An example of a column name is Present Position. A rotation has 4096 ticks; 2048 is the middle position.
+An example of a column name is Present Position. A rotation has 4096 ticks; the position 2048 is the angle 0.
 Velocities have the unit 0.229 rev/min (ROBOTIS e-Manual, X series). The present position is the joint angle,
 and the goal position is the command. A number in the name of a column is the number of the servo.
 """

@@ -1,7 +1,7 @@
 """Readers of tracked points in images: tables of DeepLabCut, and analysis files of SLEAP.
 
-A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. Its
-columns have the levels scorer, (individuals,) bodyparts, coords. SLEAP writes HDF5 (array ``tracks`` with
+A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. The levels
+of its column header are scorer, (individuals,) bodyparts and coords. SLEAP writes HDF5 (array ``tracks`` with
 axes tracks, x and y, nodes, frames) and CSV (``node.x``, ``node.y``). In the files, coordinates are pixels
 from the upper left corner, with y down. They are converted to y up. Neither format states a frame rate.
 """
@@ -23,7 +23,7 @@ _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
 
 
 def points(found: Mapping[str, Array]) -> dict[str, Array]:
-    """Return columns of tracked points with their names in the log: pixels with y up, and likelihoods.
+    """Convert columns of tracked points to those of a log: pixels with y up, and likelihoods.
 
     >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
     {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}

@@ -18,9 +18,9 @@ from swimid.logs.log import TIME
 from swimid.logs.sampling import usual_step
 from swimid.notices import warn
 
-#: Unit of the columns of a motion whose name matches a pattern. The first matching pattern is used.
+#: Unit of the columns of a motion file, by a pattern of their names. The first matching pattern is used.
 _UNITS = {r".*(force.*_p|_t)[xyz]": "m", r".*(torque|moment).*": "Nm", r".*force.*": "N", r".*": "rad"}
-#: Pattern of the name of a column with the value or the speed of a coordinate
+#: Pattern of the name of a column of a motion file that holds the value or the speed of a coordinate
 #: (``/jointset/hip/hip_flexion/value``).
 _COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
 
@@ -66,7 +66,7 @@ def _motion(lines: list[str], path: Path) -> Table:
     if not in_degrees and "indegrees=no" not in head[:end]:
         hint = "add the line inDegrees=yes or inDegrees=no above 'endheader'"
         raise InputError("states no 'inDegrees'", file=path, line=end + 1, hint=hint)
-    # The cells of a storage file are separated by tabs, or aligned with blanks.
+    # Determine the delimiter: the cells of a storage file are separated by tabs, or aligned with blanks.
     delimiter = "\t" if "\t" in lines[end + 2] else r"\s+"
     values, at = numbers(path, end + 2, delimiter, len(names))
     columns, left_out = {TIME: values[:, 0]}, []

@@ -35,7 +35,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 def topics(path: Path) -> dict[str, str]:
-    """Return the topics of a recording, each with the message type that the file states."""
+    """Return the topics of an MCAP recording, each with the message type that the file states."""
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
@@ -75,7 +75,7 @@ def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _parts(value: Any) -> Any:
-    """Return a message as a dict of its fields, and a time stamp of seconds and nanoseconds as a date."""
+    """Convert a message to a dict of its fields, and a time stamp of seconds and nanoseconds to a date."""
     if hasattr(value, "__slots__"):
         value = {name: getattr(value, name) for name in value.__slots__}
     if isinstance(value, dict) and {"sec", "nanosec"} <= set(value):
@@ -91,12 +91,11 @@ MCAP = Format("mcap", MCAP_TITLE, _open_mcap, endings=(".mcap",), magic=(MCAP_MA
 
 
 def _pose(at: str) -> dict[str, str]:
-    """Return the columns of a log for the fields of a pose, whose names begin with ``at``."""
+    """Return the log column for each field of a ROS 2 pose, whose name begins with the prefix ``at``."""
     return axes(f"{at}position.{{}}", "{}_m") | axes(f"{at}orientation.{{}}", "q{}", "wxyz")
 
 
-#: Column of the log for each field of a message, by message type. Types of ROS 2 are written without
-#: ``/msg``.
+#: Column of the log for each field of a ROS 2 message, by message type. Types are written without ``/msg``.
 FIELDS: dict[str, dict[str, str]] = {
     "nav_msgs/Odometry": _pose("pose.pose.")
     | axes("twist.twist.linear.{}", "{}_m_s", "xyz", "uvw")
@@ -111,13 +110,13 @@ FIELDS: dict[str, dict[str, str]] = {
 
 
 def _topics(path: Path) -> dict[str, str]:
-    """Return the topics of a recording whose message type is known, each with its type."""
+    """Return the topics of a ROS 2 recording with a known message type, each with its type."""
     kinds = {topic: kind.replace("/msg/", "/") for topic, kind in topics(path).items()}
     return {topic: kind for topic, kind in kinds.items() if kind in FIELDS}
 
 
 def _recognises(peek: Peek) -> bool:
-    with contextlib.suppress(Exception):  # a damaged file is refused by its reader
+    with contextlib.suppress(Exception):  # let the reader refuse a damaged file
         return bool(_topics(peek.path))
     return False
 
@@ -138,7 +137,7 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _joints(table: Table) -> dict[str, str]:
-    """Return the columns of the log for joint states. All joints are taken for revolute joints."""
+    """Return the log column for each field of ROS 2 joint states. All joints are taken to be revolute."""
     fields = {}
     for name, words in table.columns.items():
         if not name.startswith("name["):

@@ -19,12 +19,13 @@ def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
         if isinstance(item, h5py.Group):
             return dict(item.items())
         if isinstance(item, h5py.Dataset) and item.ndim > 2:
-            return {}  # the file holds images, which are not columns
+            return {}  # leave out arrays with more than two axes, such as images
         return item
 
     with h5py.File(path, "r") as file:
         if file.userblock_size:
-            # MATLAB writes a block of text before the HDF5 content of its files.
+            # Read a file with a user block as a MATLAB file, because MATLAB writes a block of text before the
+            # HDF5 content of its files.
             return _open_matlab(path, options, select)
         return of_tree(file, select, path, parts)
 

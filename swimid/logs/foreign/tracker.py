@@ -16,12 +16,13 @@ from swimid.logs.log import TIME
 _TRACKER_NAME = re.compile(
     r"(t|step|frame|(?P<kind>[va]?)_?\{?(?P<axis>[xyr])\}?)(\s*[(\[](?P<unit>[^)\]/]*)[^)\]]*[)\]])?"
 )
-#: Ending of the unit in a column name of a position, a velocity and an acceleration.
+#: Ending of the unit in the name of a log column, by the first letter of the Tracker column: none for a
+#: position, ``v`` for a velocity, ``a`` for an acceleration.
 _PER = {"": "", "v": "_s", "a": "_s2"}
 
 
 def _layout(lines: list[str]) -> tuple[int, str, list[str], list[str]] | None:
-    """Return number of header lines, delimiter, and cells of the last two header lines; None if unknown."""
+    """Return header height, delimiter, and cells of the last two header lines; None for an unknown layout."""
     is_multi = bool(lines) and lines[0].strip().startswith("#multi:")
     height = 2 + is_multi
     if len(lines) <= height:
@@ -49,7 +50,7 @@ def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
         raise InputError("is no export of Tracker", file=path, hint=hint)
     height, mark, above, names = found
     values, lines = numbers(path, height, mark, len(names))
-    # The name of a track is in the cell above the first of its columns.
+    # Assign each column to its track. The name of a track is in the cell above the first of its columns.
     filled = pd.Series(above).reindex(range(len(names)))
     owners = filled.where(filled != "").ffill().fillna("").tolist()
     tracks = [track for track in dict.fromkeys(owners[1:]) if track]

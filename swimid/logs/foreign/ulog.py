@@ -35,10 +35,10 @@ FIELDS: dict[str, dict[str, str]] = {
 
 
 def _load(path: Path) -> tuple[Any, dict[str, Any]]:
-    """Return a recording and its topics by name. Instances of a topic are ``name[0]``, ``name[1]``."""
+    """Return a ULog recording and its topics by name. Instances of a topic are ``name[0]``, ``name[1]``."""
     from pyulog import ULog
 
-    # Discard warnings that the library prints for a damaged file, because stdout is reserved for results.
+    # Discard the warnings that pyulog prints for a damaged file, because stdout is reserved for results.
     with contextlib.redirect_stdout(io.StringIO()):
         log = ULog(str(path))
     several = {data.name for data in log.data_list if data.multi_id}
@@ -48,7 +48,7 @@ def _load(path: Path) -> tuple[Any, dict[str, Any]]:
 def _open(path: Path, options: Options, select: str | None) -> Table:
     log, topics = _load(path)
     topic = choose(select, list(topics), "topic", path)
-    # Rename q[0] to q[1], because elements are counted from 1 in every format.
+    # Count the elements of a vector from 1 (rename ``q[0]`` to ``q[1]``), as in the tables of all formats.
     columns = {
         re.sub(r"\[(\d+)\]$", lambda index: f"[{int(index[1]) + 1}]", name): values
         for name, values in topics[topic].data.items()
@@ -62,12 +62,12 @@ def _open(path: Path, options: Options, select: str | None) -> Table:
 
 
 def _topics(path: Path) -> dict[str, str]:
-    """Return the topics of PX4 in a recording, each with its name without the number of the instance."""
+    """Return the known topics of PX4 in a recording, each with its name without the instance number."""
     return {topic: data.name for topic, data in _load(path)[1].items() if data.name in FIELDS}
 
 
 def _recognises(peek: Peek) -> bool:
-    with contextlib.suppress(Exception):  # a damaged file is refused by its reader
+    with contextlib.suppress(Exception):  # let the reader refuse a damaged file
         return bool(_topics(peek.path))
     return False
 
