@@ -69,8 +69,8 @@ MAX_NAMED = 3
 START_P, START_RATIO = 1e-6, 0.8
 #: Parameters of the initial state of a trial. Each has the text of a warning on how the trials then start.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: Limit on the ratio of the sums of squared residuals of two fits. The first has one additional parameter that
-#: all trials share, the second has one per trial. Up to this ratio the shared parameter is preferred.
+#: Limit on the ratio of the sums of squared residuals of two fits. The first has one additional parameter
+#: that all trials share, the second has one per trial. Up to this ratio the shared parameter is preferred.
 SHARED_RATIO = 1.1
 #: Maximum p-value at which pulley friction is reported to depend on the pulling force of the trials.
 TREND_P = 1e-2
@@ -1220,9 +1220,8 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
     for name, value in pair.values.items():
         found = {"value": value, "stderr": pair.stderr[name], "status": "estimated", "ci95": None}
         parameters[name] = file.parameters[name].model_copy(update=found)
-    assert file.fit is not None
-    fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
-    return file.model_copy(
+    assert file.fit is not None fit = Fit(trials=file.fit.trials, converged=True, method="two-point",
+    points_m=list(pair.points_m))  # type: ignore[call-arg] return file.model_copy(
         update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit}
     )
 
