@@ -246,7 +246,7 @@ def _waveform(drive: Drive) -> tuple[str, float]:
 
 
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
-    """Replace the beat frequency of each trial by the median over all trials with nearly the same frequency."""
+    """Replace the beat frequency of each trial by the median over trials with nearly the same frequency."""
     values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
     return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]

@@ -1220,8 +1220,9 @@ def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
     for name, value in pair.values.items():
         found = {"value": value, "stderr": pair.stderr[name], "status": "estimated", "ci95": None}
         parameters[name] = file.parameters[name].model_copy(update=found)
-    assert file.fit is not None fit = Fit(trials=file.fit.trials, converged=True, method="two-point",
-    points_m=list(pair.points_m))  # type: ignore[call-arg] return file.model_copy(
+    assert file.fit is not None
+    fit = Fit(trials=file.fit.trials, converged=True, method="two-point", points_m=list(pair.points_m))  # type: ignore[call-arg]
+    return file.model_copy(
         update={"parameters": parameters, "correlation": None, "identifiability": [], "fit": fit}
     )
 
