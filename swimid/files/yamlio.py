@@ -61,7 +61,7 @@ class ResultFile(Document):
     kind: ClassVar[str]
 
     def write(self, path: str | Path) -> None:
-        """Write the content to a YAML file, completely or not at all. Keys with the value None are omitted."""
+        """Write the content to a YAML file, completely or not at all. Keys without a value are omitted."""
         write(path, self.model_dump(mode="python", exclude_none=True))
 
     @classmethod

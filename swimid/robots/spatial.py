@@ -78,7 +78,7 @@ class AddedMass(OnLink):
 
 
 class Spheroid(OnLink):
-    """Added mass of a prolate spheroid with its long axis along x of the link (sea lion paper, Eqs 3 to 8)."""
+    """Added mass of a prolate spheroid with its long axis along x of the link (sea lion, Eqs 3 to 8)."""
 
     kind: Literal["spheroid"]
     #: Half the length of the prolate spheroid, and its maximum radius, m.
