@@ -356,7 +356,7 @@ class Identifiability:
     condition: float
     #: Factor R of the QR decomposition of the regression matrix with scaled columns, shape (p, p).
     factor: np.ndarray
-    #: Rank of the input columns of the regression alone (order of persistent excitation).
+    #: Rank of the columns of past inputs in the regression matrix (order of persistent excitation).
     input_rank: int = 0
 
 

@@ -139,7 +139,10 @@ class Pole(parameters_format.Pole):
 
     @property
     def integrating(self) -> bool:
-        """Whether the pole is integrating: its magnitude is 1, or differs by at most two standard errors."""
+        """Whether the pole is integrating, because its magnitude is 1 within two standard errors.
+
+        A magnitude that is very close to 1 also counts, whatever its standard error is.
+        """
         stderr = self.stderr_magnitude
         near = stderr is not None and stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * stderr
         return near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING

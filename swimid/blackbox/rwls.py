@@ -74,8 +74,8 @@ CLEAR_GAIN = 0.1
 #: Minimum ratio of the absolute mean of the output to its standard deviation at which the output counts as
 #: far from zero.
 FAR = 3.0
-#: Maximum ratio of the root-mean-square error of the free run on held-out data to that on the fitted data
-#: (SWM015).
+#: Ratio of the root-mean-square error of the free run on held-out data to that on the fitted data, above
+#: which the warning SWM015 is issued.
 MAX_RATIO = 2.0
 #: Code of the warning for each check that issues one if it does not pass. The key is the name of the check.
 #: The text of the warning is the reason that the check gives.
@@ -691,7 +691,10 @@ class Identified:
 
     @property
     def worse(self) -> list[str]:
-        """Names of the held-out data whose free-run error exceeds :data:`MAX_RATIO` times that of the fit."""
+        """Names of the held-out data whose free-run error is much larger than that of the fitted data.
+
+        The limit of the ratio is :data:`MAX_RATIO`.
+        """
         limit = MAX_RATIO * self.fit.free_run.rmse
         return [name for name, part in self.held_out.items() if part.free_run.rmse > limit]
 

@@ -387,7 +387,7 @@ def _argument(metavar: str) -> list[click.Parameter]:
 
 
 def _option(entry: Declared) -> click.Option:
-    """Return the click option for a declared option.
+    """Return the click option that corresponds to an option in a class of options.
 
     A value with several parts, such as ``NAME=VALUE``, is parsed when the command runs.
     """

@@ -298,7 +298,10 @@ class Fitted(FileResult[ParameterFile]):
         return [table for table in tables if table.rows]
 
     def bare(self) -> Evidence:
-        """Return the minimal evidence for a parameter file whose evidence file is missing."""
+        """Return evidence without checks and figures for a parameter file whose evidence file is missing.
+
+        Its verdict follows from the convergence of the fit and from the status of the parameters.
+        """
         parameters = self.file.parameters.items()
         weak = [spoken(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
         verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")

@@ -166,7 +166,7 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """Level of the verdict: ``"good"``, ``"caution"`` or ``"bad"``; empty for a result without evidence."""
+        """Level of the verdict: ``"good"``, ``"caution"`` or ``"bad"``; empty if there is no evidence."""
         return "" if self.evidence is None else self.evidence.verdict.level
 
     @property
@@ -302,7 +302,10 @@ class Result:
         return {}
 
     def bare(self) -> ev.Evidence:
-        """Return the minimal evidence for a result file whose evidence file is missing."""
+        """Return evidence without checks for a result file whose evidence file is missing.
+
+        It has the content of the result file as a table.
+        """
         return ev.Evidence(
             command=self.command,
             title=f"{self.kind} {self.path.name}",
@@ -319,9 +322,9 @@ class Result:
         raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
 
     def _shown(self, what: str) -> Sequence[Any]:
-        """Return the entries of one kind in the evidence; an empty list without evidence.
+        """Return all checks, tables, figures or notices of the evidence, whichever ``what`` names.
 
-        ``what`` is ``checks``, ``tables``, ``figures`` or ``notices``.
+        The list is empty for a result without evidence.
         """
         return getattr(self.evidence, what, [])
 

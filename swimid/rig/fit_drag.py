@@ -598,8 +598,8 @@ def sign_check(result: FitResult) -> ev.Check:
     name, limit = "sign of force_N", "no trial agrees better with -force_N"
     fitted = [t for t in result.trials if t.role == "fit"]
     channel = next(s.channel for s in result.series if s.role == "fit")
-    # Simulate with the start values of the parameters. Estimates from a force of the wrong sign would not do,
-    # because they make the body so heavy that no force moves it.
+    # Simulate with the start values of the parameters. Estimates from a force of the wrong sign are not
+    # suitable, because they make the body so heavy that no force moves it.
     start = np.array([p.start for p in result.model.parameters])
 
     def mean_square(trial: Trial) -> float:
@@ -706,8 +706,8 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         if gradient[j] == 0:
             continue
         bound |= status == "at-bound"
-        # A parameter at its lower bound 0 needs no standard error here, because the standard errors of the
-        # other parameters include the effect of its uncertainty.
+        # Compute the standard error of the derived quantity without that of a parameter at its lower bound 0.
+        # The standard errors of the other parameters include the effect of its uncertainty.
         vanishes = status == "at-bound" and parameter.lower == 0.0 >= values[k]
         unknown |= error is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)

@@ -383,7 +383,7 @@ def free_decay(
     amplitude: float,
     gravity: float = 0.0,
 ) -> RigModel:
-    """Return the model of a free decay in one coordinate, with scales from the first swing.
+    """Return the model of a free decay of a body in one coordinate, such as roll.
 
     Parameters
     ----------
@@ -466,9 +466,10 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def restoring(x, c):  # type: ignore[no-untyped-def]
-    """Return the restoring force at a displacement, N or N m. It is positive toward the rest position.
+    """Return the restoring force or moment that opposes a displacement from the rest position, N or N m.
 
-    ``c`` has the coefficients of the equation of motion in the order of :data:`EQUATION`.
+    It has the sign of the displacement, and is subtracted from the applied force. ``c`` has the coefficients
+    of the equation of motion in the order of :data:`EQUATION`.
     """
     _, _, _, _, stiffness, rest, gravity, cubic = c
     away = x - rest

@@ -1,4 +1,4 @@
-"""Format and reading of the robot file (``swimid-robot/1``), which has the known properties of a robot.
+"""Robot file (``swimid-robot/1``) with the known properties of a robot: its format, and how it is read.
 
 Properties are known if they need no fit, such as masses and lengths. Built-in robots are YAML files in
 ``swimid/robots``. A user can describe another robot in a YAML file, without writing code.

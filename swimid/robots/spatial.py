@@ -85,9 +85,9 @@ class Spheroid(OnLink):
     semi_major_m: PositiveFloat
     semi_minor_m: PositiveFloat
     at_m: Vector = ZERO
-    #: Factors on the added masses of the spheroid along x, y and z. They also apply to the added inertias:
-    #: the factor of z to rotation about y, and the factor of y to rotation about z, because these rotations
-    #: move water along z and y.
+    #: Factors by which the added masses of the spheroid along x, y and z are multiplied. The added inertia
+    #: for rotation about y has the factor of z, and that for rotation about z the factor of y, because these
+    #: rotations move water along z and y.
     factors: Vector = (1.0, 1.0, 1.0)
     #: Whether the spheroid has added moments of inertia for rotation about y and z. The sea lion paper has
     #: none.
