@@ -11,7 +11,7 @@ Frames
     (nose), y to port, z up. Surge ``u``, sway ``v`` and yaw rate ``r`` are components in the body frame. For
     motion in the vertical plane, z replaces y and pitch replaces yaw.
 Time
-    Column ``t_s``, in s, strictly increasing, from the time stamps of the recording.
+    The column ``t_s`` has the time stamps of the recording in s. They increase strictly.
 Missing data
     A missing value is NaN in an array and an empty cell in a file. Gaps are never filled without notice.
 Packages

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from swimid.logs.trials import TrialSet
     from swimid.robots.file import Robot
 
-#: Public names of swimid, by the module that defines them.
+#: Public names of swimid. The key is the module that defines the names.
 _NAMES_OF = {
     # Functions that read trials, logs and robots.
     "swimid.api": ("load", "read_log", "read_robot", "built_in_robots"),
@@ -148,12 +148,12 @@ def load(
         raise UsageError("name the experiment and the robot of these trials")
     given: Any = trials
     if not isinstance(trials, Sequence):
-        given, keys = [], {**keys, "table": trials}  # a cruise experiment has one table for all trials
+        given, keys = [], {**keys, "table": trials}  # A cruise experiment has one table for all trials.
     return TrialSet.of(list(given), experiment=experiment, robot=str(robot), **keys)
 
 
 def read_robot(name: str | Path) -> Robot:
-    """Read a built-in robot or a robot file.
+    """Read the known properties of a robot from a robot file or from a built-in robot.
 
     Parameters
     ----------

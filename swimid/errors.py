@@ -18,16 +18,19 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-#: Argument name of each option of the running function. None on the command line, where messages name the
-#: options as they are typed.
+#: Name of the Python argument for each command-line option of the function that is running. It is None on the
+#: command line, where messages name the options as they are typed.
 _ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
-#: Pattern that finds options in messages. It also matches whole commands, in which options stay unchanged.
+#: Pattern that finds command-line options in messages. It also matches whole commands, in which the options
+#: are not replaced.
 _OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
 
 
 @contextmanager
 def naming(arguments: Mapping[str, str] | None) -> Iterator[None]:
-    """Name options as Python arguments (``raw`` for ``--raw``) in errors and warnings raised in the block.
+    """Replace command-line options by Python arguments in all messages of a ``with`` block.
+
+    Errors and warnings of the block then name ``start_state`` in place of ``--start-state``.
 
     Parameters
     ----------
@@ -58,7 +61,7 @@ def in_words_of_the_caller(text: str) -> str:
 
 
 class SwimidError(Exception):
-    """Base class of errors that a user can cause. Any other exception is a bug.
+    """Base class of the errors that a user of swimid can cause. Any other exception is a bug in swimid.
 
     Attributes
     ----------
@@ -83,7 +86,7 @@ class SwimidError(Exception):
         return "\n  hint: ".join(filter(None, [self.message, self.hint]))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the error and its location as data for the ``error`` member of the ``--json`` document."""
+        """Return the error and its location as a dictionary for the entry ``error`` of ``--json`` output."""
         return {"type": type(self).__name__, **vars(self), "exit_status": self.exit_status}
 
 
@@ -109,7 +112,7 @@ class UsageError(SwimidError, ValueError):
 
 
 class InputError(SwimidError, ValueError):
-    """Error for an input that cannot be read or is invalid.
+    """Error for a file, or for data in memory, that cannot be read or is invalid.
 
     Parameters
     ----------
@@ -166,18 +169,18 @@ class NoTrustworthyResult(SwimidError):
 
 
 class Interrupted(NoTrustworthyResult):
-    """Error for a computation that was stopped (Ctrl-C). The message names the files that were written."""
+    """Error for a computation that the user stopped with Ctrl-C. The message names the written files."""
 
     exit_status = 130
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of the message of an exception, or the name of its class without a message."""
+    """Return the first line of an exception's message, or the name of its class if it has no message."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
-    """Return the allowed word that is most similar to ``word``; None if no allowed word is similar.
+    """Return the allowed word that is most similar to a mistyped word; None if no allowed word is similar.
 
     >>> nearest("pulling_mas_kg", ["pulling_mass_kg", "role"])
     'pulling_mass_kg'
@@ -206,7 +209,9 @@ def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "the
 
 @contextmanager
 def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> Iterator[None]:
-    """Convert the failed import of an optional library into an error that names the pip extra to install.
+    """Convert the failed import of an optional library into an error that states how to install it.
+
+    The import must be in the ``with`` block. The message has the command ``pip install 'swimid[extra]'``.
 
     The error is an :class:`InputError` if a file needs the library, and a :class:`UsageError` otherwise.
 
@@ -229,7 +234,7 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 
 @contextmanager
 def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
-    """Convert an error of the operating system for a file into an :class:`InputError`.
+    """Convert an error of the operating system in the ``with`` block into an :class:`InputError` for a file.
 
     The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why.
 

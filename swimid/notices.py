@@ -1,8 +1,8 @@
-"""Warnings with stable codes, and progress bars of long loops.
+"""Warnings of swimid, each with a stable code, and the interface of progress bars for long loops.
 
-Library code calls :func:`warn`. A command prints the warnings at its end and stores them in its results. In
-Python, the user sees a :class:`SwimidWarning`. The command line collects the warnings with :func:`recorded`,
-and the report repeats them. The caller of a long loop decides whether and how its progress is shown.
+Functions of swimid issue a warning with :func:`warn`. In Python, the user sees a :class:`SwimidWarning`. A
+command collects its warnings with :func:`recorded`, prints them at its end, and stores them in its results.
+The caller of a long loop decides whether and how the progress of the loop is shown.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ CODES: dict[str, str] = {
 
 
 class SwimidWarning(UserWarning):
-    """Warning with a code of :data:`CODES`.
+    """Warning of swimid with a stable code, one of :data:`CODES`.
 
     Attributes
     ----------
@@ -135,16 +135,16 @@ class Notice:
 
 
 def warn(code: str, text: str) -> None:
-    """Issue a warning to the user; ``code`` must be one of :data:`CODES`."""
+    """Issue a warning to the user with the given code, one of :data:`CODES`."""
     warnings.warn(SwimidWarning(code, text), stacklevel=2)
 
 
 @contextmanager
 def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
-    """Collect the warnings of class :class:`SwimidWarning` that the block issues, without duplicates.
+    """Collect the warnings of swimid that a ``with`` block issues, and yield the list, without duplicates.
 
-    With ``repeat`` the collected warnings are issued again at the end of the block, even after an error, so
-    that an outer block records them too.
+    The collected warnings are not shown to the user. With ``repeat`` they are issued again at the end of the
+    block, even after an error, so that an outer block collects them too.
     """
     notices: list[Notice] = []
     show_others = warnings.showwarning
@@ -169,15 +169,15 @@ def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
 
 # ---------------------------------------------------------------- progress
 
-#: Function that advances one progress bar, by one step or by a number of steps: ``step(3)``.
+#: Type of a function that advances one progress bar by one step, or by a number of steps: ``step(3)``.
 Step = Callable[..., None]
-#: Function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``. Without
-#: ``total`` the number of steps is unknown.
+#: Type of a function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``.
+#: Without ``total`` the number of steps is unknown.
 Progress = Callable[..., AbstractContextManager[Step]]
 
 
 def show(step: Step, text: str) -> None:
-    """Show a remark next to a progress bar, if the bar has a method ``note(text)``."""
+    """Show a remark next to a progress bar, if the function ``step`` of the bar has an attribute ``note``."""
     note = getattr(step, "note", None)
     if note is not None:
         note(text)

@@ -1,11 +1,11 @@
-"""Declaration of all options of a command in one class, for Python and for the command line.
+"""Declaration of the options of a command, in one class that serves Python and the command line.
 
 A class of options derives from :class:`Options` and has one field for each option, declared with
-:func:`option`. The class determines the keyword arguments and the docstring of the function (:func:`takes`),
-the command with its options and help (``swimid.cli.main``), and the ``settings`` of the provenance
-(:meth:`Options.settings`).
+:func:`option`. The class determines the keyword arguments and the docstring of the Python function
+(:func:`takes`), the command with its options and help text (``swimid.cli.main``), and the entry ``settings``
+in the provenance of a result (:meth:`Options.settings`).
 
-A module with options imports nothing that takes long to load, so that ``--help`` stays fast.
+A module with a class of options imports nothing that takes long to load, so that ``--help`` is fast.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from swimid.errors import SwimidError, UsageError, naming, suggestion
 
 Returned = TypeVar("Returned")
 
-#: Type of an input: a file, or an object with the content of the file. On the command line it is always a
-#: file.
+#: Type of an option whose value is an input: a file, or an object in memory with the content of the file. On
+#: the command line it is always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
 
 
@@ -42,7 +42,7 @@ def option(
     part: str = "",
     **limits: float,
 ) -> Any:
-    """Declare one option as a field of a class of options.
+    """Declare one option of a command as a field of a class of options.
 
     Parameters
     ----------
@@ -75,7 +75,9 @@ def option(
 
 
 class Options(BaseModel):
-    """Base class of the options of a command. Values are validated and cannot be changed afterwards.
+    """Base class of the classes that declare the options of a command.
+
+    The values of an object are validated and cannot be changed afterwards.
 
     A subclass with the arguments below declares a command. Its docstring is the help text, and the first line
     of the docstring appears in the list of commands. ``swimid.cli.main`` reads the arguments and the
@@ -115,7 +117,7 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Return the options with the given values. The value None stands for the default of an option.
+        """Create an object of the options from given values. None selects the default value of an option.
 
         Raises
         ------
@@ -130,16 +132,18 @@ class Options(BaseModel):
 
     @classmethod
     def declared(cls) -> dict[str, Declared]:
-        """Return the declaration of each option by the name of its field, in the order of the class."""
+        """Return the declaration of each option. The key is the name of its field in the class of options."""
         return {name: Declared(name, info) for name, info in cls.model_fields.items()}
 
     def settings(self, **actual: Any) -> dict[str, Any]:
-        """Return the options that are recorded in the provenance of a result, as plain data.
+        """Return the options with their values, as plain data for the provenance of a result.
+
+        Options that are declared as not recorded are left out.
 
         Parameters
         ----------
         **actual
-            Values by key that replace the given values in the settings.
+            Values that replace those of the options in the settings, by key.
         """
         keys = {entry.key: name for name, entry in self.declared().items() if entry.key}
         return {key: actual.get(key, _plain(getattr(self, name))) for key, name in keys.items()}
@@ -180,11 +184,11 @@ class Declared:
 
     @property
     def flag(self) -> str:
-        """Name of the option in messages, such as ``--start-state``."""
+        """Name by which messages refer to the option, such as ``--start-state``."""
         return self.flags.split("/")[0].split(" ")[-1]
 
     def files(self, value: Any) -> list[Path]:
-        """Return the input files that a value of this option names."""
+        """Return the paths of the input files among the values of this option; empty if it names none."""
         if value is None or self.written or Path not in _leaves(self.kind):
             return []
         if not isinstance(value, list | tuple):
@@ -192,7 +196,7 @@ class Declared:
         return [Path(one) for one in value if isinstance(one, str | Path)]
 
     def type_text(self) -> str:
-        """Return the type of the option's value as text for a docstring."""
+        """Return the type and default value of the option as text for a docstring."""
         text = re.sub(r"\b(?:\w+\.)+", "", inspect.formatannotation(self.kind))
         text = re.sub(r"Literal\[(.*?)\]", r"{\1}", text)
         text = text.replace("Union[Path, Any]", "path or its content").replace("Path", "path")
@@ -202,7 +206,7 @@ class Declared:
 
 
 def without_none(kind: Any) -> Any:
-    """Return a type with None removed from its alternatives."""
+    """Remove None from the alternatives of a type: ``float | None`` becomes ``float``."""
     if get_origin(kind) in (Union, UnionType):
         return Union[tuple(one for one in get_args(kind) if one is not type(None))]  # noqa: UP007 - made of a tuple
     return kind
@@ -262,7 +266,10 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
 
 
 def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:
-    """Return a docstring with the options added to its Parameters section before the arguments ``rest``."""
+    """Add descriptions of the options to the section Parameters of the docstring of a function.
+
+    They are placed before the arguments ``rest``.
+    """
     if text is None:
         return None
     lines = inspect.cleandoc(text).splitlines()
@@ -277,7 +284,7 @@ def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -
 
 
 def _leaves(kind: Any) -> list[Any]:
-    """Return the innermost type arguments of a type, or the type itself if it has none."""
+    """Return the innermost types of a nested type, such as ``str`` and ``Path`` of ``list[str | Path]``."""
     return [leaf for one in get_args(kind) for leaf in _leaves(one)] or [kind]
 
 
@@ -294,7 +301,10 @@ def _plain(value: Any) -> Any:
 
 
 def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
-    """Return the first validation error of the options as an error of swimid."""
+    """Convert the validation error of pydantic for a class of options into an error of swimid.
+
+    If there are several problems, the first one is reported.
+    """
     problem = error.errors()[0]
     raised = problem.get("ctx", {}).get("error")
     if isinstance(raised, SwimidError):
@@ -310,7 +320,8 @@ def _refusal(options: type[Options], error: ValidationError) -> SwimidError:
 # ---------------------------------------------------------------- options that several commands share
 
 
-#: Initial state of a trial: chosen by the fit from the log, at rest, or estimated.
+#: Type of the option ``--start-state``: the fit decides from the log whether trials start at rest (``auto``),
+#: assumes that they do (``rest``), or estimates their initial state (``estimate``).
 StartState = Literal["auto", "rest", "estimate"]
 
 

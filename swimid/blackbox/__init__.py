@@ -1,7 +1,8 @@
 """Discrete-time ARX and ARMAX models from an input and an output column: ``swimid rwls``.
 
-``options`` has the options of the command. ``model`` contains the difference equation and its simulation
-(free run), and adapts it to the interface of all swimid models. It also reads trials and records on a time
-grid. ``arx`` has recursive least squares, and estimates the coefficients with their uncertainty. ``rwls`` is
-the command: it chooses working point and orders, computes the prediction errors, and judges them.
+``options`` has the options of the command. ``model`` has the difference equation of the models and its
+simulation (free run), in the interface that all swimid models share. It also reads logs and trials as records
+of input and output on a time grid. ``arx`` estimates the coefficients and their uncertainty by recursive
+least squares. ``rwls`` has the command itself. It chooses the working point and the orders of a model,
+computes prediction errors, and checks them.
 """

@@ -45,34 +45,37 @@ from swimid.errors import NoTrustworthyResult
 from swimid.fitting import uncertainty as rt
 from swimid.logs.sampling import rounding
 
-#: Maximum magnitude of a zero of the noise polynomial C. The inverse of C is stable if all magnitudes are
-#: below 1.
+#: Maximum magnitude of a zero of the noise polynomial C. Below 1 the filter 1 / C, which computes the
+#: one-step errors, is stable.
 MAX_ZERO = 0.999
-#: Number of missing samples that are inserted between two joined records, in addition to the lags of the
-#: model. It exceeds the lags of all tests of the residuals.
+#: Number of missing samples that are inserted where records are joined, in addition to the lags of the model.
+#: It exceeds the lags of all residual tests, so that no test relates samples of different records.
 GAP = 100
-#: Maximum number of Gauss-Newton steps in the search for C, and maximum number of halvings of one step.
+#: Maximum number of Gauss-Newton steps in the search for the coefficients of an ARMAX model, and maximum
+#: number of halvings of one step.
 MAX_STEPS, MAX_HALVINGS = 100, 30
-#: Maximum ratio of the root-mean-square residual to the standard deviation of the output at which the
-#: residuals are taken for rounding errors.
+#: Maximum ratio of the root-mean-square residual to the standard deviation of the output at which the data
+#: are assumed to be free of noise. The residuals are then rounding errors.
 EXACT = 1e-9
-#: Maximum ratio of a singular value of the scaled regression to the largest singular value at which the
-#: singular value counts as zero.
+#: Limit below which a singular value of the scaled regression matrix counts as zero, as a fraction of the
+#: largest singular value.
 RANK_RTOL = 1e-10
-#: Maximum ratio of a singular value to the largest singular value at which rounding of the data can make the
-#: singular value count as zero.
+#: Limit above which a singular value of the scaled regression matrix counts as information even if the data
+#: are coarsely rounded, as a fraction of the largest singular value.
 MAX_ROUNDING = 0.01
-#: Minimum sum of the squared components of a coefficient in the directions without information at which the
-#: coefficient is not identifiable. The sum is 1 if the data have no information about the coefficient.
+#: Minimum share of a coefficient in the directions about which the data have no information, at which the
+#: coefficient is not identifiable. The share is the sum of its squared components in these directions. It is
+#: 1 if the data have no information about the coefficient at all.
 MIN_SHARE = 1e-3
-#: Minimum variance inflation factor at which the columns of a regression count as nearly dependent. The
-#: standard errors are then 100 times those of independent columns.
+#: Minimum variance inflation factor at which a column of a regression counts as nearly dependent on the other
+#: columns. The standard error of its coefficient is then 100 times that of an independent column.
 NEARLY_DEPENDENT = 1e4
-#: Default of a in the initial matrix P(0) = a^2 I of the recursion. The long-fin paper recommends values
-#: above 10^3.
+#: Default value of ``a`` in the initial matrix P(0) = a^2 I of recursive least squares. The long-fin paper
+#: recommends values above 10^3.
 PRIOR_SCALE = 1e6
-#: Maximum of the elements of the factor D of the matrix P, in units of a^2. With forgetting, P grows without
-#: limit in directions that the input does not excite. In excited directions D stays below this limit.
+#: Maximum of the elements of the factor D of the matrix P = U D U' in recursive least squares, in units of
+#: a^2 of P(0) = a^2 I. Without a limit, forgetting lets P grow in directions that the input does not excite.
+#: In excited directions D stays below this limit.
 MAX_GROWTH = 1e6
 
 
@@ -80,14 +83,14 @@ MAX_GROWTH = 1e6
 class Recursion:
     """Result of recursive least squares over n rows with p coefficients."""
 
-    #: Last estimate of the coefficients, shape (p,).
+    #: Estimate of the coefficients after the last row, shape (p,).
     theta: np.ndarray
-    #: Matrix P after the last row, shape (p, p). Without forgetting, the covariance of the estimate is P
-    #: multiplied by the noise variance and the weight.
+    #: Matrix P of the recursion after the last row, shape (p, p). Without forgetting, the covariance of the
+    #: estimate is P multiplied by the noise variance and the weight.
     covariance: np.ndarray
-    #: One-step errors ``z(k) - h(k)' theta(k-1)``, shape (n,).
+    #: One-step prediction errors ``z(k) - h(k)' theta(k-1)`` of the rows, shape (n,).
     innovations: np.ndarray
-    #: Number of rows at which an element of D reached :data:`MAX_GROWTH`.
+    #: Number of rows after which an element of the factor D of P = U D U' was limited by :data:`MAX_GROWTH`.
     limited: int
 
 
@@ -139,9 +142,10 @@ def recursive_least_squares(
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
-    """Run recursive least squares as one compiled loop without function calls, which would cost time.
+    """Run recursive least squares over all rows of a regression in one compiled loop.
 
-    Row j of ``factors`` holds column j of the factor U.
+    The loop calls no functions, because calls would cost time. Row j of ``factors`` holds column j of the
+    factor U of P = U D U'.
     """
     n, p = h.shape
     ceiling = MAX_GROWTH * prior
@@ -151,7 +155,7 @@ def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
     gain, f = np.empty(p), np.empty(p)
     limited = 0
     for k in range(n):
-        # compute the innovation, and the vector f = U' h
+        # Compute the one-step prediction error (innovation) of row k, and the vector f = U' h.
         error = z[k]
         for j in range(p):
             error -= h[k, j] * theta[j]
@@ -159,7 +163,7 @@ def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
             for i in range(j):
                 total += factors[j, i] * h[k, i]
             f[j] = total
-        # update U and D column by column (Bierman)
+        # Update the factors U and D of P = U D U' column by column (Bierman).
         alpha = variance
         for j in range(p):
             v = diagonal[j] * f[j]
@@ -196,20 +200,21 @@ def warm_up() -> None:
 
 @dataclass(frozen=True)
 class Regression:
-    """Regression ``z = H theta + e`` for the coefficients of A and B from measured inputs and outputs.
+    """Linear regression ``z = H theta + e`` for the coefficients of A and B of an ARX or ARMAX model.
 
-    The matrix has no columns for the coefficients of C, because the noise is not measured.
+    The columns of H are measured past outputs and inputs. H has no columns for the coefficients of the noise
+    polynomial C, because the noise is not measured.
     """
 
     orders: Orders
     #: Matrix H, shape (n, na + nb), and vector z, shape (n,), of the regression.
     rows: np.ndarray
     outputs: np.ndarray
-    #: Index in the joined records of the sample that each row predicts, shape (n,).
+    #: Index of the sample that each row of the regression predicts, in the joined records, shape (n,).
     sample: np.ndarray
-    #: Input signal of the joined records, with NaN between two records.
+    #: Input signal of all records joined to one series, with NaN between two records.
     source: np.ndarray
-    #: Number of rows that the regression would have without missing samples.
+    #: Number of rows that the regression would have if no sample were missing.
     possible: int
 
     def __len__(self) -> int:
@@ -217,13 +222,13 @@ class Regression:
 
     @cached_property
     def fresh(self) -> np.ndarray:
-        """Flag of each row that does not directly follow the previous row in time, shape (n,)."""
+        """Boolean array that is true for each row that does not directly follow the row before in time."""
         return np.diff(self.sample, prepend=-2) != 1
 
     def on_grid(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the rows on the time grid of the joined records, with NaN where there is no row.
+        """Place values of the rows of the regression on the time grid of the joined records.
 
-        The shape of ``values`` is (n,) or (n, p).
+        Samples without a row are NaN. The shape of ``values`` is (n,) or (n, p).
         """
         result = np.full((len(self.source), *np.shape(values)[1:]), np.nan)
         result[self.sample] = values
@@ -231,9 +236,10 @@ class Regression:
 
 
 def regression(records: Sequence[Record], orders: Orders) -> Regression:
-    """Return the regression of several records with one sample time, with all complete rows.
+    """Return the regression for the coefficients of A and B from records with the same sample time.
 
-    Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the paper).
+    Row k is ``[-y(k-1) .. -y(k-na), u(k-nk) .. u(k-nk-nb+1)]`` (Eq 7 of the long-fin paper). Rows with a
+    missing sample are left out.
     """
     y = rt.joined([r.output for r in records], gap=orders.lag + GAP)
     u = rt.joined([r.source for r in records], gap=orders.lag + GAP)
@@ -245,9 +251,10 @@ def regression(records: Sequence[Record], orders: Orders) -> Regression:
 
 
 def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray, np.ndarray]:
-    """Return the one-step errors of an ARMAX model and the derivative of the one-step prediction.
+    """Return the one-step prediction errors of an ARMAX model and the derivatives of its predictions.
 
-    Past errors are taken as zero where a row does not directly follow the previous row in time.
+    The derivatives are those with respect to the coefficients. Where a row does not directly follow the row
+    before in time, the past errors are assumed to be zero.
 
     Parameters
     ----------
@@ -277,12 +284,15 @@ def errors_and_gradient(theta: np.ndarray, data: Regression) -> tuple[np.ndarray
 
 
 def invertible(c: np.ndarray) -> np.ndarray:
-    """Return the coefficients of the noise polynomial C with its zeros reflected into the unit circle."""
+    """Return the coefficients of the noise polynomial C with zeros outside the unit circle reflected into it.
+
+    Both polynomials describe noise with the same spectrum, but only the reflected one has a stable inverse.
+    """
     roots = np.roots(np.concatenate(([1.0], c)))
     roots = roots / np.maximum(np.abs(roots), 1.0) ** 2
     roots = roots * np.minimum(MAX_ZERO / np.maximum(np.abs(roots), MAX_ZERO), 1.0)
     coefficients = np.real(np.poly(roots))[1:]
-    # set the last coefficients to zero, which are missing because np.roots drops zeros at the origin
+    # Append zeros for the last coefficients. They are missing because np.roots drops zeros at the origin.
     return np.pad(coefficients, (0, len(c) - len(coefficients)))
 
 
@@ -321,7 +331,7 @@ def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarr
             if tried < value:
                 break
         else:
-            return best  # no step reduces the cost: this is the minimum
+            return best  # No step reduces the cost, so that the current coefficients are the minimum.
         gained = value - tried
         best, value = candidate, tried
         if gained <= 1e-13 * value:
@@ -334,24 +344,24 @@ def refine(theta: np.ndarray, data: Regression, weights: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Identifiability of the p coefficients of a regression from its data."""
+    """Information of the data of a regression about its p coefficients."""
 
     #: Whether the data determine each coefficient, shape (p,).
     determined: np.ndarray
-    #: Number of independent directions in the space of the coefficients about which the data have
-    #: information.
+    #: Numerical rank of the regression: the number of independent combinations of coefficients that the data
+    #: determine.
     rank: int
-    #: Condition number of the regression in the determined directions, with columns scaled to length one.
+    #: Condition number of the regression matrix with columns scaled to length one, without the directions
+    #: about which the data have no information.
     condition: float
-    #: Factor R of the QR decomposition of the scaled regression, shape (p, p).
+    #: Factor R of the QR decomposition of the regression matrix with scaled columns, shape (p, p).
     factor: np.ndarray
-    #: Number of independent directions that the columns of the input determine (order of persistent
-    #: excitation).
+    #: Rank of the columns of past inputs in the regression matrix (order of persistent excitation).
     input_rank: int = 0
 
 
 def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
-    """Find out which coefficients a regression determines, from its directions with information.
+    """Find the coefficients that a regression determines, by a singular value decomposition of its matrix.
 
     Parameters
     ----------
@@ -382,13 +392,15 @@ def find_directions(rows: np.ndarray, steps: np.ndarray) -> Identifiability:
 
 
 def _lengths(rows: np.ndarray) -> np.ndarray:
-    """Return the Euclidean lengths of the columns of a regression; 1 for columns of zeros."""
+    """Return the Euclidean length of each column of a regression matrix; 1 for a column of zeros."""
     length = np.linalg.norm(rows, axis=0)
     return np.where(length > 0, length, 1.0)
 
 
 def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiability:
-    """Find the coefficients of A and B that the data determine. Those of C always count as determined.
+    """Find the coefficients of an ARX or ARMAX model that the data of a regression determine.
+
+    The coefficients of the noise polynomial C always count as determined.
 
     Parameters
     ----------
@@ -406,14 +418,14 @@ def find_determined(data: Regression, quanta: tuple[float, float]) -> Identifiab
 def exclude_collinear(
     known: Identifiability, data: Regression, theta: np.ndarray, stderr: np.ndarray, noise_sd: float
 ) -> Identifiability:
-    """Mark coefficients as not determined if noise makes them indistinguishable although the rank is full.
+    """Mark coefficients of A and B as not determined if only noise in the data distinguishes them.
 
-    If the input is a measured sine, its sensor noise weakly excites every coefficient of B. The estimates are
-    then large and cancel each other. A coefficient of A or B is a candidate if its column is nearly dependent
-    on the others (:data:`NEARLY_DEPENDENT`) and its standard error, times the length of its column, exceeds
-    the contribution of the whole polynomial to the prediction. All candidates of a polynomial are excluded if
-    any of them has a standard error above half of its magnitude. A coefficient that is known to be small is
-    not excluded.
+    If the input is a measured sine, its sensor noise weakly excites every coefficient of B, so that the
+    regression has full rank. The estimates are then large and cancel each other. A coefficient of A or B is a
+    candidate if its column is nearly dependent on the other columns (:data:`NEARLY_DEPENDENT`) and its
+    standard error, times the length of its column, exceeds the contribution of the whole polynomial to the
+    prediction. All candidates of a polynomial are marked if any of them has a standard error above half of
+    its magnitude. A coefficient that is known to be small is not marked.
     """
     orders, count = data.orders, data.rows.shape[1]
     inflation = np.sum(np.linalg.pinv(known.factor) ** 2, axis=1)
@@ -441,25 +453,25 @@ class ArxEstimate:
     """Estimate of an ARX or ARMAX model with p coefficients from n rows of a regression."""
 
     orders: Orders
-    #: Coefficients, and their standard errors, shape (p,). Standard errors are NaN for coefficients that the
-    #: data do not determine.
+    #: Estimates of the coefficients, and their standard errors, shape (p,). Standard errors are NaN for
+    #: coefficients that the data do not determine.
     theta: np.ndarray
     stderr: np.ndarray
-    #: Covariance of the coefficients, shape (p, p).
+    #: Covariance matrix of the estimates of the coefficients, shape (p, p).
     covariance: np.ndarray
-    #: Standard deviation of the noise e, in the unit of the output.
+    #: Standard deviation of the white noise e of the model, in the unit of the output.
     noise_sd: float
-    #: One-step errors of the model, shape (n,).
+    #: One-step prediction errors of the model on the fitted rows, shape (n,).
     residuals: np.ndarray
     data: Regression
     recursion: Recursion
     known: Identifiability
-    #: Test of the one-step errors for whiteness. With forgetting and without C, the innovations of the
-    #: recursion are tested.
+    #: Result of the test of the one-step errors for whiteness. For an ARX model with forgetting, the
+    #: innovations of the recursion are tested instead.
     whiteness: rt.TestResult
-    #: Whether the covariance allows for correlated residuals (sandwich form).
+    #: Whether the covariance of the estimates allows for correlated residuals (sandwich form).
     robust: bool
-    #: Whether the residuals are not larger than rounding errors.
+    #: Whether the model fits the data exactly, so that the residuals are rounding errors only.
     exact: bool
 
     @property
@@ -473,7 +485,7 @@ class ArxEstimate:
 
 
 def check_enough(data: Regression, orders: Orders) -> None:
-    """Raise an error for a regression with too few rows or with a constant output.
+    """Raise an error if a regression has too few rows for its coefficients, or if its output is constant.
 
     Raises
     ------
@@ -532,7 +544,8 @@ def estimate(
     run = recursive_least_squares(
         data.rows, data.outputs, weight=weight, forgetting=forgetting, prior_scale=prior_scale
     )
-    weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)  # the age of a sample is counted in rows
+    # Discount each row by its age. The age is counted in rows, so that gaps do not count.
+    weights = forgetting ** np.arange(len(data) - 1, -1, -1.0)
     theta = run.theta
     residuals, jacobian = data.outputs - data.rows @ theta, data.rows
     if orders.nc:
@@ -595,7 +608,7 @@ def covariance(
     inverse = np.linalg.pinv(r)
     whitened = (jacobian * weights[:, None]) @ inverse
     middle = whitened.T @ whitened
-    # compute the effective number of samples minus that of parameters, which is n - p without forgetting
+    # Compute the effective number of degrees of freedom of the residuals. It is n - p without forgetting.
     remaining = max(float(np.sum(weights)) - float(np.trace(middle)), 1e-12)
     variance = float(np.sum(weights * residuals**2)) / remaining
     middle = middle * variance

@@ -1,16 +1,16 @@
-"""ARX and ARMAX models: difference equation, simulation, and reading of trials and records.
+"""ARX and ARMAX models: difference equation, simulation, and the data to which they are fitted.
 
     A(z^-1) y(k) = B(z^-1) u(k) + C(z^-1) e(k)
     A = 1 + a1 z^-1 + ... + a_na z^-na
     B = b1 z^-nk + b2 z^-(nk+1) + ... + b_nb z^-(nk+nb-1)
     C = 1 + c1 z^-1 + ... + c_nc z^-nc
 
-Eqs 4 to 7 of the long-fin paper (Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159),
+These are Eqs 4 to 7 of the long-fin paper (Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159),
 with a delay and a noise polynomial added. y is the output, u the input and e white noise. The folder
 ``published`` contains the models of Tables II and III of this paper.
 
-Trials and records are read on a time grid at the rate of their measurements. Records are the input and output
-data that ``swimid rwls`` fits or holds out.
+The module also reads logs and trials files. The command ``swimid rwls`` fits or holds out records of input
+and output on a time grid. The step of the grid is the time between two measurements of the output.
 """
 
 from __future__ import annotations
@@ -45,45 +45,47 @@ from swimid.results.parameters import ParameterFile
 if TYPE_CHECKING:
     import control
 
-#: Name of ARX and ARMAX models in parameter files.
+#: Name that ARX and ARMAX models have in parameter files.
 NAME = "arma"
-#: Names of the settings of a sine that is computed in place of an input column.
+#: Keys of the amplitude, frequency and phase of a sine that replaces an input column, in parameter files.
 SINE = ("amplitude", "frequency_hz", "phase_rad")
-#: Source of the equations, which the parameters cite.
+#: Citation of the long-fin paper, the source of the model equations.
 PAPER = (
     "Shang, Wang, Tan, Cheng: Swimming locomotion modeling for biomimetic underwater vehicle with two "
     "undulating long-fins, Robotica 30 (2012) 913-923, doi:10.1017/S0263574711001159"
 )
-#: Folder of the parameter files of published models.
+#: Folder with the parameter files of the models that the long-fin paper published.
 PUBLISHED = Path(__file__).with_name("published")
-#: Magnitude above which a pole counts as integrating, whatever its standard error is.
+#: Magnitude above which a pole in the z plane counts as integrating, whatever its standard error is.
 INTEGRATING = 0.999
-#: Maximum standard error of a pole's magnitude at which the pole is tested for integration. Larger standard
-#: errors are unreliable, because they follow from a linearisation, which fails for nearly double poles.
+#: Maximum standard error of a pole's magnitude at which the standard error is used to test whether the pole
+#: is integrating. Larger standard errors are unreliable, because their linearisation fails for nearly double
+#: poles.
 MAX_POLE_STDERR = 0.05
-#: Maximum distance of a simulated output from the measured output, divided by the range of the measured
-#: output. At a larger distance the simulation is stopped.
+#: Limit at which a diverging simulation is stopped. It is the distance of the simulated output from the
+#: measured values, divided by the range of the measured output.
 MAX_DISTANCE = 100.0
-#: Minimum fraction of the measurements that span the same number of samples in the log. With a smaller
-#: fraction the rate of the measurements is not constant.
+#: Minimum fraction of the measurements that the log repeats equally often, at which the rate of the
+#: measurements counts as constant.
 REGULAR_SHARE = 0.9
-#: Minimum median change between measurements, in rounding steps, at which repeated samples count as repeated
-#: measurements. With smaller changes, rounding alone causes many repeated samples.
+#: Minimum median change between successive measurements, in rounding steps, at which equal successive samples
+#: count as one measurement that was logged several times. With smaller changes, rounding alone causes many
+#: equal samples.
 MIN_CHANGE = 5.0
-#: Maximum fraction of time with missing samples in an interval over which the input is averaged.
+#: Maximum fraction of an averaging interval of the input in which samples may be missing.
 MAX_MISSING = 1e-3
 
 
 @dataclass(frozen=True)
 class Record:
-    """Record of input and output on a time grid, each of shape (n,). Missing samples are NaN."""
+    """Samples of input and output of a model on a time grid, shape (n,). Missing samples are NaN."""
 
     #: Name of the log from which the record was read.
     name: str
     time_s: np.ndarray
-    #: Samples of the input u.
+    #: Samples of the input u of the model.
     source: np.ndarray
-    #: Samples of the output y.
+    #: Samples of the output y of the model.
     output: np.ndarray
 
     def __len__(self) -> int:
@@ -92,7 +94,11 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of a model: numbers ``na``, ``nb``, ``nc`` of coefficients of A, B, C; delay ``nk``, samples."""
+    """Orders of an ARX or ARMAX model.
+
+    ``na``, ``nb`` and ``nc`` are the numbers of coefficients of the polynomials A, B and C. ``nk`` is the
+    delay of the input in samples.
+    """
 
     na: int
     nb: int
@@ -101,22 +107,22 @@ class Orders:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the coefficients of the model: a1, ..., b1, ..., c1, ..."""
+        """Names of all coefficients of the model: ``a1``, ..., ``b1``, ..., ``c1``, ..."""
         counts = {"a": self.na, "b": self.nb, "c": self.nc}
         return tuple(f"{letter}{i}" for letter, count in counts.items() for i in range(1, count + 1))
 
     @property
     def count(self) -> int:
-        """Total number of coefficients of A, B and C."""
+        """Total number of coefficients of the polynomials A, B and C."""
         return self.na + self.nb + self.nc
 
     @property
     def lag(self) -> int:
-        """Number of past samples that the prediction of one sample needs."""
+        """Number of past samples of output and input that the prediction of one output sample needs."""
         return max(self.na, self.nk + self.nb - 1)
 
     def split(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Split the vector of all coefficients into the coefficients of A, of B and of C."""
+        """Split the vector of all coefficients into those of the polynomial A, of B and of C."""
         theta = np.asarray(theta, dtype=float)
         return theta[: self.na], theta[self.na : self.na + self.nb], theta[self.na + self.nb :]
 
@@ -126,25 +132,31 @@ class Orders:
 
 
 class Pole(parameters_format.Pole):
-    """Pole of the model in the z plane. The standard error of its magnitude is None for a repeated pole."""
+    """Pole of an ARX or ARMAX model in the z plane.
+
+    The standard error of its magnitude is None for a repeated pole.
+    """
 
     @property
     def integrating(self) -> bool:
-        """Whether the magnitude of the pole is 1 within two standard errors, or is very close to 1."""
+        """Whether the pole is integrating, because its magnitude is 1 within two standard errors.
+
+        A magnitude that is very close to 1 also counts, whatever its standard error is.
+        """
         stderr = self.stderr_magnitude
         near = stderr is not None and stderr < MAX_POLE_STDERR and abs(self.magnitude - 1.0) <= 2.0 * stderr
         return near or INTEGRATING < self.magnitude < 2.0 - INTEGRATING
 
     @property
     def state(self) -> Literal["stable", "integrating", "unstable"]:
-        """Stability of the mode of the pole. A pole on or outside the unit circle is unstable."""
+        """Stability of the pole: stable, integrating, or unstable on or outside the unit circle."""
         if self.magnitude >= 1.0:
             return "unstable"
         return "integrating" if self.integrating else "stable"
 
 
 def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
-    """Return the poles of a model, which are the roots of A, sorted by descending magnitude.
+    """Return the poles of an ARX model, the roots of its polynomial A, sorted by descending magnitude.
 
     Parameters
     ----------
@@ -172,12 +184,12 @@ def find_poles(a: np.ndarray, covariance: np.ndarray) -> list[Pole]:
 
 
 def lagged(x: np.ndarray, lag: int) -> np.ndarray:
-    """Return a series delayed by ``lag`` samples, shape (n,). The first ``lag`` samples are NaN."""
+    """Return a copy of a series that is delayed by ``lag`` samples. Its first ``lag`` samples are NaN."""
     return np.concatenate((np.full(lag, np.nan), x))[: len(x)]
 
 
 def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Simulate the output of a model from the input and the first measured outputs of a record.
+    """Simulate the output of an ARX model from the input and the first measured outputs of a record.
 
     Returns
     -------
@@ -196,7 +208,7 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
     a, b, _ = orders.split(theta)
     measured, na = record.output, orders.na
     values = measured[np.isfinite(measured)]
-    limit = 1e150  # this limit prevents overflow if the measured output has no range
+    limit = 1e150  # This limit of the simulated output prevents overflow if the measured output is constant.
     if len(values) and np.ptp(values) > 0:
         limit = float(np.max(np.abs(values))) + MAX_DISTANCE * float(np.ptp(values))
     driven = np.zeros(len(record))
@@ -212,7 +224,7 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
             continue
         state = lfiltic([1.0], np.append(1.0, a), measured[first - na : first][::-1])
         run, _ = lfilter([1.0], np.append(1.0, a), driven[first : piece.stop], zi=state)
-        # values that overflow to NaN count as outside the limit, because a comparison with NaN is false
+        # Simulated values that overflow to NaN count as diverged, because a comparison with NaN is false.
         within = np.logical_and.accumulate(np.abs(run) <= limit)
         result[first : piece.stop] = np.where(within, run, np.nan)
     return result
@@ -221,16 +233,16 @@ def simulate(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
 def simulate_all(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the measured outputs of several records, and their simulated outputs, each as one array."""
+    """Return the measured outputs of all records as one array, and their simulated outputs as another."""
     runs = [simulate(r, orders, theta) for r in records]
     return np.concatenate([r.output for r in records]), np.concatenate(runs)
 
 
 def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> float:
-    """Return the output level of the working point that minimises the squared error of the simulation.
+    """Return the output level of the working point at which a free run has the smallest squared error.
 
-    The result is 0 if the level has no effect. A simulation (free run) is linear in its initial samples, so
-    that at level L it is ``run + L (raised - run)``.
+    A free run is a simulation that uses no measured output after its start. It is linear in its initial
+    samples, so that at level L it is ``run + L (raised - run)``. The result is 0 if the level has no effect.
 
     Parameters
     ----------
@@ -246,7 +258,7 @@ def best_level(measured: np.ndarray, run: np.ndarray, raised: np.ndarray) -> flo
 
 
 class ArxModel(Model):
-    """ARX or ARMAX model from one input column to one output column, as fits and comparisons use it.
+    """ARX or ARMAX model from one input column to one output column, with the interface of all models.
 
     Parameters
     ----------
@@ -278,11 +290,11 @@ class ArxModel(Model):
         self.orders, self.sample_time_s = Orders(na, nb, delay), step_s
         settings = parameters.settings
         self.source, self.output = str(settings.get("input", "u")), str(settings.get("output", "y"))
-        #: Levels of the working point. ``source_level`` is subtracted from the input, ``output_level`` is
-        #: added to the simulated output.
+        #: Levels of the working point of the model. ``source_level`` is subtracted from the input, and
+        #: ``output_level`` is added to the simulated output.
         self.source_level = float(settings.get("input_level", 0.0))
         self.output_level = float(settings.get("output_level", 0.0))
-        #: Amplitude, frequency (Hz) and phase (rad) of a computed input, if no column holds the input.
+        #: Amplitude, frequency (Hz) and phase (rad) of the sine that is the input; None for an input column.
         self.sine: tuple[float, float, float] | None = None
         if settings.get("input_model"):
             self.sine = tuple(settings["input_model"][key] for key in SINE)
@@ -299,22 +311,25 @@ class ArxModel(Model):
         self.channels = (Channel(self.output, unit, "output of the model"),)
 
     def commanded(self, trial: Trial) -> bool:
-        """Return whether the input column has commands and not measured joint angles."""
+        """Return whether the input column of the model holds commands instead of measured joint angles."""
         return not self.source.startswith("joint")
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield the times and values of the known input samples, and 0.0 as their unknown rate of change."""
+        """Yield the times and values of the known input samples of a trial.
+
+        The third item is the rate of change of the command, which is unknown and set to 0.0.
+        """
         time = np.asarray(trial.time_s, dtype=float)
         signal = self.input_of(trial, time)
         known = np.isfinite(signal)
         yield time[known], signal[known], 0.0
 
     def onset(self, trial: Trial) -> float:
-        """Return minus infinity as the start of the motion, because the model has no start from rest."""
+        """Return minus infinity as the time of the start from rest, because the model has no such start."""
         return -np.inf
 
     def beats(self, trials: Sequence[Trial]) -> list[float]:
-        """Return a list with the frequency of a computed input, Hz; an empty list for an input column."""
+        """Return the frequency of the sine input of the model, Hz, as a list; empty for an input column."""
         if self.sine is None:
             return []
         return [self.sine[1]]
@@ -358,10 +373,10 @@ class ArxModel(Model):
     def at_own_level(
         self, values: Array, trial: Trial, hooks: Hooks = NONE
     ) -> tuple[ArxModel, dict[str, float]]:
-        """Return the model with the output level of its working point estimated from a trial, and this level.
+        """Return a copy of the model whose working point has the output level of a trial, and this level.
 
-        The level minimises the sum of squared errors of the free run. A model without a working point is
-        unchanged.
+        The level minimises the sum of squared errors of the free run of the trial. A model without a working
+        point is returned unchanged.
         """
         if not (self.output_level or self.source_level):
             return self, {}
@@ -394,7 +409,7 @@ class ArxModel(Model):
         return hooks.seen(channels, trial.time_s)
 
     def input_of(self, trial: Trial, time: Array) -> Array:
-        """Return the input signal of a trial at ``time`` (s), shape (n,), NaN where missing.
+        """Return the samples of the input of a trial at ``time`` (s), NaN where a sample is missing.
 
         Raises
         ------
@@ -411,9 +426,9 @@ class ArxModel(Model):
 
 
 def sine_input(time_s: Array, amplitude: float, frequency_hz: float, phase_rad: float) -> Array:
-    """Return the sine ``A sin(2 pi f t + phase)`` that replaces an input column, in the unit of A.
+    """Return the sine ``A sin(2 pi f t + phase)`` as the input of a model without an input column.
 
-    It is the input F_u of Eq 3 of the long-fin paper, without noise.
+    It has the unit of the amplitude A. It is the input F_u of Eq 3 of the long-fin paper, without noise.
     """
     return amplitude * np.sin(2 * np.pi * frequency_hz * np.asarray(time_s, dtype=float) + phase_rad)
 
@@ -435,11 +450,9 @@ def to_control(parameters: ParameterFile) -> control.TransferFunction:
 
 
 def published(name: str) -> ParameterFile:
-    """Return a published model of the long-fin paper by its name (see :func:`published_names`).
+    """Return the parameter file of a model that the long-fin paper published (:func:`published_names`).
 
-    The model has no standard errors.
-
-    The model of the rotating motion is unstable.
+    The models have no standard errors. The model of the rotating motion is unstable.
     """
     if name not in published_names():
         raise KeyError(f"no published model {name!r}; there are {', '.join(published_names())}")
@@ -447,7 +460,7 @@ def published(name: str) -> ParameterFile:
 
 
 def published_names() -> tuple[str, ...]:
-    """Return the names of the published models of the long-fin paper."""
+    """Return the names of the models that the long-fin paper published."""
     return tuple(sorted(path.stem for path in PUBLISHED.glob("*.yaml")))
 
 
@@ -455,12 +468,12 @@ def published_names() -> tuple[str, ...]:
 
 
 def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[str]]:
-    """Return a log at the rate of its measurements, and a sentence for each column with repeated samples.
+    """Resample a log that repeats its measurements, so that it has one row for each measurement.
 
-    If a log contains each measurement several times, a discrete-time model fitted to it describes the logger,
-    and its poles are wrong. Columns that have a value only in every n-th row are also resampled. An input
-    with few levels, or with independent levels, is a command that is constant by design. It is resampled only
-    together with the output.
+    Return the log and a sentence for each column with repeated samples. If a log contains each measurement
+    several times, a discrete-time model fitted to it describes the logger, and its poles are wrong. Columns
+    that have a value only in every n-th row are also resampled. An input with few levels, or with independent
+    levels, is a command that is constant by design. It is resampled only together with the output.
 
     Parameters
     ----------
@@ -481,7 +494,8 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
     for column in [c for c in (output, source) if c is not None]:
         values = log[column]
         held, empty = find_held(log.time_s, [values]), np.isnan(values)
-        # an input whose levels are independent is a random command, whose repeated samples are intended
+        # Accept the repeated samples of an input whose levels are independent, because it is a random
+        # command.
         if column == source and rt.ljung_box(values[~held.repeated & ~empty]).passed:
             continue
         own = _even_times(log.time_s, values, held)
@@ -510,16 +524,17 @@ def at_own_rate(log: Log, source: str | None, output: str) -> tuple[Log, list[st
 
 
 def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the rows and the times (s) of the measurements in a column if their rate is constant.
+    """Return the rows and the times (s) at which a column has a new measurement, at a constant rate.
 
-    The result is None if the rate is not constant, or if it is the rate of the log.
+    Return None if the measurements have no constant rate, or if every row has a new measurement.
     """
     rows = np.flatnonzero(~(held.repeated | np.isnan(values)))
     lasts = np.diff(rows)
     if not (lasts > 1).any():
         return None
     factor = int(np.median(lasts[lasts > 1]))
-    # do not count successive samples with equal values, which are new measurements of a resting robot
+    # Ignore successive rows with equal values for the rate, because they may be measurements of a robot at
+    # rest.
     shown = lasts[(lasts > 1) | (values[rows[1:]] != values[rows[1:] - 1])]
     if np.mean(shown == factor) >= REGULAR_SHARE:
         kept: list[int] = []
@@ -534,9 +549,9 @@ def _even_times(time_s: np.ndarray, values: np.ndarray, held: Held) -> tuple[np.
 
 
 def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return the mean of a piecewise constant signal from each time to the next.
+    """Return the mean of a piecewise constant signal over the interval from each of ``times`` to the next.
 
-    The mean is NaN if too many samples are missing (:data:`MAX_MISSING`).
+    ``times`` are in s. The mean is NaN if too many samples are missing in an interval (:data:`MAX_MISSING`).
     """
     steps, missing = np.diff(time_s), np.isnan(values)
     held = np.column_stack([np.where(missing, 0.0, values), missing])
@@ -549,19 +564,22 @@ def _means(time_s: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndar
 
 
 def _is_lossy(values: np.ndarray, repeated: np.ndarray) -> bool:
-    """Return whether a signal repeats samples although its other changes exceed its rounding step."""
+    """Return whether a signal repeats measurements, because its repeats cannot be due to rounding.
+
+    They cannot if the median change between its other samples is at least :data:`MIN_CHANGE` rounding steps.
+    """
     changes = np.abs(np.diff(values[~repeated]))
     return bool(repeated.any() and np.median(changes) >= MIN_CHANGE * (step_of(values) or quantum(values)))
 
 
-#: Keys of a trials file that have an effect, by experiment.
+#: Keys of a trials file that the experiment ``arma`` uses. Other keys have no effect on the experiment.
 USES = {"arma": trials_format.EVERYWHERE | {"input", "output"}}
 
 
 def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Path) -> Experiment:
-    """Read trials of the experiment ``arma`` for the model of a parameter file.
+    """Read trials of the experiment ``arma`` for comparison with the model of a parameter file.
 
-    Input and output are the columns to which the model was fitted.
+    The columns of input and output are those to which the model was fitted.
 
     Raises
     ------
@@ -596,11 +614,11 @@ def load(source: str | Path | TrialSet, file: ParameterFile, parameters_path: Pa
 
 @dataclass(frozen=True)
 class Columns:
-    """Names of the input and output columns of the logs, and the sine that may replace the input column."""
+    """Names of the input and output columns of a model in its logs, and a sine that may replace the input."""
 
     source: str
     output: str
-    #: Amplitude, frequency (Hz) and phase (rad) of a computed input.
+    #: Amplitude, frequency (Hz) and phase (rad) of the sine that replaces the input column; None without it.
     sine: tuple[float, float, float] | None
 
     @property
@@ -610,7 +628,7 @@ class Columns:
 
     @property
     def gain_unit(self) -> str:
-        """Unit of the coefficients of B: unit of the output divided by that of the input."""
+        """Unit of the coefficients of the polynomial B: unit of the output divided by that of the input."""
         source = numbers.split_unit(self.source)[1] or "1"
         if source == "1":
             return self.unit
@@ -620,29 +638,30 @@ class Columns:
 
     @property
     def measured_source(self) -> str | None:
-        """Name of the input column; None for a computed input."""
+        """Name of the input column in the logs; None if a sine replaces the input column."""
         return None if self.sine else self.source
 
 
 @dataclass(frozen=True)
 class Data:
-    """Data for an identification: records of the fitted logs and of the held-out data."""
+    """Data for the identification of an ARX or ARMAX model: fitted records and held-out records."""
 
     columns: Columns
     sample_time_s: float
     fit: list[Record]
-    #: Held-out records by the name of the log or of the part of a log.
+    #: Held-out records. The key is the name of a held-out log, or of the held-out part of a log.
     held_out: dict[str, list[Record]]
     #: Names of the logs to which the model is fitted.
     logs: list[str]
-    #: Paths or objects of all input files, for the provenance.
+    #: Paths or objects of all input files, which the provenance of the result lists.
     files: list[Input]
     robot: str | None
-    #: Sentences about repeated samples, one for each column with repeated samples.
+    #: Sentences on the columns of logs that repeat measurements, one for each such column.
     repeats: list[str]
 
 
-#: Type of an input: a log or trials of the experiment ``arma``, as a file or as an object in memory.
+#: Type of the data that the command accepts: a log, or trials of the experiment ``arma``. Both can be a file
+#: or an object in memory.
 Source = Any
 
 
@@ -712,7 +731,10 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
 
 
 def _single(source: Source, role: Any, name: str) -> TrialEntry:
-    """Return a trial entry for a log that no trials file lists. ``name`` names a table without a name."""
+    """Return a trial entry for a log that no trials file lists.
+
+    ``name`` is the name of the trial if the log is a table in memory that has no name.
+    """
     if isinstance(source, str | Path):
         return TrialEntry(id=Path(source).name, log=str(source), role=role)
     held = source if isinstance(source, Log) else Log.from_frame(source, name=name)
@@ -722,7 +744,10 @@ def _single(source: Source, role: Any, name: str) -> TrialEntry:
 
 
 def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source]]:
-    """Return the fraction of each log to hold out (0 if none is given), and the logs to hold out."""
+    """Split the values of the option ``--validate`` into a fraction and a list of logs.
+
+    The fraction is the held-out share of each fitted log, 0 if it is not given. The logs are held out whole.
+    """
     shares: list[float] = []
     logs: list[Source] = []
     for item in given:
@@ -740,7 +765,7 @@ def _split_held_out(given: Sequence[Source | float]) -> tuple[float, list[Source
 
 
 def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns:
-    """Return the input and output columns that the options or the trials file name."""
+    """Return the input and output columns that the options name, or else those that the trials file names."""
     source, output = options.input_column, options.output_column
     if listed is not None:
         source, output = source or listed.input, output or listed.output
@@ -756,7 +781,7 @@ def _columns(options: RwlsOptions, listed: trials_format.Arma | None) -> Columns
 
 
 def _check_distinct(log: Log, columns: Columns) -> None:
-    """Raise an error if the output column is a copy of the input column. Constant columns are allowed."""
+    """Raise an error if the output column of a log is a copy of the input column and is not constant."""
     if columns.sine:
         return
     u, y = log[columns.source], log[columns.output]
@@ -789,7 +814,7 @@ def _common_step(names: Sequence[str], logs: Sequence[Log]) -> float:
 
 
 def _records(log: Log, name: str, columns: Columns, step_s: float, rows: slice) -> list[Record]:
-    """Return the given rows of a log as records on a time grid, divided at long gaps."""
+    """Return the given rows of a log as records of input and output, with a new record after a long gap."""
     time = log.time_s[rows]
     if len(time) < 2:
         return []

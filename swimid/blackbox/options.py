@@ -70,7 +70,7 @@ class RwlsOptions(
 
     @property
     def delay(self) -> int:
-        """Delay of the first input coefficient b1, samples."""
+        """Delay of the first input coefficient b1, samples; 1 if the option is not given."""
         return self.nk if self.nk is not None else 1
 
     @model_validator(mode="after")

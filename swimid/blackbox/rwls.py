@@ -1,10 +1,10 @@
 """Command ``swimid rwls``: identification of a discrete-time model from an input and an output column.
 
-The command chooses the working point and the orders, estimates the model, and computes its prediction errors.
-A model without a constant term describes deviations from a working point. If data are recorded around a
-working point (20 degrees, half throttle), the means must be subtracted. If data obey the model without a
-constant term, they must not be changed. Two kinds of predictions are computed: one step ahead, and the free
-run. The free run is a simulation that uses no measured output after its start.
+The command chooses the working point and the orders of an ARX or ARMAX model, estimates the model, and
+computes its prediction errors. The model has no constant term, and describes deviations from a working point.
+If data are recorded around a working point (20 degrees, half throttle), their means must be subtracted. If
+data obey the model without a constant term, they must not be changed. Predictions are computed one step ahead
+and as a free run. The free run is a simulation that uses no measured output after its start.
 """
 
 from __future__ import annotations
@@ -57,32 +57,33 @@ from swimid.results import numbers, parameters
 from swimid.results.evidence import Check, Evidence, Figure, Table, Trace
 from swimid.results.parameters import Fitted
 
-#: Minimum absolute t value of a constant term at which the working point is subtracted without further
-#: conditions.
+#: Minimum absolute t value of a constant term in the regression at which the means of the data are subtracted
+#: without further conditions.
 CLEAR_T = 5.0
-#: Minimum absolute t value of a constant term at which the working point is subtracted if this improves the
-#: free run by :data:`CLEAR_GAIN`. Data that need no constant term reach both thresholds by chance in less
-#: than one of a hundred records, also for slow systems.
+#: Minimum absolute t value of a constant term in the regression at which the means of the data are subtracted
+#: if this also improves the free run by :data:`CLEAR_GAIN`. Fewer than one in a hundred records that need no
+#: constant term reach both thresholds by chance, also for slow systems.
 LIKELY_T = 3.5
-#: Minimum absolute t value of a constant term at which the working point is subtracted if the output is far
-#: from zero and the free run improves at all. A missing constant term then biases the other coefficients (a
-#: spurious pole at 1), so that its t value is small.
+#: Minimum absolute t value of a constant term in the regression at which the means of the data are subtracted
+#: if the output is far from zero (:data:`FAR`) and the free run improves at all. The t value can be small
+#: because a spurious pole near 1 replaces the constant term.
 WEAK_T = 2.0
-#: Minimum relative reduction of the root-mean-square error of the free run that counts as a clear
-#: improvement.
+#: Minimum relative reduction of the root-mean-square error of the free run that counts as a clear improvement
+#: when the means of the data are subtracted.
 CLEAR_GAIN = 0.1
 #: Minimum ratio of the absolute mean of the output to its standard deviation at which the output counts as
 #: far from zero.
 FAR = 3.0
-#: Maximum ratio of the root-mean-square error of the free run on held-out data to that on the fitted data
-#: (SWM015).
+#: Ratio of the root-mean-square error of the free run on held-out data to that on the fitted data, above
+#: which the warning SWM015 is issued.
 MAX_RATIO = 2.0
-#: Warning codes by the name of a check. The text of the warning is the reason of the check.
+#: Code of the warning for each check that issues one if it does not pass. The key is the name of the check.
+#: The text of the warning is the reason that the check gives.
 CODES = {"Largest pole": "SWM020", "Residuals white": "SWM013", "Coefficients determined": "SWM010"}
-#: Minimum NRMSE fit at which a free run counts as reproducing the output, %.
+#: Minimum NRMSE fit (100 % minus the normalised root-mean-square error), %, at which a free run counts as
+#: reproducing the output.
 MIN_FIT_PERCENT = 50.0
-#: Maximum condition number of the scaled regression. A regression with a larger condition number is reported
-#: as ill-conditioned.
+#: Condition number of the scaled regression matrix above which the regression is reported as ill-conditioned.
 MAX_CONDITION = 1e6
 REFERENCES = [
     PAPER,
@@ -297,7 +298,10 @@ def _warnings(m: Identified, checks: Sequence[Check]) -> Iterator[tuple[str, str
 
 
 def _parameter_file(m: Identified) -> parameters.ParameterFile:
-    """Return the parameter file of an identified model. Its settings have the orders, columns and levels."""
+    """Return the parameter file of an identified model.
+
+    Its settings have the orders, the input and output columns, and the levels of the working point.
+    """
     fitted, data, columns = m.estimate, m.data, m.data.columns
     orders, names, lost = fitted.orders, fitted.orders.names, m.undetermined
     unit, channel = columns.unit, columns.output
@@ -332,7 +336,8 @@ def _parameter_file(m: Identified) -> parameters.ParameterFile:
         together = score(*simulate_all(held_out, orders, fitted.theta))
         by_set = {name: part.as_dict(unit) for name, part in m.held_out.items()}
         validation[channel] = {**together.as_dict(unit), "data": by_set}
-    # the provenance names held-out data by a fraction, by a file, or by a log in memory
+    # The provenance names held-out data by the fraction of each log, by a file, or by the name of a log in
+    # memory.
     shares = [
         str(v if isinstance(v, str | float | Path) else getattr(v, "name", "log")) for v in m.options.held_out
     ]
@@ -401,9 +406,9 @@ def _errors(m: Identified) -> Table:
 
 
 def _modes(m: Identified) -> Table:
-    """Return the table of the poles.
+    """Return a table of the modes of the model: magnitude, frequency, damping and stability of each pole.
 
-    Frequency and damping are those of the continuous-time pole ``log(z) / Ts``.
+    Frequency and damping are those of the continuous-time pole ``log(z) / Ts``, with the sample time ``Ts``.
     """
     rows: list[list[ev.Cell]] = []
     for p in m.poles:
@@ -438,7 +443,7 @@ def _methods(m: Identified) -> list[str]:
 
 
 def _free_run(m: Identified) -> Figure:
-    """Return the figure of measured output and free run, for the worst and the best of the data sets."""
+    """Return the figure of measured output and free run over time, for the worst and the best data set."""
     parts = m.judged
     ranked = sorted(parts, key=lambda name: parts[name].free_run.fit_percent)
     panels = []
@@ -472,7 +477,7 @@ def _residuals(m: Identified) -> Figure:
 
 @dataclass(frozen=True)
 class WorkingPoint:
-    """Working point: means that are subtracted from input and output, or zeros if none are subtracted."""
+    """Means that are subtracted from the input and output of a model; zeros if none are subtracted."""
 
     source: float
     output: float
@@ -482,7 +487,7 @@ class WorkingPoint:
 
 
 def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "auto") -> WorkingPoint:
-    """Return the working point of the fitted records, after deciding whether their means must be subtracted.
+    """Decide whether the means of the fitted records must be subtracted, and return the working point.
 
     Parameters
     ----------
@@ -518,12 +523,15 @@ def find_working_point(records: Sequence[Record], orders: Orders, mode: str = "a
 def _helps(
     records: Sequence[Record], orders: Orders, point: WorkingPoint, *, far: bool, likely: bool
 ) -> bool:
-    """Return whether subtraction of the means improves the free run, or removes a spurious pole at 1.
+    """Return whether subtracting the means of the records improves the free run or removes a pole at 1.
 
     Parameters
     ----------
-    far, likely : bool
-        Whether the output is far from zero, and whether a constant term is likely.
+    far : bool
+        Whether the mean of the output is far from zero. Only then does the removal of a pole count.
+    likely : bool
+        Whether a constant term is likely. If the output is also far from zero, any improvement of the free
+        run counts.
     """
     plain = replace(orders, nc=0)
     rms, largest = [], []
@@ -543,9 +551,9 @@ def _helps(
 
 
 def constant_term(data: Regression) -> tuple[float, float]:
-    """Return a constant term that is fitted together with A and B, and its t value.
+    """Fit a regression with an additional constant term, and return this term and its t value.
 
-    The constant term is NaN and its t value 0 if the data do not determine it.
+    If the data do not determine the constant term, it is NaN and its t value is 0.
     """
     n, p = data.rows.shape
     rows = np.hstack((data.rows, np.ones((n, 1))))
@@ -562,14 +570,14 @@ def constant_term(data: Regression) -> tuple[float, float]:
 
 
 def shifted(records: Sequence[Record], point: WorkingPoint) -> list[Record]:
-    """Return records of deviations from a working point."""
+    """Return copies of records with the levels of a working point subtracted from input and output."""
     if not point.removed:
         return list(records)
     return [replace(r, source=r.source - point.source, output=r.output - point.output) for r in records]
 
 
 def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
-    """Return the output predicted one sample ahead, shape (n,); NaN where a past sample is missing."""
+    """Predict the output of a record one sample ahead from past samples; NaN where one of them is missing."""
     data = regression([record], orders)
     errors, _ = errors_and_gradient(theta, data)
     return data.on_grid(data.outputs - errors)
@@ -578,10 +586,10 @@ def predict(record: Record, orders: Orders, theta: np.ndarray) -> np.ndarray:
 def about_own_level(
     records: Sequence[Record], orders: Orders, theta: np.ndarray
 ) -> tuple[list[Record], float]:
-    """Return records with the output level subtracted that minimises the free-run error, and this level.
+    """Subtract from the outputs of records the level that minimises the free-run error of a model.
 
-    Held-out data can have another working point than the fitted data. The level is subtracted from all
-    outputs, also from those that start the free run.
+    Return the records and this level. Held-out data can have another working point than the fitted data. The
+    level is subtracted from all outputs, also from those that start the free run.
     """
     measured, run = simulate_all(records, orders, theta)
     _, raised = simulate_all([replace(r, output=r.output - 1.0) for r in records], orders, theta)
@@ -591,21 +599,21 @@ def about_own_level(
 
 @dataclass(frozen=True)
 class Part:
-    """Prediction errors of a model on one set of records, with the records relative to the working point."""
+    """Set of records and the prediction errors of a model on it. The working point is subtracted."""
 
     records: list[Record]
     one_step: Score
     free_run: Score
-    #: Whether the model is not stable and its free run diverges from the measured output.
+    #: Whether the free run of a model that is not stable diverges from the measured output.
     diverged: bool
     #: Output level of held-out records, relative to the level of the fitted data.
     level: float = 0.0
-    #: Free-run error at the output level of the fitted data. The records and the other errors are relative to
-    #: their own output level.
+    #: Free-run error of held-out records about the output level of the fitted data. It is None for fitted
+    #: records, and if no means were subtracted. All other errors are about the own level of the records.
     strict: Score | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """Return the prediction errors as plain data for the parameter file."""
+        """Return the prediction errors as nested dictionaries for the parameter file."""
         free = {**self.free_run.as_dict(unit), "diverged": self.diverged}
         if self.strict is not None:
             free |= {"level_shift": self.level, "at_predicted_level": self.strict.as_dict(unit)}
@@ -613,7 +621,7 @@ class Part:
 
 
 def score_records(records: list[Record], model: ArxEstimate, poles: list[Pole]) -> Part:
-    """Return the prediction errors of a model on a set of records, one step ahead and for the free run.
+    """Return the prediction errors of a model on a set of records, one step ahead and in a free run.
 
     Raises
     ------
@@ -647,39 +655,46 @@ class Identified:
     data: Data
     point: WorkingPoint
     fit: Part
-    #: Held-out records with their prediction errors, by the name of the data.
+    #: Held-out records with their prediction errors. The key is the name of the log or of its held-out part.
     held_out: Mapping[str, Part]
     estimate: ArxEstimate
-    #: Poles of the model, the largest magnitude first.
+    #: Poles of the model in the z plane, sorted by descending magnitude.
     poles: list[Pole]
-    #: Orders tried in a search with their BIC, lowest BIC first; empty without a search.
+    #: Orders that the order search tried, each with its Bayesian information criterion (BIC), lowest BIC
+    #: first. It is empty if the user gave the orders.
     candidates: Sequence[tuple[Orders, float]]
 
     @property
     def kind(self) -> str:
-        """Kind of the model: ``ARX``, or ``ARMAX`` if it has a noise polynomial."""
+        """Name of the model structure: ``ARX``, or ``ARMAX`` if the model has a noise polynomial C."""
         return "ARMAX" if self.estimate.orders.nc else "ARX"
 
     @property
     def judged(self) -> dict[str, Part]:
-        """Data sets by which the model is judged: held-out data, or the fitted data if none are held out."""
+        """Data sets whose free run the checks assess.
+
+        They are the held-out data, or the fitted data if no data are held out.
+        """
         return dict(self.held_out) or {"the fitted part": self.fit}
 
     @cached_property
     def residual_series(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """One-step residuals and input of the fitted records on a time grid, and number of lags to test."""
+        """One-step residuals and input on the time grid of the fitted records, and number of lags to test."""
         data = self.estimate.data
         return data.on_grid(self.estimate.residuals), data.source, rt.default_lags(len(data))
 
     @cached_property
     def independent(self) -> rt.TestResult:
-        """Test of the hypothesis that the residuals are independent of past inputs."""
+        """Result of the test that the one-step residuals are independent of past inputs."""
         residuals, source, lags = self.residual_series
         return rt.independence(residuals, source, lags=lags, first=self.estimate.orders.nk)
 
     @property
     def worse(self) -> list[str]:
-        """Names of the held-out data whose free-run error exceeds :data:`MAX_RATIO` times that of the fit."""
+        """Names of the held-out data whose free-run error is much larger than that of the fitted data.
+
+        The limit of the ratio is :data:`MAX_RATIO`.
+        """
         limit = MAX_RATIO * self.fit.free_run.rmse
         return [name for name, part in self.held_out.items() if part.free_run.rmse > limit]
 
@@ -691,16 +706,16 @@ class Identified:
 
     @property
     def critical_pole(self) -> Pole | None:
-        """Pole that determines the stability of the model; None without a pole.
+        """Pole that determines the stability of the model; None if the model has no pole.
 
-        It is an unstable pole, else an integrating pole, else the pole of the largest magnitude.
+        It is the largest unstable pole, else the largest integrating pole, else the largest stable pole.
         """
         states = ("unstable", "integrating", "stable")
         return min(self.poles, key=lambda pole: states.index(pole.state), default=None)
 
 
 def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified:
-    """Choose the orders of a model if they are not given, fit the model, and compute its prediction errors.
+    """Identify an ARX or ARMAX model: choose orders if none are given, fit, and compute prediction errors.
 
     Raises
     ------
@@ -730,7 +745,10 @@ def identify(data: Data, options: RwlsOptions, progress: Progress) -> Identified
 
 
 def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[Orders, float]]:
-    """Rank the model orders of a search grid by BIC. Warn if the best orders lie at the edge of the grid."""
+    """Search the grid of model orders that the options define, and rank the orders by BIC.
+
+    BIC is the Bayesian information criterion. Warn if the best orders lie at the edge of the grid.
+    """
     largest = options.max_order
     delays = range(options.max_nk + 1)
     if options.nk is not None:
@@ -754,7 +772,9 @@ def _search(data: Data, options: RwlsOptions, progress: Progress) -> list[tuple[
 def search_orders(
     records: Sequence[Record], largest: int, delays: range, *, progress: Progress = silent
 ) -> list[tuple[Orders, float]]:
-    """Rank ARX models with na from 0 to ``largest``, nb from 1 to ``largest`` and nk in ``delays``.
+    """Fit ARX models of all orders in a grid, and rank them by the Bayesian information criterion.
+
+    The grid has na from 0 to ``largest``, nb from 1 to ``largest`` and nk in ``delays``.
 
     Returns
     -------
@@ -777,7 +797,8 @@ def search_orders(
     check_enough(data, widest)
     n = len(data)
     factor = np.asarray(np.linalg.qr(np.column_stack((data.rows, data.outputs)), mode="r"))
-    # limit the residuals from below, because noise-free data would otherwise favour more coefficients
+    # Set a lower limit for the sum of squared residuals (RSS), because noise-free data would otherwise favour
+    # models with more coefficients.
     floor = max(n * (EXACT * float(np.std(data.outputs))) ** 2, float(np.finfo(float).tiny))
     grid = list(product(range(largest + 1), range(1, largest + 1), delays))
     found = []

@@ -35,9 +35,12 @@ def import_log(
 ) -> Result:
     """Import a recording of another program as a log, or draft the mapping that the import needs.
 
+    The mapping states which column of the recording becomes which column of the log.
+
     Parameters
     ----------
     file : Path
+        File of the recording.
     output : Path
         Log to write; the mapping with ``guess``.
 
@@ -61,7 +64,7 @@ def import_log(
 
 # ---------------------------------------------------------------- schema
 
-#: Model of each file format that is not the format of a result, as ``module:attribute``.
+#: Pydantic model of each file format of swimid that is not the format of a result, as ``module:attribute``.
 OTHERS = {
     "trials": "swimid.logs.trials:AnyTrials",
     "robot": "swimid.robots.file:schema_of",
@@ -100,7 +103,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
-        # a class of results refers to the model of its file by ``file_type``
+        # The attribute ``file_type`` of a class of results is the pydantic model of its file.
         **TypeAdapter(getattr(found, "file_type", found)).json_schema(),
     }
     text = json.dumps(document, indent=2)
@@ -123,7 +126,7 @@ OPTIONAL = {
     "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
     "pymoo": "genetic searches (pip install 'swimid[search]')",
 }
-#: Modules with compiled kernels. The function ``warm_up`` of each module compiles its kernels.
+#: Modules with functions that numba compiles. The function ``warm_up`` of each module compiles them.
 KERNELS = (
     "swimid.rig.model",
     "swimid.swimmer.planar.model",
@@ -135,9 +138,9 @@ KERNELS = (
 
 @takes(DoctorOptions)
 def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
-    """Check the installation of swimid: versions, video decoding and optional packages.
+    """Check the installation of swimid: versions of packages, optional packages and video decoding.
 
-    With ``warm_up``, also compile the kernels.
+    With ``warm_up``, also compile the numerical functions, so that no later command waits for it.
 
     Parameters
     ----------
@@ -193,7 +196,7 @@ def _required() -> list[str]:
     try:
         stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
     except metadata.PackageNotFoundError:
-        # without metadata, swimid runs from its source and is not installed
+        # swimid has no package metadata if it runs from its source and is not installed.
         return ["swimid"]
     return [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in stated]
 

@@ -1,8 +1,9 @@
-"""The ``swimid`` command: a click command for each class of options in the ``options.py`` of a package.
+"""Command-line interface of swimid, with a click command for each class of options of a package.
 
-The files are parsed as text, so that the list of commands can be shown without an import of the packages.
-stdout has the result only: plain text or, with ``--json``, one JSON document, which also reports errors.
-Progress, warnings and errors go to stderr.
+The classes are in the files ``options.py`` of the packages. These files are parsed as text, so that the list
+of commands can be shown without an import of the packages. The standard output has the result only: plain
+text or, with ``--json``, one JSON document, which also reports errors. Progress, warnings and errors go to
+the standard error.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ if TYPE_CHECKING:
 
 #: Terminal codes that erase a progress bar: they move up one line and clear it.
 ERASE_BAR = "\x1b[1A\x1b[2K"
-#: Maximum width of a line on the terminal.
+#: Maximum width of a line of a warning on the terminal, characters.
 WIDTH = 100
-#: Maximum number of warnings with the same code that are all printed. If there are more, three of them and
-#: the number of the others are printed, unless -v is given.
+#: Maximum number of warnings with the same code that are all printed. If there are more, the first three of
+#: them and the number of the remaining warnings are printed, unless -v is given.
 MAX_ALIKE = 5
 _flag = partial(click.Option, is_flag=True)
-#: Options that every command has in addition to ``-o``.
+#: Command-line options that every command has in addition to ``-o``.
 SHARED = (
     _flag(["--json", "as_json"], help="Print the result as one JSON document on stdout."),
     _flag(["--force"], help="Overwrite an output that swimid did not write."),
@@ -55,7 +56,7 @@ SHARED = (
     _flag(["--debug"], help="Show tracebacks."),
 )
 
-#: Ending of the name of an evidence file.
+#: Ending of the name of an evidence file, which a command writes next to its result.
 EVIDENCE = ".evidence.json"
 
 # ---------------------------------------------------------------- run of one command
@@ -67,7 +68,7 @@ class Bug(SwimidError):
 
 @dataclass
 class Run:
-    """Execution of one command, with the values of the options that every command has."""
+    """Execution of one command, with the values of the options that all commands share."""
 
     command: str
     output: Path | None = None
@@ -80,23 +81,29 @@ class Run:
 
     @property
     def progress(self) -> Progress:
-        """Function that opens progress bars on stderr. They show nothing if stderr is not a terminal."""
+        """Function that opens a progress bar on the standard error.
+
+        The bar shows nothing if the standard error is not a terminal, or if the user wants no progress bars.
+        """
         if self.no_progress or self.quiet or not sys.stderr.isatty() or os.environ.get("CI"):
             return silent
         return _bar
 
     def __call__(self, work: Callable[[], Result]) -> None:
-        """Execute the command: call ``work``, print result and warnings, and convert errors to exit statuses.
+        """Execute the command: call its function, print result and warnings, and exit with a status.
 
-        The exit status is 0 for success, 2 for wrong usage, 3 for an invalid input, 4 for no trustworthy
-        result, 1 for a bug, and 130 for an interrupt.
+        ``work`` is the function without arguments that computes the result. The exit status is 0 for success,
+        2 for wrong usage, 3 for an invalid input, 4 for no trustworthy result, 1 for a bug, and 130 for an
+        interrupt.
         """
         notices: list[Notice] = []
         written: list[Path] = []
         interrupts: list[Callable[[], None]] = []
 
         def noted(interrupt: Callable[[], None]) -> None:
-            interrupts.append(interrupt)  # a search may catch the exception and return its best result
+            # Record the interrupt, because a search may catch its exception and return the best result so
+            # far.
+            interrupts.append(interrupt)
             interrupt()
 
         try:
@@ -126,7 +133,10 @@ class Run:
         self._print({"result": outcome.data}, notices, outcome.outputs, outcome)
 
     def _as_error(self, caught: BaseException, written: list[Path]) -> SwimidError:
-        """Convert the exception that ended the command into an error of swimid."""
+        """Convert the exception that ended the command into a :class:`SwimidError`.
+
+        ``written`` has the files that the command wrote before.
+        """
         if isinstance(caught, SwimidError):
             return caught
         if isinstance(caught, MemoryError):
@@ -148,7 +158,11 @@ class Run:
         outputs: Iterable[Path],
         outcome: Result | None = None,
     ) -> None:
-        """Print the result or error on stdout, and warnings, written files and the next command on stderr."""
+        """Print the result of the command, its warnings, its files and a suggested next command.
+
+        The result is printed on the standard output, and so is an error with ``--json``. Everything else is
+        printed on the standard error.
+        """
         if not self.quiet:
             for line in _warning_lines(notices, (MAX_ALIKE, sys.maxsize)[self.verbose > 0]):
                 click.echo(line, err=True)
@@ -176,7 +190,7 @@ class Run:
                 click.echo(f"next: {following}", err=True)
 
     def protect(self, output: Path, *, inputs: Iterable[str | Path] = ()) -> None:
-        """Refuse an output that would replace an input, or a file that swimid did not write.
+        """Raise an error if the output would replace an input, or a file that swimid did not write.
 
         Raises
         ------
@@ -196,9 +210,10 @@ class Run:
 
 
 def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
-    """Yield the lines that print warnings, grouped by code.
+    """Yield the lines in which a command prints its warnings, grouped by warning code.
 
-    If more than ``most`` warnings have the same code, three of them and the number of the others are printed.
+    If more than ``most`` warnings have the same code, only three of them and the number of the remaining
+    warnings are printed.
     """
     wrapped = partial(
         textwrap.fill,
@@ -219,7 +234,7 @@ def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
 
 @contextmanager
 def _bar(description: str, total: int | None = None) -> Iterator[Step]:
-    """Draw a progress bar on stderr, and erase it at the end of the block."""
+    """Draw a progress bar on the standard error during the ``with`` block, and erase it at the end."""
     steps = range(total or 0)
     if total is None:
         steps = count()  # type: ignore[assignment]
@@ -238,14 +253,14 @@ def _bar(description: str, total: int | None = None) -> Iterator[Step]:
 
 @dataclass(frozen=True)
 class CommandSpec:
-    """Declaration of a command, read from its class of options (see :class:`swimid.options.Options`).
+    """Declaration of a command, which is read from its class of options (:class:`swimid.options.Options`).
 
     Attributes
     ----------
     command, section, output, argument, output_flags, required, stdout, beside, function, module
-        Arguments of the class.
+        Class arguments of the class of options.
     package, options, help : str
-        Name of the package, name of the class, and docstring of the class.
+        Name of the package, and name and docstring of the class of options.
     """
 
     command: str
@@ -263,19 +278,19 @@ class CommandSpec:
     module: str = ""
 
     def model(self) -> type[Options]:
-        """Import the class of the command's options, and return it."""
+        """Import the class of options of the command, and return this class."""
         loaded: type[Options] = getattr(importlib.import_module(f"{self.package}.options"), self.options)
         return loaded
 
     def run(self) -> Any:
-        """Import the function that the command calls, and return it."""
+        """Import the function that the command calls, and return this function."""
         name = self.function or re.sub("[ -]", "_", self.command)
         return getattr(importlib.import_module(f"{self.package}.{self.module or name}"), name)
 
 
 @cache
 def found() -> dict[str, CommandSpec]:
-    """Return the declaration of every command by the name of the command."""
+    """Find the declarations of all commands in the files ``options.py``, and return them by command name."""
     specs = {}
     for path in sorted(Path(__file__).parents[1].glob("*/options.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -290,14 +305,14 @@ def found() -> dict[str, CommandSpec]:
 
 
 class Command(click.Command):
-    """Click command whose options are imported on first use."""
+    """Click command whose class of options is imported when its options are first needed."""
 
     def __init__(self, spec: CommandSpec) -> None:
         path = click.Path(path_type=Path)
         output = click.Option(
             [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output
         )
-        # click keeps the line breaks of a paragraph that begins with \b
+        # Mark the examples in the help with \b, so that click keeps their line breaks.
         help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)
         name = spec.command.split()[-1]
         super().__init__(name, params=[output, *SHARED], callback=self._called, help=help)
@@ -308,16 +323,19 @@ class Command(click.Command):
         return [*_argument(self.spec.argument), *map(_option, self.spec.model().declared().values())]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the click parameters: file argument, options of this command and of every command."""
+        """Return all parameters of the command: its argument, its own options and the shared options."""
         return [*self._own, *super().get_params(ctx)]
 
     def _called(self, *, files: Any = None, **typed: Any) -> None:
-        """Execute the command with the values that were typed."""
+        """Execute the command with the arguments and options that the user typed."""
         run = Run(self.spec.command, **{one.name: typed.pop(one.name) for one in fields(Run)[1:]})
         run(partial(self._outcome, run, files, typed))
 
     def _outcome(self, run: Run, files: Any, typed: dict[str, Any]) -> Result:
-        """Read the options, protect the outputs, call the function, and return its result."""
+        """Call the function of the command with the typed options, and return its result.
+
+        Before that, raise an error for an output file that must not be replaced.
+        """
         spec = self.spec
         declared = spec.model().declared()
         options = {name: value_of(declared[name], text) for name, text in typed.items()}
@@ -344,16 +362,17 @@ class Command(click.Command):
             _protect_beside(output, spec, run)
         outcome: Result = function(*filter(None, [files]), output=output, **options, **given)
         if spec.stdout is not None and output is None and not run.as_json:
-            # the document is the result: print it also with --quiet
+            # Print the document also with --quiet, because it is the result.
             click.echo(outcome.text)
             outcome = replace(outcome, text="")
         return outcome
 
 
 def _argument(metavar: str) -> list[click.Parameter]:
-    """Return the positional argument of a command as click parameters; an empty list without argument.
+    """Return the positional argument of a command as a list of click parameters.
 
-    ``LOG...`` stands for several files, ``[NAME]`` for an optional word.
+    The list is empty for an empty ``metavar``. ``LOG...`` stands for several files, ``[NAME]`` for an
+    optional word.
     """
     if not metavar:
         return []
@@ -368,14 +387,14 @@ def _argument(metavar: str) -> list[click.Parameter]:
 
 
 def _option(entry: Declared) -> click.Option:
-    """Return the click option for a declared option.
+    """Return the click option that corresponds to an option in a class of options.
 
     A value with several parts, such as ``NAME=VALUE``, is parsed when the command runs.
     """
     names = [entry.flags, entry.name]
     about: dict[str, Any] = {"help": entry.help, "metavar": entry.metavar, **word_of(entry)}
     if entry.required:
-        # give no default: click does not require an option that has a default, even if the default is None
+        # Pass no default to click, which does not require an option with a default, even if it is None.
         return click.Option(names, required=True, **about)
     default, shown = entry.default, entry.default is not None
     if entry.kind is bool:
@@ -386,7 +405,7 @@ def _option(entry: Declared) -> click.Option:
 
 
 def _insist_distinct(places: list[Path]) -> None:
-    """Refuse two outputs that are the same file."""
+    """Raise an error if two outputs of a command are the same file."""
     resolved = [place.resolve() for place in places]
     for place, file in zip(places, resolved, strict=True):
         if resolved.count(file) > 1:
@@ -394,7 +413,10 @@ def _insist_distinct(places: list[Path]) -> None:
 
 
 def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
-    """Refuse to replace files of other programs, or evidence of other results, next to the output."""
+    """Raise an error if a command would replace a foreign file next to its output.
+
+    A foreign file is a file of another program, or the evidence of another result.
+    """
     from swimid.results import evidence
 
     for ending in spec.beside:
@@ -407,7 +429,7 @@ def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
 
 
 def word_of(entry: Declared) -> dict[str, Any]:
-    """Return the arguments that set the type of a click option: ``type``, and ``multiple`` or ``nargs``."""
+    """Return the keyword arguments by which click knows the type of an option and its number of values."""
     one, args = entry.kind, get_args(entry.kind)
     word: dict[str, Any] = {}
     if one is bool:
@@ -424,7 +446,7 @@ def word_of(entry: Declared) -> dict[str, Any]:
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
-    """Return the value of an option from the text that was typed; None if no text was typed.
+    """Convert the text that the user typed for an option into its value; None if the option is not given.
 
     Raises
     ------
@@ -446,7 +468,7 @@ def value_of(entry: Declared, typed: Any) -> Any:
 
 
 def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
-    """Return the click type of an option whose value is a single word."""
+    """Return the click type for an option whose value is a single word, with the limits of a number."""
     if get_origin(kind) is Literal:
         return click.Choice(list(get_args(kind)))
     if Path in (kind, *get_args(kind)) and str not in get_args(kind):
@@ -466,13 +488,16 @@ def _is_mapping(kind: Any) -> bool:
 
 
 def _by_commas(entry: Declared) -> bool:
-    """Return whether an option with several numbers is typed as one word with commas."""
+    """Return whether the value of an option is several numbers that are typed as one word with commas."""
     pair = get_origin(entry.kind) is tuple and Ellipsis not in get_args(entry.kind)
     return pair and "," in (entry.metavar or "")
 
 
 def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> Any:
-    """Read the numbers in the text of an option: one number, or a tuple if the type is a tuple."""
+    """Convert the text of an option into a number, or into a tuple of numbers if the type is a tuple.
+
+    ``whole`` and ``form`` are the typed text and its expected form in error messages.
+    """
     parts = re.split("[,:]", text)
     count = max(len(get_args(kind)), 1)
     if len(parts) != count:
@@ -491,7 +516,7 @@ def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> An
 
 
 def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
-    """Return the values of an option of the form ``NAME=VALUE``, by name."""
+    """Convert the texts of an option of the form ``NAME=VALUE`` into a mapping of names to values."""
     kind, named = get_args(entry.kind)[1], {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -508,7 +533,7 @@ def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- groups of commands
 
-#: Headings in the list of commands, in the order in which a user needs the commands.
+#: Headings in the list of commands that ``swimid --help`` prints, in the order in which users need them.
 SECTIONS = (
     "Make logs",
     "Identify",
@@ -524,7 +549,7 @@ class Sectioned(click.Group):
     """Command group whose help lists the commands by purpose."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands in the help, with a heading for each purpose."""
+        """Write the list of commands to the help text, with a heading for each purpose."""
         sections: dict[str, set[str]] = {title: set() for title in SECTIONS}
         for spec in found().values():
             sections.setdefault(spec.section, set()).add(spec.command.split()[0])
@@ -566,5 +591,5 @@ for spec in found().values():
 
 
 def entry() -> None:
-    """Run the command line; entry point of the console script."""
+    """Run the command line of swimid. This is the entry point of the console script ``swimid``."""
     main(prog_name="swimid")

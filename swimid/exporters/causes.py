@@ -1,8 +1,9 @@
-"""Causes of a parameter file: effects whose parameters the file contains, as changes of the exported robot.
+"""Application of the effects in a parameter file (causes) to the exported robot.
 
-The hooks of an effect change the exported robot as they change a simulation. ``tables`` change the masses,
-springs and force elements of every export. Forces and the motion of the water need a simulator that can apply
-them. Changes of the commands are left to the target, or to a filter of :mod:`swimid.exporters.filters`.
+A cause is an effect whose parameters the parameter file contains. Its hooks change the exported robot as they
+change a simulation. The hooks ``tables`` change the masses, springs and force elements of every export.
+Forces and the motion of the water need a simulator that can apply them. Changes of the commands need a
+simulator with such a law of a servo, or a filter of :mod:`swimid.exporters.filters`.
 """
 
 from __future__ import annotations
@@ -27,10 +28,12 @@ from swimid.results.parameters import ParameterFile
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.tree import Axis
 
-#: Trial in place of those of the parameter file. It begins at the origin and has a command.
+#: Trial for which the changes by an effect are computed, in place of the trials of the fit. It begins at the
+#: origin and has a sine command.
 NEUTRAL = Trial("export", "fit", np.linspace(0.0, 1.0, 51), {}, swim=SwimInput(Beat("sine", 1.0, 0.3)))
-#: Effects that depend on quantities of the trials. A function of the effect's constants in the file returns
-#: whether they contain these quantities. The text is the reason for which the effect is left out otherwise.
+#: Effects that depend on quantities of the fitted trials. Each has a function that returns whether the
+#: constants of the effect in the parameter file contain these quantities, and the reason for which the effect
+#: is left out if they do not.
 OF_TRIALS: dict[str, tuple[Callable[[Mapping[str, Any]], bool], str]] = {
     "drag-reynolds": (
         lambda constants: "reference_m_s" in constants and not constants.get("whole"),
@@ -43,19 +46,20 @@ OF_TRIALS: dict[str, tuple[Callable[[Mapping[str, Any]], bool], str]] = {
 
 @dataclass(frozen=True)
 class Cause:
-    """Effect with the values of its parameters.
+    """Effect of a parameter file, with the values of its parameters and its changes of the robot.
 
     Attributes
     ----------
     name : str
+        Name of the effect.
     values : mapping of str to float
         Values of the effect's parameters.
     effect : Effect
     hooks : Hooks
-        Changes of a simulation that begins at the origin. There are none for an effect of the sensors, for
-        one that is left out, and for parameters without influence.
+        Changes of a simulation that begins at the origin. They are empty for an effect of the sensors, for an
+        effect that is left out, and for parameters at their null values.
     reason : str
-        Reason for which no export has the cause; empty otherwise.
+        Reason for which every export leaves out the effect; empty if exports can have it.
     """
 
     name: str
@@ -66,12 +70,12 @@ class Cause:
 
     @property
     def rigid(self) -> bool:
-        """Whether a change of masses and inertias is one of the robot itself, and not of the water."""
+        """Whether the effect changes masses and inertias of the robot itself, and not of the added water."""
         return self.effect.stage == "structure" and not self.hooks.force
 
 
 def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[Cause]:
-    """Return the causes of a parameter file, in the order in which they act.
+    """Return the effects of a parameter file with their parameter values, in the order in which they act.
 
     Parameters
     ----------
@@ -118,9 +122,10 @@ def _form(
     model: MultilinkModel,
     path: Path,
 ) -> tuple[Effect, Parameters]:
-    """Return the form of an effect that has the given parameters, and these parameters in its order.
+    """Find the variant of an effect whose parameters have the given names.
 
-    ``constants`` are attributes of the form that its parameters do not state, such as a reference speed.
+    Return the variant and its parameters in their order. ``own`` has the values of the parameters by name.
+    ``constants`` are attributes of the variant that its parameters do not state, such as a reference speed.
     """
     form = restored(effect, own, constants, model, [NEUTRAL])
     if form is not None:
@@ -136,14 +141,16 @@ def _form(
 
 
 def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: bool) -> list[str]:
-    """Return sentences on the causes that an export does not contain, or only beside its file.
+    """Return sentences on the effects that an exported file does not contain.
+
+    They are left out, or a Python file next to the exported file applies them.
 
     Parameters
     ----------
     filtered : sequence of Cause
-        Causes that are filters of the commands.
+        Effects that the Python file applies as filters of the commands.
     forces : bool
-        Whether the target applies the forces of causes.
+        Whether the simulator applies the forces of effects.
     """
     applied = [cause for cause in causes if cause.hooks.force and not forces]
     sensing = [cause for cause in causes if cause.effect.stage == "sensing"]
@@ -165,7 +172,8 @@ def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: boo
 # ---------------------------------------------------------------- filters of the commands
 
 
-#: Type of a function from a cause, a driven joint and the model to the arguments of a filter.
+#: Type of a function that computes the arguments of a command filter from an effect, a driven joint and the
+#: model of the robot.
 Arguments = Callable[[Cause, Axis, MultilinkModel], Mapping[str, float]]
 
 
@@ -191,8 +199,8 @@ def _load(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float
     return {**cause.values, "inertia_kg_m2": inertia, "drag_N_m_s2": drag}
 
 
-#: Filter of the commands for each effect of the actuators, with the function that returns its arguments. A
-#: joint for which there are no arguments has no filter.
+#: Class of the command filter for each effect of the actuators, with the function that computes its
+#: arguments. A joint for which this function returns no arguments has no filter.
 FILTERS: dict[str, tuple[type[Filter], Arguments]] = {
     "amplitude-loss": (filters.AmplitudeLoss, _own_values),
     "amplitude-offset": (filters.AmplitudeOffset, _offset),
@@ -208,7 +216,7 @@ FILTERS: dict[str, tuple[type[Filter], Arguments]] = {
 
 
 def filters_text(filtered: Sequence[Cause], model: MultilinkModel, origin: Mapping[str, str]) -> str:
-    """Return a Python file that filters the commands of the joints, and that does not import swimid."""
+    """Return the text of a Python file that filters the commands of the joints without importing swimid."""
     joints = {}
     for axis in model.driven:
         calls = []

@@ -1,4 +1,4 @@
-"""Command ``swimid export``: writes estimated coefficients in the format of a simulator."""
+"""Command ``swimid export``, which writes estimated coefficients and causes in the format of a simulator."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from swimid.simulation.draws import drawn
 from swimid.swimmer.planar.model import MultilinkModel
 
 FORMAT = "swimid-export/1"
-#: Name of the list of force elements in the JSON document, by kind of element.
+#: Key of the list of force elements in the JSON document, for each kind of force element.
 LISTS = {"drag": "drag_points", "foil": "foils", "force": "forces", "wake": "trailing_edges"}
 CONVENTIONS = (
     "SI units and radians. A link's frame sits at its front end, x forward, y to port (up in the vertical "
@@ -49,9 +49,9 @@ CONVENTIONS = (
 def export(params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None) -> Text:
     """Write the coefficients and causes of a parameter file in the format of a simulator.
 
-    The robot file that the parameter file names is searched in the folder of the parameter file. No simulator
-    represents all effects: read the limits before you trust a motion that the simulator computes
-    (``docs/export.md``).
+    Causes are the effects that a diagnosis found. The robot file that the parameter file names is searched in
+    the folder of the parameter file. No simulator represents all effects: read the limits before you trust a
+    motion that the simulator computes (``docs/export.md``).
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
 
 
 def load(params: parameters.Source) -> Source:
-    """Read a parameter file and the robot that it names, and return both as the source of an export.
+    """Read a parameter file and the robot file that it names, and return both as the source of an export.
 
     Raises
     ------
@@ -168,9 +168,10 @@ def load(params: parameters.Source) -> Source:
 
 
 def _check_robot(source: Source, place: Path | str, path: Path) -> None:
-    """Raise an error if the robot cannot be exported with the parameters of the file.
+    """Raise an error if the robot cannot be exported with the parameters of the parameter file.
 
-    The robot must have links, a valid mass matrix, and all coefficients of the file.
+    The robot must have links in a plane, a valid mass matrix, and all coefficients of the
+    parameter file.
     """
     if source.robot.multilink is None:
         raise InputError("has no multilink part", file=place, column="multilink")
@@ -200,12 +201,15 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
 
 # ---------------------------------------------------------------- random samples
 
-#: Fraction of random samples outside the bounds above which their replacement is notable.
+#: Fraction of random samples outside the bounds of parameters above which a warning is issued. Samples
+#: outside the bounds are drawn again.
 NOTABLE = 0.1
 
 
 def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
-    """Return random samples of all parameters that are common to the trials, as values by name.
+    """Draw random samples of all parameters that the trials share, according to their uncertainty.
+
+    Each sample is a mapping of parameter names to values.
 
     Raises
     ------
@@ -223,7 +227,7 @@ def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
         if "/" in name
     }
     model.parameters = tuple(_bounded(p, shared.get(p.name)) for p in (own | effects).values())
-    # the parameters of the effects are already among those of the model
+    # Leave out the effects of the file, because their parameters are already among those of the model.
     applied = Applied(model, source.parameters.model_copy(update={"effects": []}), source.path)
     if not applied.uncertain()[0]:
         raise UsageError("no parameter of the file has a standard error to draw from")
@@ -237,7 +241,7 @@ def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
 
 
 def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
-    """Return a parameter with the bounds of its estimate. Without an estimate it is fixed."""
+    """Return a copy of a parameter with the bounds of its estimate, or fixed if it has no estimate."""
     if estimate is None:
         return replace(p, free=False)
     lower, upper = estimate.bounds
@@ -249,7 +253,10 @@ def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
 
 
 def _at(source: Source, values: dict[str, float], words: str) -> Source:
-    """Return the source of an export with other values of its parameters, described by ``words``."""
+    """Return a copy of the source of an export with other values of its parameters.
+
+    ``words`` describes the origin of the values, such as ``draw 3 of seed 1``.
+    """
     estimates = dict(source.parameters.parameters)
     for name, value in values.items():
         estimates[name] = estimates[name].model_copy(update={"value": value})
@@ -258,14 +265,17 @@ def _at(source: Source, values: dict[str, float], words: str) -> Source:
 
 
 def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
-    """Return random samples as CSV text, with one column for each parameter and its unit in the name."""
+    """Return random samples of the parameters as CSV text, with one row for each sample.
+
+    There is one column for each parameter, with the unit in its name.
+    """
     text = io.StringIO()
     text.write(f"# made_by: swimid export {source.origin['version']}\n")
     text.write(f"# parameters: {source.origin['file']}, sha256 {source.origin['sha256']}, seed {seed}\n")
     names = []
     for name in samples[0]:
         unit = source.parameters.parameters[name].unit
-        # the names of the effects' parameters end with their units
+        # Add no unit to the names of the parameters of effects, because they end with their units.
         known = unit == "1" or "/" in name or numbers.split_unit(name)[1]
         names.append(name if known else f"{name}_{re.sub(r'[ /]', '_', unit.replace('^', ''))}")
     rows = csv.writer(text, lineterminator="\n")
@@ -278,7 +288,7 @@ def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
 
 
 def _to_json(source: Source, _: ExportOptions) -> Exported:
-    """Return the JSON document of a multi-link robot. This format represents all effects."""
+    """Return the JSON document of a multi-link robot. This format can represent all force elements."""
     file, body, links = source.parameters.model_dump(mode="json"), source.body, source.links
     data: dict[str, Any] = {
         "format": FORMAT,
@@ -306,7 +316,11 @@ def _to_json(source: Source, _: ExportOptions) -> Exported:
 
 
 def _cause(cause: Cause) -> dict[str, Any]:
-    """Return a cause, and whether links, joints and force elements of the document contain its influence."""
+    """Return the entry of an effect in the JSON document.
+
+    ``contained`` states whether the links, joints and force elements of the document include the influence of
+    the effect.
+    """
     return {
         "name": cause.name,
         "stage": cause.effect.stage,
@@ -326,7 +340,7 @@ def _link(link: Link, links: list[Link]) -> dict[str, Any]:
         "mass_kg": mass,
         "com_m": list(centre),
         "inertia_about_com_kg_m2": moment,
-        # add 0.0, which changes -0.0 to 0.0
+        # Add 0.0 to change negative zeros to 0.0.
         "rigid_inertia": (link.rigid + 0.0).tolist(),
         "added_inertia": (link.added + 0.0).tolist(),
         "apparent_inertia": (link.rigid + link.added + 0.0).tolist(),
@@ -349,7 +363,8 @@ def _joint(source: Source, link: Link) -> dict[str, Any]:
     }
 
 
-#: Title of each export format and the function that writes it, by the value of the option ``--to``.
+#: Export formats. The key is a value of the option ``--to``. Each format has its title and the function that
+#: writes it.
 TARGETS: dict[str, tuple[str, Callable[[Source, ExportOptions], Exported]]] = {
     "mjcf": (mjcf.TITLE, mjcf.export),
     "gazebo": (gazebo.TITLE, gazebo.export),

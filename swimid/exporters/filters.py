@@ -1,8 +1,8 @@
-"""Filters of joint commands for simulators that cannot express an effect of the actuators.
+"""Filters of joint commands, for effects of the actuators that a simulator cannot express.
 
-A filter has one joint, and takes its commands one after the other. ``swimid export`` copies the source of the
-filters that an export needs into a Python file that does not import swimid. Therefore this module imports
-only from the standard library. Its laws are those of :mod:`swimid.effects.actuation` and
+A filter converts the commands of one joint, one after the other, into joint angles. ``swimid export`` copies
+the source of the filters that an export needs into a Python file that does not import swimid. Therefore this
+module imports only from the standard library. Its laws are those of :mod:`swimid.effects.actuation` and
 :mod:`swimid.effects.structure`.
 """
 
@@ -13,19 +13,22 @@ from bisect import bisect_right
 
 
 class Filter:
-    """Filter of the command of one joint. By default the joint follows its command.
+    """Base class of the filters that convert the command of one joint into the joint angle.
+
+    This class returns the command unchanged.
 
     Attributes
     ----------
     time_s, command, angle : float
-        Time, command and result of the last call. Before the first call the time is NaN.
+        Time (s), command (rad) and resulting angle (rad) of the last call. Before the first call the time is
+        NaN.
     """
 
     time_s = math.nan
     command = angle = 0.0
 
     def __call__(self, time_s: float, command: float) -> float:
-        """Return the angle, rad, for a command, rad, at a time that is later than that of the last call."""
+        """Return the joint angle, rad, for a command, rad. The times of successive calls must increase."""
         if math.isnan(self.time_s):
             self.angle = self._begin(time_s, command)
         elif time_s > self.time_s:
@@ -34,20 +37,20 @@ class Filter:
         return self.angle
 
     def _begin(self, time_s: float, command: float) -> float:
-        """Return the angle at the first command."""
+        """Return the joint angle, rad, at the first command."""
         return command
 
     def _step(self, time_s: float, command: float) -> float:
-        """Return the angle at a later command."""
+        """Return the joint angle, rad, at a command after the first."""
         return self._begin(time_s, command)
 
     def _held(self, command: float, half: float) -> float:
-        """Return the angle of a joint that moves only to stay within ``half`` of its command."""
+        """Return the angle of a joint that moves only if its command is more than ``half`` away, rad."""
         return min(max(self.angle, command - half), command + half)
 
 
 class AmplitudeLoss(Filter):
-    """Angle ``(1 - loss) command``."""
+    """Filter of a joint that moves by less than its command: its angle is ``(1 - loss) command``."""
 
     def __init__(self, loss: float) -> None:
         self.loss = loss
@@ -57,7 +60,7 @@ class AmplitudeLoss(Filter):
 
 
 class AmplitudeOffset(Filter):
-    """Angle ``command + offset``. The offset sets in with a quintic step of 0.5 s."""
+    """Filter of a joint with the angle ``command + offset``. The offset rises from zero within 0.5 s."""
 
     def __init__(self, offset_rad: float) -> None:
         self.offset, self.first = offset_rad, math.nan
@@ -70,7 +73,10 @@ class AmplitudeOffset(Filter):
 
 
 class JointLocked(Filter):
-    """Angle ``first + (1 - lock) (command - first)``, where ``first`` is the first command."""
+    """Filter of a joint that is locked in part: its angle is ``first + (1 - lock) (command - first)``.
+
+    ``first`` is the first command.
+    """
 
     def __init__(self, lock: float) -> None:
         self.lock, self.first = lock, math.nan
@@ -82,7 +88,7 @@ class JointLocked(Filter):
 
 
 class RateLimit(Filter):
-    """Angle that follows its command with a limited rate."""
+    """Filter of a joint that follows its command with a limited rate."""
 
     def __init__(self, rate_limit_rad_s: float) -> None:
         self.limit = rate_limit_rad_s
@@ -93,7 +99,10 @@ class RateLimit(Filter):
 
 
 class ServoBacklash(Filter):
-    """Play of the whole width ``backlash_rad``: the joint rests until the servo has crossed it."""
+    """Filter of a joint with play between servo and joint. ``backlash_rad`` is the whole width of the play.
+
+    After a reversal of the command, the joint rests until the servo has crossed the play.
+    """
 
     def __init__(self, backlash_rad: float) -> None:
         self.half = 0.5 * backlash_rad
@@ -103,7 +112,7 @@ class ServoBacklash(Filter):
 
 
 class ServoDelay(Filter):
-    """Command of a constant time ago, interpolated linearly."""
+    """Filter of a joint that follows its command with a constant delay, by linear interpolation."""
 
     def __init__(self, delay_s: float) -> None:
         self.delay = delay_s
@@ -125,7 +134,10 @@ class ServoDelay(Filter):
 
 
 class ServoLag(Filter):
-    """First-order lag ``time_constant a' = command - a``, exact for commands that are linear in between."""
+    """Filter of a joint whose angle ``a`` follows its command by ``time_constant a' = command - a``.
+
+    The solution is exact if the command changes linearly between two calls.
+    """
 
     def __init__(self, time_constant_s: float) -> None:
         self.time_constant = time_constant_s
@@ -137,7 +149,10 @@ class ServoLag(Filter):
 
 
 class Slip(Filter):
-    """Angle ``(1 - loss s) command``, where s rises from 0 to 1 in 0.25 s about the time of onset."""
+    """Filter of a joint whose motion becomes smaller at the time of onset: ``(1 - loss s) command``.
+
+    ``s`` rises from 0 to 1 within 0.25 s about the time of onset.
+    """
 
     def __init__(self, loss: float, begin_s: float) -> None:
         self.loss, self.onset, self.first = loss, begin_s, math.nan
@@ -150,7 +165,10 @@ class Slip(Filter):
 
 
 class Stribeck(Filter):
-    """Joint that sticks within ``stick exp(-(w / stribeck)^2)`` of its command, which has the rate w."""
+    """Filter of a joint with stiction that decreases with the rate w of its command.
+
+    The joint rests while its command is within ``stick exp(-(w / stribeck)^2)`` of its angle.
+    """
 
     def __init__(self, stick_rad: float, stribeck_rad_s: float) -> None:
         self.stick, self.slow = stick_rad, stribeck_rad_s
@@ -161,8 +179,9 @@ class Stribeck(Filter):
 
 
 class LoadFriction(Filter):
-    """Joint that sticks within ``held |I q'' + D q' |q'||`` of its command q.
+    """Filter of a joint with friction in proportion to the load of the joint.
 
+    The joint rests while its command q is within ``held |I q'' + D q' |q'||`` of its angle.
     ``inertia_kg_m2`` and ``drag_N_m_s2`` are I and D, the inertia and quadratic drag of the links that the
     joint moves.
     """

@@ -1,11 +1,11 @@
-"""Export to Gazebo: an SDF model with Hydrodynamics plugins.
+"""Export of a robot to Gazebo as an SDF model with the plugin Hydrodynamics.
 
 The plugin multiplies velocities by stability derivatives, so that a resistance has a negative coefficient
-(gz-sim, ``Hydrodynamics.hh``, after Fossen 1994). ``<fluid_added_mass>`` holds the added mass itself, with a
-positive sign. Physics engines differ in the reference point of this added mass: the origin of the link or its
-centre of mass. Therefore the frame of each link is placed at its centre of mass. A plugin knows only the
-velocity of the frame of its link. Therefore a drag point at another position belongs to a helper link of
-negligible mass, which is fixed to the link.
+(gz-sim, ``Hydrodynamics.hh``, after Fossen 1994). The tag ``<fluid_added_mass>`` has the added mass itself,
+with a positive sign. Physics engines differ in the reference point of this added mass: the origin of the link
+or its centre of mass. Therefore the frame of each link is placed at its centre of mass. The plugin knows only
+the velocity of the frame of its link. Therefore drag at another point is applied to a helper link of
+negligible mass, which is fixed to the link at that point.
 """
 
 from __future__ import annotations
@@ -20,29 +20,34 @@ from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Element, Exported, Source, about, central, export_xml
 
 TITLE = "Gazebo SDF"
-#: Letters of force and velocity components (SNAME), indices of the planar components among the six
-#: components, and their signs. The key is true for the vertical plane.
+#: Components of force and velocity in the plane of the robot, for the horizontal plane (False) and the
+#: vertical plane (True): SNAME letters of the forces and of the velocities, indices among the six components
+#: in SDF, and signs relative to those in swimid.
 PLANES = {
     False: ("xyn", "UVR", (0, 1, 5), (1.0, 1.0, 1.0)),
     True: ("xzm", "UWQ", (0, 2, 4), (1.0, 1.0, -1.0)),
 }
-#: Names of the motions out of the plane of the robot. The key is true for the vertical plane.
+#: Names of the motions out of the plane of the robot, for the horizontal plane (False) and the vertical plane
+#: (True).
 OUT_OF_PLANE = {False: "roll, pitch and heave", True: "roll, yaw and sway"}
-#: Mass of a helper link divided by the mass of its link, and radius of gyration of a helper link, m.
+#: Mass of a helper link, to which drag is applied, divided by the mass of the link that it is fixed to.
+#: Radius of gyration of a helper link, m.
 HELPER_MASS, HELPER_RADIUS_M = 1e-6, 0.01
-#: Kinds of force elements for which Gazebo has no plugin.
+#: Kinds of force elements that an export to Gazebo leaves out, because Gazebo has no plugin for them. Each
+#: has its description in a warning.
 LEFT_OUT = {
     "foil": "lift and drag of foils",
     "wake": "thrust and side force of trailing edges",
     "force": "weight, buoyancy and constant forces",
 }
-#: Terms in the law of a passive joint for which Gazebo has no law.
+#: Terms in the law of a passive joint that an export to Gazebo leaves out. Each has its description in a
+#: warning.
 LEFT_OUT_OF_JOINTS = {"cubic": "cubic stiffness", "quadratic_damping": "quadratic damping"}
 DART_ONLY = "fluid_added_mass acts with the DART engine only (Gazebo's default); others ignore it"
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the SDF document of a multi-link robot, and the effects that it cannot represent."""
+    """Return the SDF document of a multi-link robot, and sentences on what it cannot represent."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     rigid = [central(inertia) for inertia in inertias]
     return export_xml(
@@ -63,28 +68,26 @@ def export(source: Source, options: ExportOptions) -> Exported:
 
 
 def _pose(source: Source, x: float, y: float, turn: float = 0.0) -> tuple[float, ...]:
-    """Return position and angles of a frame in the plane of the robot, as the six values of an SDF pose."""
+    """Convert the position (m) and angle (rad) of a frame in the plane of the robot to an SDF pose.
+
+    An SDF pose has three coordinates and three angles.
+    """
     if source.vertical:
         return (x, 0.0, y, 0.0, -turn, 0.0)
     return (x, y, 0.0, 0.0, 0.0, turn)
 
 
 def _joint_name(source: Source, name: str) -> str:
-    """Return a joint name that differs from all link names.
-
-    In SDF, joints and links share one name space.
-    """
+    """Return the name of a joint in SDF, which must differ from the names of all links."""
     return f"{name}_joint" if any(link.name == name for link in source.links) else name
 
 
 def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dict[str, Any]]:
-    """Return the links of the SDF model.
+    """Return the links of the SDF model: each link of the robot, followed by the helper links for its drag.
 
-    Each link of the robot is followed by helper links for its drag points.
-
-    A part has ``name``, ``mass`` (kg), ``moment`` (kg m2), ``derivatives`` (tags of the plugin with their
-    values), ``fluid`` (added mass, shape (6, 6), or None) and ``pose`` in the frame ``relative_to``. A helper
-    link is fixed to the link ``welded_to``.
+    A link has ``name``, ``mass`` (kg), ``moment`` (kg m2), ``derivatives`` (tags of the plugin with their
+    values), ``fluid`` (added mass, shape (6, 6), if there is any) and ``pose`` in the frame ``relative_to``.
+    A helper link is fixed to the link ``welded_to``.
     """
     parts = []
     _, _, axes, signs = PLANES[source.vertical]
@@ -96,7 +99,8 @@ def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dic
             "pose": _pose(source, x, y),
         }
         if options.added_mass == "native" and np.any(link.added):
-            # a positive rotation is from x towards z in swimid, and from z towards x in Gazebo
+            # Multiply by signs, because a positive rotation in the vertical plane is from x towards z in
+            # swimid, and from z towards x in Gazebo.
             added, fluid = about(link.added, x, y) * np.outer(signs, signs), np.zeros((6, 6))
             added[np.abs(added) < 1e-12 * np.abs(added).max()] = 0.0
             fluid[np.ix_(axes, axes)] = added
@@ -104,8 +108,8 @@ def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dic
         if link.joint:
             part["relative_to"] = _joint_name(source, link.joint.name)
         drag = [element for element in source.elements if element.kind == "drag" and element.link == i]
-        # the plugin of a link can apply drag at the frame of the link, and moments, which have no point of
-        # application; other drag points need a helper link
+        # The plugin of a link can apply moments, which have no point of application, and drag at the frame of
+        # the link. Drag at other points needs a helper link.
         pushes = ("quadratic_x", "quadratic_y", "linear_x", "linear_y")
         away = [e for e in drag if math.dist(e.at, (x, y)) >= 1e-9 and any(e.numbers[key] for key in pushes)]
         part["derivatives"] = _derivatives(source, [element for element in drag if element not in away])
@@ -123,7 +127,10 @@ def _parts(source: Source, options: ExportOptions, rigid: list[Any]) -> list[dic
 
 
 def _derivatives(source: Source, drag: list[Element]) -> dict[str, float]:
-    """Return the stability derivatives of drag elements, by the tags of the plugin."""
+    """Return the stability derivatives that represent drag elements at the frame of a link.
+
+    The key is the tag of the Hydrodynamics plugin.
+    """
     tags = {}
     forces, speeds, _, _ = PLANES[source.vertical]
     for force, speed, key in zip(forces, speeds, "xyr", strict=True):

@@ -1,8 +1,9 @@
-"""Export to MuJoCo MJCF: bodies, joints, springs, wires and servos; a callback for the forces of water.
+"""Export of a robot to MuJoCo (MJCF), and a callback that applies the forces of the water in MuJoCo.
 
-The fluid models of MuJoCo have no added-mass inertia. Their drag acts along the velocity, and not separately
-along and across the link. Therefore the coefficients of the forces of the water are written as ``user`` data
-of sites, and :func:`water` applies these forces exactly.
+The MJCF document has bodies, joints, springs, wires and servos. The fluid models of MuJoCo have no added-mass
+inertia. Their drag acts along the velocity, and not separately along and across the link. Therefore the
+coefficients of the forces of the water are written as ``user`` data of sites, and the callback :func:`water`
+applies these forces exactly.
 """
 
 from __future__ import annotations
@@ -21,24 +22,26 @@ from swimid.fitting.model import TRACEABLE, Force
 from swimid.swimmer.tree import Axis
 
 TITLE = "MuJoCo MJCF"
-#: Kinds of force elements, with their names in the limits of an export. Their order gives the index that the
-#: user data of a MuJoCo site contain.
+#: Kinds of force elements, each with its description in a warning. The position of a kind in this list is the
+#: index of the kind in the user data of a MuJoCo site.
 KINDS = {
     "drag": "Morison drag at points",
     "foil": "lift and drag of foils",
     "force": "weight, buoyancy and forces",
     "wake": "momentum shed at trailing edges",
 }
-#: Number of user data values of a MuJoCo site: the index of the kind of element, then the values of the
-#: element without its point of application. For the force of a cause they are its constants.
+#: Number of user data values of a MuJoCo site. The values are the index of the kind of force element, and the
+#: coefficients of the element without its point of application. A site for the force of an effect has the
+#: constants of this force instead.
 USER_SIZE = 1 + max(len(columns) for columns in COLUMNS.values()) - 2
-#: Prefixes of the names of the MuJoCo sites whose user data :func:`water` reads. The name of the force's
-#: function follows the second one.
+#: Prefixes of the names of the MuJoCo sites whose user data the callback :func:`water` reads. The first
+#: prefix is for force elements, and the second for forces of effects. The name of the force's function
+#: follows the second.
 PREFIX, CAUSE = "water:", "water:cause:"
-#: Time step of the exported model, s.
+#: Time step of the exported MuJoCo model, s.
 STEP_S = 0.002
-#: Parts of the half-width of a play: range of the hinge, and angle by which the dry friction that holds the
-#: joint within this range bends the servo. Together they are the whole half-width.
+#: Fractions into which the half-width of the play of a servo is divided. The first is the range of an
+#: additional hinge. The second is the angle by which the dry friction in this hinge deflects the servo.
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
 
 
@@ -55,8 +58,8 @@ def _lock(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
     return {"gain": 1.0 - values[name]}
 
 
-#: Functions from the parameters of an effect and a driven joint to the settings of the joint's actuator, by
-#: the name of the effect.
+#: Functions that compute settings of the MuJoCo actuator of a driven joint from the parameters of an effect.
+#: The key is the name of the effect.
 SERVOS: dict[str, Callable[[Mapping[str, float], Axis], dict[str, float]]] = {
     "amplitude-loss": lambda values, _: {"gain": 1.0 - values["loss"]},
     "amplitude-offset": _offset,
@@ -66,12 +69,12 @@ SERVOS: dict[str, Callable[[Mapping[str, float], Axis], dict[str, float]]] = {
     "servo-delay": lambda values, _: {"delay_s": values["delay_s"]},
     "servo-lag": lambda values, _: {"lag_s": values["time_constant_s"]},
 }
-#: Settings that an actuator with a limited rate cannot have.
+#: Settings that a MuJoCo actuator with a limited rate cannot have.
 NOT_WITH_RATE = {"gain", "lag_s", "offset_rad"}
 
 
 def export(source: Source, options: ExportOptions) -> Exported:
-    """Return the MJCF document of a multi-link robot, and the effects that it cannot represent."""
+    """Return the MJCF document of a multi-link robot, and sentences on what it cannot represent."""
     inertias = source.inertias(fold=options.added_mass == "fold")
     wet = ", ".join(link.name for link in source.links if np.any(link.added))
     native = (
@@ -113,14 +116,15 @@ def export(source: Source, options: ExportOptions) -> Exported:
 
 
 def _site(force: Force) -> str:
-    """Return the name of the MuJoCo site at which the force of a cause acts."""
+    """Return the name of the MuJoCo site at which the force of an effect acts."""
     return CAUSE + next(name for name, known in TRACEABLE.items() if known.function is force.function)
 
 
 def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
-    """Return the settings of the actuators of all driven joints, and the causes that they cannot express.
+    """Return the MuJoCo settings of the actuator of each driven joint, and the effects that need a filter.
 
-    MuJoCo applies delay, lag, gain and play in this order. A setting that is taken is not set again.
+    MuJoCo applies delay, lag, gain and play in this order. An effect needs a filter of the commands if MuJoCo
+    has no such setting, or if an earlier effect already uses the setting or excludes it.
     """
     driven = source.assembly.driven
     settings: list[dict[str, float]] = [{} for _ in driven]
@@ -142,10 +146,10 @@ def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
 
 
 def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
-    """Return the actuator of a driven joint.
+    """Return the description of the MuJoCo actuator that moves a driven joint as a servo.
 
-    It has ``tag`` and ``attributes`` of its XML element. Its ``play`` between the servo and the joint may
-    be None.
+    It has the ``tag`` and the ``attributes`` of its XML element. ``play`` describes an additional hinge
+    between the servo and the joint, and is None for a servo without play.
     """
     stiffness, damping, joint = servo["stiffness"], servo["damping"], servo["joint"]
     attributes: dict[str, Any] = {"name": joint, "joint": joint}
@@ -157,7 +161,8 @@ def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
             "servo": f"{joint}_servo",
             "range": [-PLAY_RANGE * half, PLAY_RANGE * half],
             "friction": PLAY_HELD * half * stiffness,
-            # a constraint between bodies of very different inertia is soft in MuJoCo
+            # State the moment of inertia of the carried bodies for the body between servo and joint, because
+            # a constraint between bodies of very different inertia is soft in MuJoCo.
             "moment": servo["moment"],
         }
     if "delay_s" in own:
@@ -179,17 +184,17 @@ def _actuator(servo: dict[str, Any], own: dict[str, float]) -> dict[str, Any]:
 
 
 def _user(element: Element) -> list[float]:
-    """Return the user data of a MuJoCo site: index of the kind of element, and coefficients of its force."""
+    """Return the user data of the MuJoCo site of a force element: index of its kind, and coefficients."""
     row = [value for name, value in element.numbers.items() if name not in ("x", "y")]
     return [list(KINDS).index(element.kind), *row]
 
 
 def _wires(source: Source) -> list[dict[str, Any]]:
-    """Return a spatial tendon for each joint that has a wire and a spring.
+    """Return a MuJoCo spatial tendon for each passive joint that has a wire with a spring.
 
     The tension of the wire is ``K_t (D + constant)``, where D is the distance between the ends of the wire.
-    If the constant is positive, the path of the tendon is extended by it. Otherwise the tendon has a rest
-    length. The restoring moment is therefore exact at every angle.
+    If the constant is positive, the path of the tendon is longer than D by the constant. Otherwise the tendon
+    has a rest length. The restoring moment is therefore exact at every angle.
     """
     wires = []
     owners = {link.joint.name: (i, link) for i, link in enumerate(source.links) if link.joint}
@@ -211,7 +216,9 @@ def _wires(source: Source) -> list[dict[str, Any]]:
 
 
 def water(model: Any) -> Callable[[Any, Any], None]:
-    """Return a passive callback that applies drag, foils, weight, forces and trailing edges of an export.
+    """Return a MuJoCo callback that applies the forces of the water and the weight to an exported robot.
+
+    The forces are those of drag, foils, trailing edges, buoyancy, constant forces and effects.
 
     Parameters
     ----------
@@ -230,8 +237,8 @@ def water(model: Any) -> Callable[[Any, Any], None]:
 
     The forces are those of :func:`swimid.swimmer.planar.engine.derivative`: Morison drag along each axis
     (tendon fish, Eq 7), lift and drag of a flat plate (dolphin, Eq 9) and momentum shed at trailing edges
-    (Lighthill 1971). Those of causes are the functions in :mod:`swimid.effects`. The water moves with the
-    ``wind`` of the model.
+    (Lighthill 1971). The forces of effects are the functions in :mod:`swimid.effects`. The water moves with
+    the ``wind`` of the model.
     """
     import mujoco  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
@@ -267,16 +274,18 @@ def water(model: Any) -> Callable[[Any, Any], None]:
     return passive
 
 
-#: Type of the law of a force. Its arguments are the time (s), the position of the robot's reference point (m)
-#: with the heading of the link (rad), and the velocities u, v (m/s) and r (rad/s) of the site in the water.
+#: Type of a function that computes the force at a MuJoCo site. Its arguments are the time (s), the position
+#: of the robot's reference point (m) with the heading of the link (rad), and the velocities u, v (m/s) and r
+#: (rad/s) of the site relative to the water. It returns two components of the force (N), the moment (N m),
+#: and whether they are in world axes.
 Law = Callable[[float, Any, float, float, float], tuple[float, float, float, bool]]
 
 
 def _law(name: str, row: Any) -> Law:
-    """Return the law of the force at a site, from the name and the user data of the site."""
+    """Return the function that computes the force at a MuJoCo site, given the site's name and user data."""
     if not name.startswith(CAUSE):
         return lambda time_s, pose, u, v, r: _force(row, u, v, r)
-    # the catalogue imports the modules of all effects, which register their forces
+    # Call the catalogue to import the modules of all effects, which register the functions of their forces.
     catalogue()
     known = TRACEABLE[name.removeprefix(CAUSE)]
     constants = row[: known.constants]
@@ -290,11 +299,11 @@ def _law(name: str, row: Any) -> Law:
 
 
 def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float, bool]:
-    """Return the force of an element, its moment, and whether the force is in world axes.
+    """Compute the force of a force element at its MuJoCo site.
 
-    Otherwise the force is along and across the link.
-
-    ``row`` is the data of a site. u, v and r are the velocities of the site in m/s and rad/s.
+    Return the two components of the force (N), the moment (N m), and whether the components are in world
+    axes. Otherwise they are along and across the link. ``row`` is the user data of the site. u, v and r are
+    the velocities of the site relative to the water in m/s and rad/s.
     """
     kind = list(KINDS)[int(row[0])]
     if kind == "drag":
@@ -308,7 +317,7 @@ def _force(row: Any, u: float, v: float, r: float) -> tuple[float, float, float,
     speed = math.hypot(u, v)
     if speed == 0.0:
         return 0.0, 0.0, 0.0, False
-    # lift and drag of a flat plate depend on sin(2 a) and 1 - cos(2 a), where a is the angle of attack
+    # Compute lift and drag of a flat plate from sin(2 a) and 1 - cos(2 a), where a is the angle of attack.
     along, across = (u * cos + v * sin) / speed, (v * cos - u * sin) / speed
     up, back = gain * speed * lift * 2.0 * along * across, gain * speed * (drag0 + drag1 * 2.0 * across**2)
     return up * v - back * u, -up * u - back * v, 0.0, False

@@ -1,4 +1,4 @@
-"""Description of an exported robot by numerical values, and functions that all formats share."""
+"""Description of an exported robot by numerical values, and functions that the export formats share."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly, MultilinkModel
 from swimid.swimmer.tree import Polynomial
 
-#: Names of the numerical values of each kind of force element. Their order is that of the columns in the
-#: input arrays of the equations of motion (``engine``).
+#: Names of the numerical values that describe a force element, for each kind of force element. Their order is
+#: that of the columns in the input arrays of the equations of motion (``engine``).
 COLUMNS = {"drag": engine.DRAG, "foil": engine.FOIL, "force": engine.FORCE, "wake": engine.WAKE}
-#: Limit of the XML formats, which state standard errors only in a comment.
+#: Sentence on a limit of the XML formats: they have standard errors and correlations only in a comment.
 NO_ERRORS = "standard errors and correlations stand in a comment only; --to json keeps them as numbers"
 
 
 class Exported(NamedTuple):
-    """Text of an export, with what its format cannot represent.
+    """Text of an exported file, and the forces and effects that its format cannot represent.
 
     Attributes
     ----------
     text : str
     limits : list of str
-        Sentences that name the effects that the format cannot represent.
+        Sentences on the forces and effects that the format cannot represent.
     filtered : list of Cause
-        Causes that act as filters of the commands, beside the export.
+        Effects that a Python file next to the exported file applies as filters of the commands.
     """
 
     text: str
@@ -49,7 +49,9 @@ class Exported(NamedTuple):
 
 @dataclass(frozen=True)
 class Link:
-    """Link of the robot. Its frame has its origin at the front end of the link, x forward and y to port.
+    """Link of an exported robot, described by numerical values.
+
+    The frame of the link has its origin at the front end of the link, x forward and y to port.
 
     Attributes
     ----------
@@ -79,13 +81,13 @@ class Link:
 
     @property
     def moves(self) -> bool:
-        """Whether the link rotates relative to its parent."""
+        """Whether the link can rotate relative to its parent link, by a driven or a passive joint."""
         return self.joint is not None and bool(self.joint.driven or self.joint.passive)
 
 
 @dataclass(frozen=True)
 class Element:
-    """Force element of a link: drag point, foil, constant force or trailing edge.
+    """Force element of a link of an exported robot: drag point, foil, constant force or trailing edge.
 
     Attributes
     ----------
@@ -103,13 +105,13 @@ class Element:
 
     @property
     def at(self) -> tuple[float, float]:
-        """Point of application in the frame of the link, m."""
+        """Point of application of the force, in the frame of the link, m."""
         return self.numbers["x"], self.numbers["y"]
 
 
 @dataclass(frozen=True)
 class Source:
-    """Source of an export: parameter file, robot, and the robot's quantities at the estimated values.
+    """Parameter file and robot of an export, and the robot's quantities at the estimated parameter values.
 
     Attributes
     ----------
@@ -129,7 +131,7 @@ class Source:
 
     @property
     def body(self) -> Multilink:
-        """Multi-link part of the robot file."""
+        """Entry ``multilink`` of the robot file: links, joints and force elements of the robot in a plane."""
         assert self.robot.multilink is not None
         return self.robot.multilink
 
@@ -140,53 +142,54 @@ class Source:
 
     @property
     def heading_rad(self) -> float | None:
-        """Heading of a fixed base; None if the base is free."""
+        """Heading of the first link, rad, if its base is fixed to the world; None for a free base."""
         if self.body.base != "fixed":
             return None
         return math.radians(self.body.heading_deg)
 
     @cached_property
     def assembly(self) -> Assembly:
-        """Validated description of the robot, from which the arrays of the simulation are computed."""
+        """Validated description of the robot, which computes the input arrays of the equations of motion."""
         return Assembly(self.body, self.robot.fluid)
 
     @cached_property
     def values(self) -> Array:
-        """Values of the coefficients: those of the parameter file, completed from the robot file."""
+        """Values of all coefficients of the robot.
+
+        They are the estimates in the parameter file, or else the values in the robot file.
+        """
         robot = {name: coefficient.value for name, coefficient in self.body.coefficients.items()}
         values = robot | {name: estimate.value for name, estimate in self.parameters.parameters.items()}
         return np.array([values[name] for name in self.assembly.names])
 
     @cached_property
     def model(self) -> MultilinkModel:
-        """Model of the robot, whose parameters start at the values of the coefficients."""
+        """Simulation model of the robot. The start values of its parameters are :attr:`values`."""
         model, starts = MultilinkModel(self.robot), dict(zip(self.assembly.names, self.values, strict=True))
         model.parameters = tuple(replace(p, start=starts.get(p.name, p.start)) for p in model.parameters)
         return model
 
     @cached_property
     def causes(self) -> list[Cause]:
-        """Effects whose parameters the parameter file contains."""
+        """Effects whose parameters the parameter file contains, with the values of these parameters."""
         return read_causes(self.parameters, self.model, self.path)
 
     @cached_property
     def tables(self) -> dict[str, Any]:
-        """Input arrays of the equations of motion (``engine``) at the values of the coefficients.
-
-        The causes have changed them.
-        """
+        """Input arrays of the robot's equations of motion (``engine``), with the changes by the effects."""
         return _changed(self.assembly.tables(self.values), self.causes)
 
     @cached_property
     def forces(self) -> list[tuple[str, Force]]:
-        """Forces of causes on the links, each with the name of its cause."""
-        # some forces take their constants from the tables when the causes change these
+        """Forces that the effects exert on the links, each with the name of its effect."""
+        # Compute the tables first, because some forces get their constants when their effect changes the
+        # tables.
         assert self.tables
         return [(cause.name, force) for cause in self.causes for force in cause.hooks.force]
 
     @property
     def current(self) -> tuple[float, float] | None:
-        """Velocity of the water in the plane, m/s; None for still water."""
+        """Velocity of the water in the plane of the robot, m/s; None if no effect moves the water."""
         flows = [flow for cause in self.causes for flow in cause.hooks.flow]
         if not flows:
             return None
@@ -195,7 +198,7 @@ class Source:
 
     @cached_property
     def links(self) -> list[Link]:
-        """Links of the robot; parents precede their children."""
+        """Links of the robot with their inertias. A parent link precedes its child links."""
         dry = Assembly(self.body.model_copy(update={"elements": []}), self.robot.fluid)
         own = _changed(dry.tables(self.values), [cause for cause in self.causes if cause.rigid])
         rigid = [_symmetric(row) for row in own["inertia"]]
@@ -212,12 +215,10 @@ class Source:
 
     @cached_property
     def laws(self) -> dict[str, dict[str, float]]:
-        """Coefficients of the law of each passive joint, by joint name.
+        """Coefficients in the law of the moment of each passive joint. The key is the name of the joint.
 
-        They are those of :data:`engine.PASSIVE` and ``wire_stiffness``.
-
-        ``wire_stiffness`` is the stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 -
-        l_cr)``, in N m/rad.
+        The coefficients are those of :data:`engine.PASSIVE` and ``wire_stiffness``. The latter is the
+        stiffness of wire and spring at small angles, ``K_t d_p l_3 l_cr / (l_3 - l_cr)``, in N m/rad.
         """
         laws = {}
         for axis, row in zip(self.assembly.passive, self.tables["passive"], strict=True):
@@ -231,7 +232,7 @@ class Source:
 
     @cached_property
     def elements(self) -> list[Element]:
-        """Drag points, foils, constant forces and trailing edges of the robot."""
+        """Force elements of the robot: drag points, foils, constant forces and trailing edges."""
         return [
             Element(kind, int(owner), dict(zip(columns, map(float, row), strict=True)))
             for kind, columns in COLUMNS.items()
@@ -239,15 +240,15 @@ class Source:
         ]
 
     def links_with(self, kind: str) -> str:
-        """Return the names of the links that have elements of a kind, separated by commas."""
+        """Return the names of the links that have force elements of the given kind, separated by commas."""
         names = [self.links[element.link].name for element in self.elements if element.kind == kind]
         return ", ".join(dict.fromkeys(names))
 
     def inertias(self, *, fold: bool) -> list[Array]:
-        """Return the inertia matrix of each link for the velocity (u, v, r) at the origin of the link.
+        """Return the 3 x 3 inertia matrix of each link for its velocity (u, v, r).
 
-        With ``fold`` the added mass is included. An added mass that depends on the direction is replaced by
-        its mean over both directions.
+        The velocity is that at the origin of the link. With ``fold`` the added mass is included. An added
+        mass that depends on the direction is replaced by its mean over the two directions.
         """
         inertias = [link.rigid for link in self.links]
         for i, link in enumerate(self.links):
@@ -257,7 +258,7 @@ class Source:
         return inertias
 
     def servos(self, inertias: list[Array], default_hz: float) -> list[dict[str, Any]]:
-        """Return the name of each driven joint, with the gains of its servo.
+        """Compute the gains of a position servo for each driven joint.
 
         The gains are ``stiffness`` (N m/rad) and ``damping`` (N m s/rad). ``moment`` is the moment of inertia
         (kg m2) of the bodies that the joint carries.
@@ -281,7 +282,7 @@ class Source:
 
 
 def _changed(tables: Mapping[str, Any], causes: Sequence[Cause]) -> dict[str, Any]:
-    """Return a copy of input arrays, changed by causes."""
+    """Return a copy of the input arrays of the equations of motion with the changes by effects."""
     found = {name: np.copy(table) for name, table in tables.items()}
     for cause in causes:
         cause.hooks.changed(found, "tables")
@@ -292,13 +293,13 @@ def _changed(tables: Mapping[str, Any], causes: Sequence[Cause]) -> dict[str, An
 
 
 def _symmetric(row: Array) -> Array:
-    """Return the symmetric 3 x 3 matrix whose upper triangle is stored in a row."""
+    """Return the symmetric 3 x 3 matrix whose upper triangle the six values of a row contain, row by row."""
     a, b, c, d, e, f = (float(value) for value in row)
     return np.array([[a, b, c], [b, d, e], [c, e, f]])
 
 
 def about(inertia: Array, x: float, y: float) -> Array:
-    """Return a planar inertia matrix that is referred to the point (x, y) instead of the origin.
+    """Transform a planar inertia matrix from the origin of a link to the reference point (x, y), m.
 
     >>> about(np.diag([2.0, 2.0, 1.0]), 0.5, 0.0)[2, 2]
     np.float64(1.5)
@@ -308,9 +309,10 @@ def about(inertia: Array, x: float, y: float) -> Array:
 
 
 def central(inertia: Array) -> tuple[float, tuple[float, float], float]:
-    """Return mass (kg), centre (m) and moment of inertia about the centre (kg m2) of a planar inertia matrix.
+    """Compute mass, centre of mass and central moment of inertia from a planar inertia matrix.
 
-    The mass is the mean of the masses in the two directions.
+    Return the mass (kg), the position of its centre (m), and the moment of inertia about the centre (kg m2).
+    If the mass depends on the direction, as an added mass does, its mean over the two directions is returned.
     """
     along, across = inertia[0, 0], inertia[1, 1]
     x = y = 0.0
@@ -323,7 +325,10 @@ def central(inertia: Array) -> tuple[float, tuple[float, float], float]:
 
 
 def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[float]:
-    """Return for each joint the moment of inertia, kg m2, of all links that it carries, at zero angles."""
+    """Return for each link the moment of inertia, kg m2, of all links that its joint to the parent carries.
+
+    It refers to the axis of the joint and to zero angles of all joints.
+    """
     sums = [np.array(inertia) for inertia in inertias]
     for i in range(len(links) - 1, 0, -1):
         link = links[i]
@@ -338,9 +343,9 @@ def _moments_behind_joints(links: list[Link], inertias: list[Array]) -> list[flo
 
 
 def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
-    """Return sentences on the errors that the chosen treatment of the added mass causes in an export.
+    """Return sentences on the errors that the option ``--added-mass`` causes in an export.
 
-    ``native`` is the sentence for the treatment by the simulator itself.
+    ``choice`` is the value of the option. ``native`` is the sentence for the value ``native``.
     """
     wet = [link for link in source.links if np.any(link.added)]
     if not wet:
@@ -364,7 +369,10 @@ def _added_mass_limits(source: Source, choice: str, native: str) -> list[str]:
 
 
 def _joint_limits(source: Source, servo_hz: float) -> list[str]:
-    """Return sentences on the limits of an export for dry friction and for driven joints without a servo."""
+    """Return sentences on joints that move differently in swimid and in an exported model.
+
+    They are passive joints with dry friction, and driven joints for which the robot file states no servo.
+    """
     limits = [
         f"{name}: swimid rounds the dry friction of {law['friction']:.4g} N m off below "
         f"{law['friction_below']:g} rad/s; the target holds the joint still there"
@@ -395,7 +403,7 @@ def export_xml(
     forces: bool,
     **more: Any,
 ) -> Exported:
-    """Return an XML document from a template.
+    """Create the XML document of an exported robot from a template.
 
     A comment in the document states the source of the values and the limits of the format.
 
@@ -405,13 +413,13 @@ def export_xml(
         File name in the folder ``templates``. Its variables are ``source`` and ``more``. Numbers and
         sequences of numbers in the template are written as XML text.
     native : str
-        Limit of the added mass as the simulator itself models it.
+        Sentence on the limit of the added mass as the simulator itself models it.
     limits : list of str
         Limits of the format, except those of added mass, joints, causes and standard errors.
     filtered : list of Cause
-        Causes that are filters of the commands.
+        Effects that a Python file applies as filters of the commands.
     forces : bool
-        Whether the format has the forces of causes.
+        Whether the format has the forces of effects.
     **more
         Further variables of the template.
     """
@@ -435,14 +443,14 @@ def export_xml(
     ]
     if "draw" in source.origin:
         lines.insert(2, f"Values: {source.origin['draw']}.")
-    # an XML comment must not contain two consecutive hyphens
+    # Separate consecutive hyphens, which an XML comment must not contain.
     note = "\n".join(lines).replace("--", "- -")
     text = ET.tostring(root, encoding="unicode")
     return Exported(f'<?xml version="1.0"?>\n<!--\n{note}\n-->\n{text}\n', limits, filtered)
 
 
 def _shown(value: Any) -> Any:
-    """Return a number, or a sequence of numbers, as XML text with all digits.
+    """Convert a number, or a sequence of numbers, in a template to XML text with all digits.
 
     >>> _shown([0.1, -0.0])
     '0.1 0.0'

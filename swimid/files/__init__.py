@@ -1,4 +1,4 @@
-"""Reading and writing of files, independent of their content.
+"""Functions that read and write files of any content.
 
 - ``atomic`` writes files completely or not at all, locks an output while a command writes it, and stores the
 intermediate results of a long computation.

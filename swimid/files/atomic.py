@@ -1,7 +1,7 @@
 """Functions that write files completely or not at all, lock outputs, and store checkpoints.
 
-A checkpoint is a file next to the output with the intermediate results of a long computation
-(``docs/formats.md``).
+A lock stops two processes from writing the same output. A checkpoint is a file next to the output with the
+intermediate results of a long computation (``docs/formats.md``).
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ if TYPE_CHECKING:
 
 
 def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
-    """Return the path after checking that it can be written without replacing an input.
+    """Check that an output path can be written and is none of the inputs, and return the path.
 
     Parameters
     ----------
     path : path
+        Path of the output file.
     inputs : iterable
         Input files. Objects in memory are ignored.
 
@@ -71,23 +72,23 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
 
 
 def is_device(path: Path) -> bool:
-    """Return whether the path is a device or a pipe, which is written directly and never replaced."""
+    """Return whether a path is a device or a pipe, and not a file that a temporary file can replace."""
     return path.exists() and not path.is_file()
 
 
 @dataclass
 class _Group:
-    """Group of files that are written under temporary names, and renamed to their final names together."""
+    """Group of output files that are written under temporary names and then renamed together."""
 
-    #: Temporary path of each written file by its final path; None for a file that will be removed.
+    #: Temporary path of each output file by its final path; None for a file that will be removed.
     pending: dict[Path, Path | None] = field(default_factory=dict)
-    #: Callbacks that remove temporary files and new empty folders at the end of the group.
+    #: Callbacks that remove leftover temporary files and new empty folders after the files are renamed.
     cleanup: ExitStack = field(default_factory=ExitStack)
 
     def commit(self) -> None:
-        """Rename all files of the group to their final names.
+        """Rename all temporary files of the group to their final names.
 
-        Ctrl-C is delayed, and an error undoes the renaming of all files.
+        Ctrl-C takes effect after the renaming. An error restores all files that were already renamed.
         """
         backups: dict[Path, Path] = {}
         done: list[Path] = []
@@ -124,9 +125,10 @@ _WRITTEN: ContextVar[list[Path]] = ContextVar("_WRITTEN")
 
 @contextmanager
 def together() -> Iterator[_Group]:
-    """Rename all files that are written in this block together, when the block ends without an error.
+    """Write all output files of a ``with`` block together, or none of them.
 
-    After an error, no file is changed. A block inside another block is part of the outer block.
+    The files are renamed to their final names when the block ends without an error. After an error, no file
+    is changed. A block inside another block is part of the outer block.
 
     Raises
     ------
@@ -149,7 +151,7 @@ def together() -> Iterator[_Group]:
 
 @contextmanager
 def noted() -> Iterator[list[Path]]:
-    """Yield a list of the files that have been written so far in this block."""
+    """Yield a list to which each file that is written in the ``with`` block is added."""
     written: list[Path] = []
     token = _WRITTEN.set(written)
     try:
@@ -160,10 +162,11 @@ def noted() -> Iterator[list[Path]]:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path that replaces ``path`` when the block and its group end without an error.
+    """Yield a temporary path to write, and replace ``path`` by it when the ``with`` block ends without error.
 
-    The temporary path has the ending of ``path``, because some writers choose their format by the ending. An
-    exception, a full disk or Ctrl-C leaves the old file unchanged.
+    Inside a block of :func:`together`, the file is replaced at the end of that block. The temporary path has
+    the ending of ``path``, because some writers choose their format by the ending. An exception, a full disk
+    or Ctrl-C leaves the old file unchanged.
 
     Raises
     ------
@@ -172,7 +175,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = check_writable(path)
     target = path
-    if path.is_symlink():  # the link stays, and the file it points to is replaced
+    if path.is_symlink():  # Keep a symbolic link, and replace the file to which it points.
         target = Path(os.path.realpath(path))
     temporary = target.with_name(f".{target.stem}-{uuid4().hex[:8]}{path.suffix}")
     if is_device(path):
@@ -190,19 +193,24 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, complete or not at all."""
+    """Write a text to a file in UTF-8, completely or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def remove(path: Path) -> None:
-    """Remove an obsolete file at the end of the current group of writes, if no error occurs in the group."""
+    """Remove an obsolete file when the current block of :func:`together` ends without an error.
+
+    Outside of such a block the file is removed at once.
+    """
     with together() as group:
         group.pending[path] = None
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder for the files of a group. The folder is removed again if no file is written.
+    """Create a folder for output files, and remove it again if no file is written to it.
+
+    It is removed at the end of the current block of :func:`together`.
 
     Raises
     ------
@@ -217,15 +225,16 @@ def make_folder(path: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    with suppress(OSError):  # a folder with files stays
+    with suppress(OSError):  # The operating system refuses to remove a folder that contains files.
         folder.rmdir()
 
 
 @contextmanager
 def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[None]:
-    """Call ``handle`` on every Ctrl-C in the block, with the previous handler of Ctrl-C as its argument.
+    """Call a function on every Ctrl-C during the ``with`` block instead of the previous handler of Ctrl-C.
 
-    Nothing changes outside the main thread, or if Ctrl-C is ignored.
+    The function ``handle`` gets the previous handler as its argument. Ctrl-C is handled as before outside the
+    main thread, or if the process ignores it.
     """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):
@@ -240,7 +249,7 @@ def on_interrupt(handle: Callable[[Callable[[], None]], object]) -> Iterator[Non
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Delay the effect of Ctrl-C until the block has ended."""
+    """Delay the effect of Ctrl-C until the ``with`` block has ended."""
     received: list[Callable[[], None]] = []
     try:
         with on_interrupt(received.append):
@@ -251,11 +260,11 @@ def _uninterrupted() -> Iterator[None]:
 
 
 def _second_name(path: Path) -> Path:
-    """Make a hidden backup, from which the file can be restored, and return its path."""
+    """Make a hidden backup of a file in the same folder, and return the path of the backup."""
     spare = path.with_name(f".{path.stem}-{uuid4().hex[:8]}.before")
     try:
         os.link(path, spare)
-    except OSError:  # the file system has no hard links
+    except OSError:  # Copy the file if the file system has no hard links.
         shutil.copy2(path, spare)
     return spare
 
@@ -263,17 +272,17 @@ def _second_name(path: Path) -> Path:
 # ---------------------------------------------------------------- one run at a time
 
 
-#: Locks of this process, by the path of the lock file, each with the thread that took it last. A lock without
-#: a reference would be released.
+#: Locks on output files that this process holds, each with the thread that acquired it last. The key is the
+#: path of the lock file. Without this reference to it, a lock would be released.
 _TAKEN: dict[Path, tuple[BaseFileLock, threading.Thread]] = {}
 
 
 def lock(output: Path) -> BaseFileLock:
-    """Lock an output with the file ``<output>.lock``, which names the process that holds the lock.
+    """Lock an output file against other processes by creating the file ``<output>.lock``.
 
-    A lock of a process that no longer runs is replaced. A thread can lock an output again that it has locked
-    already, for instance in a command that failed. Each call needs a release of its own, and the last release
-    removes the file.
+    The lock file names the process that holds the lock. A lock of a process that no longer runs is replaced.
+    A thread can lock an output again that it has locked already, for instance in a command that failed. Each
+    call needs a release of its own, and the last release removes the lock file.
 
     Raises
     ------
@@ -282,7 +291,7 @@ def lock(output: Path) -> BaseFileLock:
     InputError
         If the lock cannot be written.
     """
-    from filelock import SoftFileLock, Timeout  # the import takes 60 ms
+    from filelock import SoftFileLock, Timeout  # Import filelock only when needed, because it takes 60 ms.
 
     path = output.resolve().with_name(f"{output.name}.lock")
     file = SoftFileLock(path, timeout=0, thread_local=False, is_singleton=True)
@@ -307,7 +316,10 @@ def lock(output: Path) -> BaseFileLock:
 
 @contextmanager
 def locked(output: Path | None) -> Iterator[None]:
-    """Hold the lock of an output file during the block. Nothing is locked for a device or a stream."""
+    """Lock an output file against other processes during the ``with`` block.
+
+    A device, the standard output, and a file in a folder that cannot be written are not locked.
+    """
     stored = output is not None and (output.is_dir() or not is_device(output))
     if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
         yield
@@ -321,7 +333,7 @@ def locked(output: Path | None) -> Iterator[None]:
 
 # ---------------------------------------------------------------- checkpoints
 
-#: Number of hexadecimal digits of the key of a line in a checkpoint.
+#: Number of hexadecimal digits of the key that a line of a checkpoint file has.
 DIGITS = 32
 
 
@@ -365,27 +377,32 @@ class Checkpoint:
         self.path = path
         self._key = key
         self._known: dict[str, list[float]] = {}
-        #: Lines that belong to computations with other inputs or settings.
+        #: Lines of the checkpoint file that belong to computations with other inputs or settings.
         self._others: list[str] = []
         self._writing = threading.Lock()
         self._full = False
         if path is None:
             return
         check_writable(path)
-        # release the lock also after a failed run, when the checkpoint object is deleted
+        # Release the lock of the output when the checkpoint object is deleted, so that it is released also
+        # after a failed computation.
         self._release = weakref.finalize(self, lock(path.with_suffix("")).release)
         with file_errors(path):
             self._read(path)
 
     @classmethod
     def beside(cls, output: Path | None, belongs_to: Any) -> Checkpoint:
-        """Return the checkpoint of an output. Its key depends on ``belongs_to`` and the version of swimid."""
+        """Return the checkpoint of an output file for one computation.
+
+        Its key is computed from ``belongs_to``, the inputs and settings of the computation, and the version
+        of swimid. Without an output, nothing is stored.
+        """
         text = json.dumps([belongs_to, swimid.__version__], sort_keys=True)
         path = output and place(output)
         return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     def get(self, name: str) -> NDArray[np.float64] | None:
-        """Return the intermediate result with the given name; None if it is not stored."""
+        """Return the stored intermediate result with the given name; None if the checkpoint has none."""
         if name not in self._known:
             return None
         import numpy as np
@@ -393,7 +410,7 @@ class Checkpoint:
         return np.array(self._known[name], dtype=float)
 
     def put(self, name: str, values: NDArray[np.float64]) -> None:
-        """Store an intermediate result under a name."""
+        """Append an intermediate result with its name to the checkpoint file."""
         if self.path is None:
             return
         key, listed = self._key_of(name), [float(v) for v in values]
@@ -401,7 +418,7 @@ class Checkpoint:
         with self._writing:
             try:
                 with self.path.open("a", encoding="utf-8") as stream:
-                    # begin a new line after a failed write, because the last line may be incomplete
+                    # Begin with a line feed after a failed write, because the last line may be incomplete.
                     stream.write("\n" * self._full + json.dumps(line) + "\n")
             except OSError as error:
                 if not self._full:
@@ -409,7 +426,10 @@ class Checkpoint:
                 self._full = True
 
     def kept(self, name: str, compute: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the intermediate result with the given name. If it is not stored, compute and store it."""
+        """Return the intermediate result with the given name, from the checkpoint if it is stored there.
+
+        Otherwise call ``compute`` and store the result.
+        """
         values = self.get(name)
         if values is None:
             values = compute()
@@ -417,11 +437,15 @@ class Checkpoint:
         return values
 
     def done(self) -> None:
-        """Remove the lines of this computation, whose result is now written. Other lines stay."""
+        """Remove the intermediate results of this computation from the checkpoint file.
+
+        Call this method after the result is written. Lines of other computations stay in the file. A file
+        without lines is removed.
+        """
         if self.path is None:
             return
         if self._others:
-            with noted():  # the checkpoint is not an output of the command
+            with noted():  # Hide this write from the list of outputs of the command.
                 write_text(self.path, "".join(f"{line}\n" for line in self._others))
         else:
             self.path.unlink(missing_ok=True)
@@ -431,7 +455,10 @@ class Checkpoint:
         return hashlib.sha256(f"{self._key}\n{name}".encode()).hexdigest()[:DIGITS]
 
     def _read(self, path: Path) -> None:
-        """Read the file, and sort its lines into lines of this computation, of others, and damaged lines."""
+        """Read the results of this computation from the checkpoint file.
+
+        Keep the lines of other computations, count damaged lines, and warn of both.
+        """
         raw = b""
         if path.is_file():
             raw = path.read_bytes()
@@ -470,22 +497,23 @@ class Checkpoint:
 
 
 def file_names(ids: Sequence[str], endings: Sequence[str]) -> list[str]:
-    """Return one file name for each id of a trial. The names are distinct on every operating system.
+    """Return a file name for the log of each trial. The names are distinct on every operating system.
 
-    Characters other than letters, digits, ``_``, ``-`` and ``.`` become ``_``.
+    The name is the id of the trial, in which characters other than letters, digits, ``_``, ``-`` and ``.``
+    become ``_``.
 
     Parameters
     ----------
     ids : sequence of str
-        Distinct ids.
+        Distinct ids of trials.
     endings : sequence of str
         Endings with their dot. The file names have the first ending. An id may have any of the endings.
 
     Raises
     ------
     UsageError
-        If two ids have the same name. Upper and lower case are not distinguished, because many file systems
-        ignore case.
+        If two ids would have the same file name. Upper and lower case are not distinguished, because many
+        file systems ignore case.
 
     Examples
     --------

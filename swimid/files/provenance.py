@@ -1,7 +1,8 @@
-"""Provenance of a result, and the marks by which swimid recognises files that it wrote.
+"""Provenance of a result (command, inputs, versions), and the marks of files that swimid wrote.
 
-Every format has its mark in one place. Only that place is read, because a file of another program may contain
-the word "swimid" anywhere. ``docs/formats.md`` lists the marks.
+By its mark swimid recognises a file that it may replace. Every file format has its mark in one place. Only
+that place is read, because a file of another program may contain the word "swimid" anywhere.
+``docs/formats.md`` lists the marks.
 """
 
 from __future__ import annotations
@@ -25,24 +26,25 @@ from swimid.files import tabular
 
 
 def sha256(path: str | Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal digits."""
+    """Return the SHA-256 of the content of a file in hexadecimal digits."""
     with file_errors(path), Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)
 class Held:
-    """Input of a result that was in memory: its name and the SHA-256 of its content."""
+    """Name and SHA-256 of an input of a computation that was in memory and not in a file."""
 
     name: str
     sha256: str
 
     def digest(self) -> str:
-        """Return the SHA-256 of the content of the input."""
+        """Return the SHA-256 of the content of the input in memory."""
         return self.sha256
 
 
-#: Input of a result: a file, or an object in memory with a ``name`` and a method ``digest``.
+#: Type of an input of a computation: the path of a file, or an object in memory with a ``name`` and a method
+#: ``digest`` that returns the SHA-256 of its content.
 Input = str | Path | Any
 
 
@@ -52,11 +54,10 @@ def path_of(given: Input) -> Path:
 
 
 def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
-    """Return the SHA-256 of each input of a result by its name.
+    """Return the SHA-256 of the content of each input of a computation. The key is the name of the input.
 
-    The name of a file is its path relative to the working folder.
-
-    Different inputs in memory that have the same name are numbered.
+    The name of a file is its path relative to the working folder. Different inputs in memory that have the
+    same name are numbered.
     """
     digests: dict[str, str] = {}
     for given in inputs:
@@ -73,9 +74,10 @@ def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
 
 
 def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
-    """Return one SHA-256 for several files under one name, computed from their digests and names.
+    """Return a single SHA-256 for an input that consists of several files. The key is the given name.
 
-    For a single file it is the SHA-256 of the file.
+    It is computed from the names of the files and the SHA-256 of their contents. For a single file it is the
+    SHA-256 of its content.
     """
     if len(files) == 1:
         return {os.path.relpath(name): sha256(files[0])}
@@ -89,7 +91,7 @@ def collect(
     settings: dict[str, Any] | None = None,
     digests: dict[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Return the ``provenance`` block of a result.
+    """Return the block ``provenance`` of a result file: command, version, inputs, packages and settings.
 
     Parameters
     ----------
@@ -116,9 +118,10 @@ def collect(
 
 
 def says_simulated(given: Input) -> bool:
-    """Return whether an input states that its data are simulated or synthetic.
+    """Return whether an input states that its data are simulated.
 
-    The statement is in the comments at the top of a file, or in the metadata of a log in memory.
+    The comments at the top of a file, or the metadata of a log in memory, then have the word "simulated" or
+    "synthetic".
     """
     if isinstance(given, str | Path):
         head = _head(Path(given))
@@ -128,9 +131,9 @@ def says_simulated(given: Input) -> bool:
 
 
 def _head(path: Path) -> str:
-    """Return the beginning of a file as text.
+    """Return the first bytes of a file (:data:`NEAR`) as text.
 
-    For a Parquet file that swimid wrote, the text has its metadata as comment lines.
+    For a Parquet file that swimid wrote, the text is ``PAR1`` and the metadata of the file as comment lines.
     """
     with file_errors(path), path.open("rb") as stream:
         head = stream.read(NEAR)
@@ -143,13 +146,13 @@ def _head(path: Path) -> str:
 
 
 def command_line() -> str:
-    """Return the command as it was typed, without the folder of the program."""
+    """Return the command line of this process as it was typed, without the folder of the program."""
     program = Path(sys.argv[0]).name.replace("__main__.py", "swimid")
     return shlex.join([program, *sys.argv[1:]])
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions of Python and of the imported libraries, by name."""
+    """Return the version of Python, and of each numerical library that is imported, by name."""
     versions = {"python": sys.version.split()[0]}
     for name in ("numpy", "scipy", "numba", "pandas", "cv2", "control"):
         if name in sys.modules:
@@ -159,20 +162,23 @@ def _versions() -> dict[str, str]:
 
 # ---------------------------------------------------------------- marks of files that swimid wrote
 
-#: Mark of swimid in the metadata field ``Software`` or ``dc:creator`` of a picture.
+#: Text in the metadata field ``Software`` or ``dc:creator`` of a picture that marks it as written by swimid.
 SOFTWARE = "swimid"
-#: Mark of swimid in the comment of a GIF and in the last box of a video file.
+#: Text in the comment of a GIF, or in the last box of a video file, that marks it as written by swimid.
 MADE_BY = "made by swimid"
-#: ``free`` box at the end of a video file, which players skip (ISO/IEC 14496-12, section 8.1.2).
+#: Bytes at the end of a video file that mark it as written by swimid. They form a ``free`` box, which players
+#: skip (ISO/IEC 14496-12, section 8.1.2).
 VIDEO_BOX = (8 + len(MADE_BY)).to_bytes(4, "big") + b"free" + MADE_BY.encode()
-#: Maximum distance of the mark of a text file from the start or the end of the file, bytes.
+#: Number of bytes at the start and at the end of a file in which the mark of swimid is searched.
 NEAR = 65536
 
 _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
-#: Pattern of the formats that only swimid writes. Users also write the excluded formats by hand.
+#: Pattern of the names of file formats that only swimid writes. The excluded formats are also written by
+#: hand.
 _FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
-#: Patterns of the marks at the beginning of a file, including what precedes the mark: log, JSON, JSON Schema,
-#: findings of ``doctor``, XML, Python, HTML, C header, CSV of a front, SVG, PNG, GIF.
+#: Pattern of the beginning of a file that swimid wrote, up to the mark. Its alternatives are, in this order:
+#: log, JSON, JSON Schema, findings of ``doctor``, XML, Python, HTML, C header, CSV of a Pareto front, SVG,
+#: PNG, GIF.
 _BEGINNING = re.compile(
     "|".join((
         r"(?:#[^\n]*\n|\n)*?# *(?:made_by|imported_by): *['\"]?swimid [a-z]",
@@ -192,16 +198,18 @@ _BEGINNING = re.compile(
     )),
     re.DOTALL,
 )  # fmt: skip
-#: Pattern of the mark at the end of a Markdown page.
+#: Pattern of the last line of a Markdown report, which marks it as written by swimid.
 _MARKDOWN = re.compile(r"\nMade by swimid \S+ on \d{4}-\d\d-\d\d [\d:]+ UTC\. [^\n]*\n?\Z")
-#: Patterns of the first line of a YAML file that swimid wrote, and of its block ``provenance``, which may
-#: follow anywhere.
+#: Patterns of two parts of a YAML file that swimid wrote: the first line, and the block ``provenance``, which
+#: may follow anywhere.
 _YAML = re.compile(rf"format: *['\"]?{_FORMAT}['\"\s]")
 _ORIGIN = re.compile(r"^provenance:\n(?: .*\n)*?  version: ", re.MULTILINE)
 
 
 def is_own(path: Path) -> bool:
-    """Return whether swimid may replace this file: swimid wrote it, or it is empty, missing or a device.
+    """Return whether swimid may replace a file, because swimid wrote it or because it has no content.
+
+    A file has no content if it is empty, missing or a device.
 
     Raises
     ------
@@ -223,8 +231,11 @@ def is_own(path: Path) -> bool:
 
 
 def mark_png(data: bytes) -> bytes:
-    """Return a PNG file with the mark of swimid added. ``data`` is a PNG file without metadata."""
+    """Return the content of a PNG file with a metadata field that marks it as written by swimid.
+
+    ``data`` is the content of the PNG file without metadata.
+    """
     content = b"tEXtSoftware\0" + SOFTWARE.encode()
     chunk = (len(content) - 4).to_bytes(4, "big") + content + zlib.crc32(content).to_bytes(4, "big")
-    after_header = 8 + 25  # signature and IHDR chunk
+    after_header = 8 + 25  # The PNG signature has 8 bytes, and the header chunk IHDR has 25.
     return data[:after_header] + chunk + data[after_header:]

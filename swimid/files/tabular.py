@@ -1,4 +1,4 @@
-"""Functions that read CSV files (comments, header, cells), and the import of the Parquet library."""
+"""Functions that read comments, header and cells of CSV files, and that import the library for Parquet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from swimid.errors import InputError, extra_needed, nearest
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Texts of table cells that are read as a missing value. The file formats specify an empty cell.
+#: Texts of table cells that are read as missing values. The file formats of swimid specify an empty cell.
 MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
 
 
@@ -72,7 +72,7 @@ def parse(
     decimal: str = ".",
     missing: Sequence[str] = MISSING,
 ) -> pd.DataFrame:
-    """Return the cells below the header of a CSV file as a table, one row for each line that is not blank.
+    """Parse the lines below the header of a CSV file into a table with one row for each line with text.
 
     A line with too few cells has missing values at its end. A line with too many cells is left out. Every
     number is the floating-point number that is nearest to the text in its cell.
@@ -96,7 +96,8 @@ def parse(
 
     try:
         with warnings.catch_warnings():
-            # ignore warnings of pandas: too many cells in the first line, mixed types in a column
+            # Ignore the warnings of pandas about too many cells in the first line and about mixed types in a
+            # column.
             warnings.simplefilter("ignore")
             return pd.read_csv(
                 io.BytesIO(text),
@@ -132,7 +133,7 @@ def count_cells(line: str, delimiter: str = ",") -> int:
 def missing_column(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
-    """Return the error for a missing column of a table, with the most similar name as a hint."""
+    """Return the error for a column that a table lacks, with the most similar existing column as a hint."""
     hint = f"the file has: {', '.join(names)}"
     if close := nearest(column, list(names)):
         hint = f"did you mean '{close}'? {hint}"
@@ -146,7 +147,8 @@ def number(text: str) -> float | None:
     (0.001, None, None)
     """
     if "_" in text or not text.isascii():
-        return None  # Python reads these as numbers, no other program does
+        # Reject digits with underscores and digits of other scripts, which only Python reads as numbers.
+        return None
     try:
         return float(text)
     except ValueError:
@@ -154,7 +156,7 @@ def number(text: str) -> float | None:
 
 
 def number_hint(text: str) -> str:
-    """Return the hint of the error for a table cell that is not a number."""
+    """Return the hint for the error that the text of a table cell is not a number."""
     if number(text.replace(",", ".")) is not None:
         return "write the decimal point as a dot"
     return "leave the cell empty where the sample is missing"
@@ -164,7 +166,7 @@ PARQUET = (".parquet", ".pq")
 
 
 def pyarrow() -> Any:
-    """Return the module ``pyarrow``, with ``pyarrow.parquet`` imported.
+    """Import the Parquet library ``pyarrow`` with ``pyarrow.parquet``, and return it.
 
     Raises
     ------

@@ -13,14 +13,14 @@ from swimid.errors import InputError
 from swimid.files.provenance import MADE_BY, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
-#: Resolution of the time stamps of video frames, ticks per second.
+#: Resolution of the time stamps of frames in H.264 videos, ticks per second.
 CLOCK = 90_000
-#: Remark for the user if browsers do not play the video.
+#: Remark for the user that browsers do not play an MPEG-4 video. The placeholder is the name of the output.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
 
 
 class H264:
-    """Writer of an H.264 video with PyAV. Browsers play the video, and every frame has its own time.
+    """Writer of an H.264 video with the library PyAV. Browsers play it, and each frame has its own time.
 
     Raises
     ------
@@ -41,7 +41,7 @@ class H264:
         self._stream.options = {"preset": "veryfast", "crf": "23"}
 
     def write(self, time_s: float, frame: Frame) -> None:
-        """Add a frame."""
+        """Add a frame with its time stamp to the video."""
         picture = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="bgr24")
         picture.pts = round(time_s * CLOCK)
         picture.time_base = Fraction(1, CLOCK)
@@ -49,7 +49,7 @@ class H264:
             self._container.mux(packet)
 
     def close(self) -> None:
-        """Finish the file."""
+        """Write the remaining frames and close the video file."""
         for packet in self._stream.encode():
             self._container.mux(packet)
         self._container.close()
@@ -57,7 +57,10 @@ class H264:
 
 
 class Mpeg4:
-    """Writer of an MPEG-4 video with OpenCV, used without PyAV. Most players show it, browsers do not."""
+    """Writer of an MPEG-4 video with OpenCV, for installations without the library PyAV.
+
+    Most players show the video, but browsers do not.
+    """
 
     def __init__(self, path: Path, rate: float, width: int, height: int) -> None:
         self._path, self._count = path, 0
@@ -66,17 +69,17 @@ class Mpeg4:
             raise InputError("no video can be written with this ending", file=path, hint="name it .mp4")
 
     def write(self, time_s: float, frame: Frame) -> None:
-        """Add a frame. The time of the frame follows from the frame rate."""
+        """Add a frame to the video. Its time follows from the frame rate, and ``time_s`` is ignored."""
         self._writer.write(frame)
         self._count += 1
 
     def close(self) -> None:
-        """Finish the file.
+        """Close the video file and check that it has all frames.
 
         Raises
         ------
         InputError
-            If frames are missing in the file: OpenCV reports no error when the disk is full.
+            If frames are missing in the file. OpenCV reports no error when the disk is full.
         """
         self._writer.release()
         whole = int(cv2.VideoCapture(str(self._path)).get(cv2.CAP_PROP_FRAME_COUNT))
@@ -99,16 +102,16 @@ class Gif:
         self._frames: list[Frame] = []
 
     def write(self, time_s: float, frame: Frame) -> None:
-        """Add a frame. The time of the frame follows from the frame rate."""
+        """Add a frame to the animation. Its time follows from the frame rate, and ``time_s`` is ignored."""
         self._frames.append(np.ascontiguousarray(frame[:, :, ::-1]))
 
     def close(self) -> None:
-        """Write the file."""
+        """Write all frames to the GIF file. Without frames no file is written."""
         from PIL import Image
 
         if not self._frames:
             return
-        # all frames use the palette of the last frame, which shows the whole path of the robot
+        # Use the palette of the last frame for all frames, because it shows the whole path of the robot.
         palette = Image.fromarray(self._frames[-1]).quantize(colors=64)
         first, *rest = (
             Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in self._frames
@@ -130,7 +133,9 @@ Writer = H264 | Mpeg4 | Gif
 
 
 def open_writer(path: Path, rate: float, width: int, height: int) -> Writer:
-    """Return a video writer for the ending of ``path``: a GIF writer, or else H.264 or MPEG-4.
+    """Return a writer for a video file. The ending of the file name determines the format.
+
+    A ``.gif`` file is an animated GIF. Other files are H.264 videos, or MPEG-4 videos without PyAV.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Reading and writing of YAML files. Comments are preserved, floats are not rounded, errors name the line."""
+"""Functions that read, validate and write YAML files.
+
+Comments are preserved, floating-point numbers are not rounded, and errors name the line of the file.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,10 @@ from ruamel.yaml.constructor import DuplicateKeyError
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
 
-#: Maximum size of a YAML file, bytes. A larger file is refused before it is parsed.
+#: Maximum size of a YAML file, bytes. A larger file is an error, and is not parsed.
 MAX_BYTES = 20_000_000
-#: Maximum number of nodes of a YAML document with all aliases written out. A larger document is refused.
+#: Maximum number of nodes of a YAML document, where each alias counts as a copy of the node to which it
+#: refers. A document with more nodes is an error.
 MAX_NODES = 500_000
 
 M = TypeVar("M", bound=BaseModel)
@@ -32,14 +36,15 @@ def _without_nulls(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 class Document(BaseModel):
-    """Base class of all YAML formats. Unknown keys and infinite numbers are errors."""
+    """Base class of the pydantic models of YAML files. Unknown keys and infinite numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=False)
 
     def digest(self) -> str:
         """Return the SHA-256 of the keys and values of the document in hexadecimal digits.
 
-        The order of keys, comments, keys without a value, and keys with their default value have no effect.
+        It does not depend on comments, on the order of the keys, or on keys that are empty or have their
+        default value.
         """
         text = self.model_dump_json(exclude_defaults=True)
         data = json.loads(text, object_hook=_without_nulls)
@@ -56,12 +61,12 @@ class ResultFile(Document):
     kind: ClassVar[str]
 
     def write(self, path: str | Path) -> None:
-        """Write the file, complete or not at all, without the keys whose value is None."""
+        """Write the content to a YAML file, completely or not at all. Keys without a value are omitted."""
         write(path, self.model_dump(mode="python", exclude_none=True))
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a file of this format.
+        """Read a result file of this format from a YAML file.
 
         Raises
         ------
@@ -73,7 +78,10 @@ class ResultFile(Document):
 
 
 def plain(value: Any, *, finite: bool = False) -> Any:
-    """Return data as plain Python dicts, lists, strings and numbers; with ``finite``, NaN and inf as None."""
+    """Convert nested data to plain Python dictionaries, lists, strings and numbers.
+
+    With ``finite``, NaN and infinite numbers become None.
+    """
     if isinstance(value, float):
         if finite and not math.isfinite(value):
             return None
@@ -89,13 +97,14 @@ def plain(value: Any, *, finite: bool = False) -> Any:
         return plain(value.model_dump(mode="python"), finite=finite)
     if isinstance(value, Path):
         return value.as_posix()
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
+    if hasattr(value, "tolist"):  # Convert scalars and arrays of numpy.
         return plain(value.tolist(), finite=finite)
     return value
 
 
 _known = partial(plain, finite=True)
-#: Field types for numbers of which some may be undefined (None): one number, a list, a table and a pair.
+#: Field types of pydantic models for a number, a list, a table and a pair of numbers. NaN and infinite
+#: numbers become None.
 Number = Annotated[float | None, BeforeValidator(_known)]
 Numbers = Annotated[list[float | None], BeforeValidator(_known)]
 Rows = Annotated[list[list[float | None]], BeforeValidator(_known)]
@@ -103,8 +112,8 @@ Pair = Annotated[tuple[float | None, float | None], BeforeValidator(_known)]
 
 
 def _yaml() -> YAML:
-    # The round-trip loader keeps comments and line numbers. Like the safe loader, it constructs plain data
-    # only.
+    # Use the round-trip loader of ruamel.yaml, which keeps comments and line numbers. Like the safe loader,
+    # it constructs plain data only.
     yaml = YAML(typ="rt", pure=True)
     yaml.default_flow_style = False
     yaml.width = 4096
@@ -114,8 +123,8 @@ def _yaml() -> YAML:
 
 
 def _represent_float(representer: Any, value: float) -> Any:
-    # Write the shortest text that is read back as the same number. It has a decimal point, because YAML 1.1
-    # readers take 1e-05 for a string.
+    # Write the shortest text that is read back as the same floating-point number. Add a decimal point,
+    # because YAML 1.1 readers read 1e-05 as a string.
     text = repr(value)
     if "e" in text and "." not in text:
         text = text.replace("e", ".0e")
@@ -166,12 +175,12 @@ def load(path: str | Path) -> CommentedMap:
 
 
 def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
-    """Read a YAML document of a given format.
+    """Read a YAML document, and check that its key ``format`` has the value ``form``.
 
     Raises
     ------
     InputError
-        If the document states another format or none. ``what`` is the kind of document in the message.
+        If the document states another format or none. The message calls the document ``what``.
     """
     data = load(path)
     if data.get("format") != form:
@@ -180,18 +189,24 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 
 
 def _expanded(node: Any, known: dict[int, int]) -> int:
-    """Return the number of nodes of a YAML document with every alias written out."""
+    """Return the number of nodes of a YAML document, where each alias counts as a copy of its node.
+
+    The number is at most ``MAX_NODES + 1``. ``known`` has the numbers of nodes that are already counted.
+    """
     if not isinstance(node, dict | list):
         return 1
     if id(node) not in known:
-        known[id(node)] = MAX_NODES + 1  # a node that contains itself counts as too large
+        known[id(node)] = MAX_NODES + 1  # A node that contains itself counts as too large.
         inner = node.values() if isinstance(node, dict) else node
         known[id(node)] = min(1 + sum(_expanded(part, known) for part in inner), MAX_NODES + 1)
     return known[id(node)]
 
 
 def validated(path: str | Path, model: type[M]) -> M:
-    """Read a YAML file into a pydantic model; errors name the line and the most similar key."""
+    """Read a YAML file and return its content as an object of a pydantic model.
+
+    An error names the line of the file, and the most similar key for an unknown key.
+    """
     return validate(load(path), model, path)
 
 
@@ -222,9 +237,10 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
 
 
 def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int | None]:
-    """Return the parts of an error's location that are in YAML data, the data at the location, and the line.
+    """Follow the location of a pydantic error in YAML data as far as possible.
 
-    pydantic adds the names of the branches of a union to the location. These names are not in the data.
+    Return the keys and indices that were found, the data at the end of this path, and the line of its last
+    key. pydantic adds the names of the branches of a union to the location, which are not in the data.
     """
     parts: list[Any] = []
     line: int | None = None
@@ -240,12 +256,12 @@ def _followed(data: Any, location: Sequence[Any]) -> tuple[list[Any], Any, int |
 
 
 def line_of(data: Any, location: Sequence[Any]) -> int | None:
-    """Return the line number of the deepest key of ``location`` that is in the YAML document."""
+    """Return the line of the last key of a path of keys that is in a YAML document; None if none is."""
     return _followed(data, location)[2]
 
 
 def _key(data: Any, problem: Any) -> list[Any]:
-    """Return the path of the key that a validation error is about, also if the key is missing."""
+    """Return the path of the key to which a validation error of pydantic refers, also if it is missing."""
     parts = _followed(data, problem["loc"])[0]
     if problem["type"] == "missing":
         parts.append(problem["loc"][-1])
@@ -279,7 +295,7 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
 
 
 def _keys_at(model: Any, location: Sequence[Any]) -> set[str]:
-    """Return the keys that the schema of a model allows at a location in a document."""
+    """Return the keys that a pydantic model allows at a location in a document, from its JSON Schema."""
     schema = model.model_json_schema()
     nodes = _branches(schema, schema)
     for part in location:
@@ -323,7 +339,10 @@ def _text(styled: Any) -> str:
 
 
 def _styled(value: Any, on_one_line: Callable[[Any, int], bool], depth: int = 0) -> Any:
-    """Return YAML data in which the lists and mappings to write on one line are marked."""
+    """Return a copy of YAML data that marks the lists and mappings to write on one line.
+
+    ``on_one_line`` decides this from a list or mapping and its depth in the document.
+    """
     styled: Any = value
     if isinstance(value, dict):
         styled = CommentedMap((k, _styled(v, on_one_line, depth + 1)) for k, v in value.items())
@@ -348,12 +367,12 @@ def _short_list(value: Any) -> bool:
 
 
 def write(path: str | Path, data: Mapping[str, Any]) -> None:
-    """Write a mapping as YAML, complete or not at all."""
+    """Write a mapping to a YAML file, completely or not at all."""
     atomic.write_text(path, dumps(data))
 
 
 def parse_scalar(text: str) -> Any:
-    """Return the value of a YAML text.
+    """Return the Python value of a short YAML text, such as a number, a list or a mapping.
 
     Raises
     ------

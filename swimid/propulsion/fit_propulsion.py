@@ -1,4 +1,4 @@
-"""Command ``fit-propulsion``: fits of the recoil law, and of thrust and drag in straight swimming."""
+"""Command ``fit-propulsion``: fit of the energy recoil law, or of thrust and drag in straight swimming."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.parameters import Estimate, Fitted, ParameterFile
 
-#: Minimum relative deviation of the mean speed at a frequency from the recoil law, and minimum deviation in
-#: standard errors, at which the frequency is left out of the fit. At least ``MIN_LEVELS`` frequencies stay in
-#: the fit, and at most a third of the frequencies is left out.
+#: Limits for a beat frequency whose runs depart from the recoil law. A frequency is left out of the fit if
+#: the mean speed deviates by more than the first limit (relative) and by more than the second (in standard
+#: errors). At least ``MIN_LEVELS`` frequencies stay in the fit, and at most a third of the frequencies is
+#: left out.
 DEPARTURE_RTOL, DEPARTURE_Z, MIN_LEVELS = 0.01, 4.0, 3
-#: Exponents of frequency and amplitude in the propulsive power of the recoil law.
+#: Exponents of beat frequency and amplitude in the propulsive power according to the recoil law.
 LAWS = {"frequency_exponent": 3.0, "amplitude_exponent": 2.0}
-#: Maximum deviation of an estimated exponent from the exponent of the recoil law or thrust law, in standard
-#: errors.
+#: Maximum deviation, in standard errors, at which an estimated exponent agrees with the exponent of the
+#: recoil law or of the thrust law.
 EXPONENT_Z = 3.0
 #: Parameters of the drag file that the recoil law uses.
 DRAG_PARAMETERS = ("drag_coefficient", "added_mass")
-#: Titles of the columns in the table of cruise runs. Each has the key of its quantity in the operating
-#: points, and the factor to the unit of the column.
+#: Columns of the report table of cruise runs. Each title has the key of its quantity in an operating point,
+#: and the factor that converts the quantity to the unit in the title.
 COLUMNS = {
     "f (Hz)": ("frequency_hz", 1.0),
     "amplitude (°)": ("amplitude_deg", 1.0),
@@ -51,9 +52,10 @@ COLUMNS = {
     "Strouhal, axle": ("strouhal_axle", 1.0),
     "efficiency (%)": ("efficiency", 100.0),
 }
-#: Type of the outcome of a fit: parameter file, checks, and further fields of the evidence by name.
+#: Type of the result of a propulsion fit: parameter file, checks, and further fields of the evidence (title,
+#: tables, figures, methods) by name.
 Made = tuple[ParameterFile, list[ev.Check], dict[str, Any]]
-#: Exponent of the beat amplitude in the power law of thrust.
+#: Exponent of the beat amplitude in the power law of thrust in straight swimming.
 AMPLITUDE_EXPONENT = 2.0
 
 
@@ -212,7 +214,7 @@ def _fit_surge(
 
 
 def _estimated(value: float, stderr: float, unit: str) -> Estimate:
-    """Return a derived quantity with the status ``estimated``."""
+    """Return an estimate with the status ``estimated`` for a derived quantity."""
     return Estimate(value=value, stderr=stderr, unit=unit, status="estimated")
 
 
@@ -222,9 +224,9 @@ def _estimated(value: float, stderr: float, unit: str) -> Estimate:
 def _fit_recoil_law(
     experiment: Experiment, choices: tuple[Parameter, ...], options: FitPropulsionOptions, progress: Progress
 ) -> Made:
-    """Fit the recoil law to the runs at all frequencies that follow it.
+    """Fit the energy recoil law to cruise runs, without the beat frequencies whose runs depart from the law.
 
-    The standard errors include those of the drag file.
+    The standard errors include the uncertainty of the drag parameters.
 
     Parameters
     ----------
@@ -290,7 +292,7 @@ def _fit_recoil_law(
 
 
 def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Trial]:
-    """Return copies of the trials in which the speeds at the given frequencies are missing."""
+    """Return copies of cruise trials in which the speeds at the given beat frequencies are set to NaN."""
     kept = []
     for trial in trials:
         out = np.isclose(trial.inputs["frequency_hz"][:, None], frequencies).any(axis=1)
@@ -301,10 +303,10 @@ def _without(trials: Sequence[Trial], frequencies: Sequence[float]) -> list[Tria
 def _find_departures(
     model: RecoilModel, trials: list[Trial], choices: tuple[Parameter, ...]
 ) -> list[dict[str, Any]]:
-    """Return the frequencies whose runs depart from the recoil law, in the order of their detection.
+    """Find the beat frequencies whose runs depart from the recoil law.
 
-    For the test of a frequency, the law is fitted without this frequency and without the frequencies found
-    before.
+    Return a dictionary for each such frequency, in the order of detection. To test a frequency, the law is
+    fitted without this frequency and without the frequencies that were found before.
     """
     levels = np.unique(np.concatenate([t.inputs["frequency_hz"] for t in trials])).tolist()
     departures: list[dict[str, Any]] = []
@@ -323,9 +325,10 @@ def _find_departures(
 
 
 def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str, Any] | None:
-    """Return the mean relative deviation of the speeds at a frequency from the recoil law, with its error.
+    """Compare the speeds at one beat frequency with the fitted recoil law.
 
-    The result is None if no speed was measured at this frequency.
+    Return the mean relative deviation from the law, its standard error and their ratio z. Return None if no
+    speed was measured at this frequency.
     """
     shares, spread = [], []
     size = float(np.sqrt(np.mean([np.nanmean(s.weighted**2) for s in fitted.series])))
@@ -340,14 +343,14 @@ def _departure(fitted: FitResult, trials: list[Trial], level: float) -> dict[str
     if not shares:
         return None
     share, variance = float(np.mean(shares)), float(np.mean(np.square(spread)))
-    # Combine the standard errors of the mean speed and of the fitted law. The latter is about twice the
-    # standard error of the mean of all runs.
+    # Combine the standard errors of the mean speed at this frequency and of the fitted law. The standard
+    # error of the law is about twice that of the mean of all runs.
     error = math.sqrt(variance * (1 / len(shares) + 4 / max(fitted.samples, 1)))
     return {"frequency_hz": level, "share": share, "stderr": error, "z": share / error, "runs": len(shares)}
 
 
 def _departure_check(departures: list[dict[str, Any]], everything: FitResult) -> ev.Check:
-    """Check that the runs at every frequency follow the recoil law, and warn of frequencies that depart."""
+    """Check that cruise runs at every beat frequency follow the recoil law, and warn of each that departs."""
     for d in departures:
         word = "slower" if d["share"] < 0 else "faster"
         warn(
@@ -371,7 +374,9 @@ def _departure_check(departures: list[dict[str, Any]], everything: FitResult) ->
 def _free_exponents(
     model: Model, trials: Sequence[Trial], choices: tuple[Parameter, ...], laws: Mapping[str, float], of: str
 ) -> tuple[dict[str, Estimate], list[ev.Check]]:
-    """Estimate each exponent of a power law in a separate fit, and check that it agrees with the law.
+    """Estimate each exponent of a power law of thrust or power in a separate fit, and check its value.
+
+    The check passes if the estimate agrees with the exponent of the law.
 
     Parameters
     ----------
@@ -394,7 +399,8 @@ def _free_exponents(
             continue
         fit_common.refuse_interrupted(result)
         value, stderr, status = result.value(name), result.stderr(name), result.status[name]
-        # an exponent is not identifiable if the amplitude offset is not identifiable or is at its bound
+        # Report an exponent as not identifiable if the amplitude offset is not identifiable or is at its
+        # bound.
         if result.status.get("amplitude_offset_deg", "estimated") != "estimated":
             status = "unidentifiable"
         exponents[f"free_{name}"] = Estimate(
@@ -415,9 +421,9 @@ def _free_exponents(
 
 
 def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
-    """Return a model for each drag parameter, in which this parameter is increased by its standard error.
+    """Return copies of the recoil model, in each of which one drag parameter is larger by its standard error.
 
-    The models are named after the parameters. Parameters without a standard error are omitted.
+    The key of a model is the name of this parameter. Parameters without a standard error have no model.
     """
     drag, fins = experiment.facts["drag"], [t.id for t in experiment.trials]
     models = {}
@@ -433,7 +439,7 @@ def _models_by_drag_error(experiment: Experiment) -> dict[str, RecoilModel]:
 def _with_drag_error(
     result: FitResult, trials: list[Trial], choices: tuple[Parameter, ...], experiment: Experiment
 ) -> FitResult:
-    """Return the fit with the errors of the drag parameters added to the covariance of its estimates."""
+    """Return a copy of the fit whose covariance also includes the uncertainty of the drag parameters."""
     drag: ParameterFile = experiment.facts["drag"]
     shifts, joint = np.zeros((2, len(result.labels))), np.eye(2)
     for name, other in _models_by_drag_error(experiment).items():
@@ -446,7 +452,10 @@ def _with_drag_error(
 
 
 def _derive(experiment: Experiment, result: FitResult, points: list[dict[str, Any]]) -> dict[str, Estimate]:
-    """Return the derived quantities of the recoil law: velocity ratio, and extreme propulsive forces."""
+    """Return the velocity ratio and the smallest and largest propulsive force of the cruise runs (N).
+
+    The velocity ratio is the average speed of a run from rest divided by the terminal speed.
+    """
     coefficient = experiment.facts["drag"].parameters["drag_coefficient"]
     distance = float(np.median(np.concatenate([t.inputs["distance_m"] for t in experiment.trials])))
     models = (experiment.model, *_models_by_drag_error(experiment).values())
@@ -499,7 +508,7 @@ def _operating_points(experiment: Experiment, result: FitResult) -> list[dict[st
 
 
 def _run_table(points: list[dict[str, Any]]) -> ev.Table:
-    """Return the table of the cruise runs for the report."""
+    """Return the report table with the speeds, force, Strouhal numbers and efficiency of each cruise run."""
     runs = []
     for p in points:
         row: dict[str, ev.Cell] = {"fin": p["fin"]}
@@ -516,7 +525,10 @@ def _run_table(points: list[dict[str, Any]]) -> ev.Table:
 def _speed_figure(
     experiment: Experiment, result: FitResult, points: list[dict[str, Any]], left_out: list[float]
 ) -> ev.Figure:
-    """Return the figure of average speed over frequency and over amplitude, with the fitted recoil law."""
+    """Return the figure of the average speed of cruise runs over beat frequency and over beat amplitude.
+
+    It shows the measured runs as points and the fitted recoil law as lines.
+    """
     amplitudes, counts = np.unique([round(p["amplitude_deg"], 6) for p in points], return_counts=True)
     amplitude = float(amplitudes[np.argmax(counts)])
     settings = {(p["frequency_hz"], p["amplitude_deg"]) for p in points}
@@ -553,7 +565,7 @@ def _speed_figure(
 
 
 def _residual_figure(result: FitResult) -> ev.Figure:
-    """Return the figure of the residuals of the average speed over frequency and over amplitude."""
+    """Return the figure of the average-speed residuals of cruise runs over beat frequency and amplitude."""
     inputs = {t.id: t.inputs for t in result.trials}
     panels = []
     for name, factor, label in (
@@ -563,7 +575,7 @@ def _residual_figure(result: FitResult) -> ev.Figure:
         traces, fins = [], result.series_of(SPEED)
         reach = factor * max(float(np.ptp(inputs[s.trial][name])) for s in fins)
         for group, s in enumerate(fins):
-            # shift the points of each fin sideways, so that no point hides another one
+            # Shift the points of each fin sideways, so that points of different fins do not hide each other.
             x = factor * inputs[s.trial][name] + 0.025 * reach * (group - (len(fins) - 1) / 2)
             traces.append(ev.Trace(x=x, y=s.weighted, style="points", label=s.trial, group=group))
         spans = [ev.Span(start=-2.0, end=2.0, axis="y", label="±2 sd")]
@@ -576,7 +588,11 @@ def _residual_figure(result: FitResult) -> ev.Figure:
 
 
 def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: int) -> list[ev.Trace]:
-    """Return a list with the trace of the runs of one fin; an empty list if the fin has no runs."""
+    """Return the trace that shows the cruise runs of one fin as points; an empty list without such runs.
+
+    ``x`` is the key of the horizontal axis. The vertical axis has the average speed (cm/s) to the given
+    power.
+    """
     own = [p for p in runs if p["fin"] == fin]
     if not own:
         return []
@@ -588,9 +604,9 @@ def _points(runs: list[dict[str, Any]], fin: str, x: str, power: float, group: i
 
 
 def _law_cm_s(result: FitResult, trial: Trial, frequency: Array, amplitude_deg: Array) -> Array:
-    """Return the average speed that the fitted recoil law predicts for a fin, cm/s.
+    """Return the average speed that the fitted recoil law predicts for cruise runs of a fin, cm/s.
 
-    The distance of the runs is the median distance of the trial.
+    The distance of the runs is the median distance of the measured runs.
     """
     distance = np.full(len(frequency), np.median(trial.inputs["distance_m"]))
     amplitude = np.deg2rad(amplitude_deg)

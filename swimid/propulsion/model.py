@@ -1,4 +1,4 @@
-"""Models of propulsion by a caudal fin: the energy recoil law, and a surge model for beat averages."""
+"""Models of propulsion by a caudal fin: the energy recoil law, and a model of beat-averaged surge."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from swimid.fitting.model import (
 )
 
 SPEED = MEAN_SPEED
-#: Maximum integration step of the surge model where it has no closed form, s.
+#: Maximum integration step of the surge model, s, if its equation of motion has no closed-form solution.
 STEP_S = 0.05
-#: Maximum number of iterations of Newton's method. The method converges in fewer iterations, because the
-#: functions are convex and the start is above the root.
+#: Maximum number of iterations of Newton's method for speeds and distances of cruise runs. The method
+#: converges in fewer iterations, because the functions are convex and the search starts above the root.
 MAX_ITERATIONS = 60
 
 
@@ -56,7 +56,7 @@ def velocity_ratio(b1: Array | float, start_m: Array | float, end_m: Array | flo
     """
 
     def phase(x: Array | float) -> Array:
-        # arccosh(exp(y)) = y + log(1 + sqrt(1 - exp(-2y))), without overflow
+        # Compute arccosh(exp(y)) as y + log(1 + sqrt(1 - exp(-2y))), which does not overflow for large y.
         y = np.asarray(b1 * np.asarray(x, dtype=float))
         return np.asarray(y + np.log1p(np.sqrt(-np.expm1(-2 * y))))
 
@@ -86,7 +86,10 @@ def terminal_speed(power: Array, c: Mapping[str, float]) -> Array:
 
 
 def _root(step: Callable[[Array], Array], start: Array) -> Array:
-    """Return a root of a function by Newton's method. ``step`` is the function divided by its derivative."""
+    """Return a root of a function by Newton's method.
+
+    ``step`` is the function divided by its derivative, and ``start`` the initial value.
+    """
     for _ in range(MAX_ITERATIONS):
         change = step(start)
         start = start - change
@@ -96,10 +99,10 @@ def _root(step: Callable[[Array], Array], start: Array) -> Array:
 
 
 def mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -> Array:
-    """Return the average speed of a run from rest over a distance, m/s.
+    """Return the average speed of a robot that swims a distance from rest with constant thrust, m/s.
 
-    The thrust is constant, and the robot would finally reach the given terminal speed. Dry friction is not an
-    argument, because it only reduces the thrust.
+    Over an infinite distance the robot would reach the given terminal speed. Dry friction is not an argument,
+    because it only reduces the thrust.
 
     Parameters
     ----------
@@ -132,43 +135,42 @@ def mean_speed(terminal_m_s: Array, distance_m: Array, c: Mapping[str, float]) -
 
 
 def strouhal(frequency_hz: float, amplitude_rad: float, lever_m: float, terminal_speed_m_s: float) -> float:
-    """Return the Strouhal number ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)``.
+    """Return the Strouhal number of a flapping fin from its wake width (boxfish paper, Eq 28).
 
-    This is Eq 28 of the boxfish paper.
-
-    In the nomenclature of the paper the lever is the length of the fin. The values that the paper prints
-    agree better with the distance from the axle to the trailing edge, which is the length plus the gap.
+    The number is ``f A_w / v`` with the wake width ``A_w = 2 lever sin(amplitude)``. In the nomenclature of
+    the paper the lever is the length of the fin. The values that the paper prints agree better with the
+    distance from the axle to the trailing edge, which is the length of the fin plus the gap to the axle.
     """
     return float(frequency_hz * 2 * lever_m * np.sin(amplitude_rad) / terminal_speed_m_s)
 
 
 class RecoilScales(Scales):
-    """Typical scales of the quantities in cruise runs."""
+    """Typical sizes of speed, force and inertia in cruise runs, which scale the parameters of effects."""
 
     model: RecoilModel
 
     @property
     def inertia(self) -> float:
-        """Moving mass: sum of the mass of the robot and its added mass, kg."""
+        """Moving mass in cruise runs: sum of the mass of the robot and its added mass, kg."""
         return self.model.drag_area_kg_m / self.model.b1
 
     @property
     def force(self) -> float:
-        """Typical force, the drag at the typical speed, N."""
+        """Typical force in cruise runs: the drag at the typical speed, N."""
         return self.model.drag_area_kg_m * self.speed**2
 
 
 class SurgeScales(Scales):
-    """Typical scales of the quantities in straight swimming. Forces are divided by the mass."""
+    """Typical sizes of speed and force in straight swimming. Forces are divided by the mass of the robot."""
 
     @property
     def force(self) -> float:
-        """Typical force per mass, the drag at the typical speed, m/s2."""
+        """Typical force per mass in straight swimming: the drag per mass at the typical speed, m/s2."""
         return max(self.model.start("surge_drag"), 0.1) * self.speed**2
 
 
 class RecoilModel(Model):
-    """Model of the average speed of cruise runs: the energy recoil law (boxfish paper, Eqs 5, 25-27).
+    """Model of the average speed of cruise runs by the energy recoil law (boxfish paper, Eqs 5, 25-27).
 
     The recoil law is ``v = R_v (8 eta pi^2 I f^p (theta - theta_off)^q / (rho C_d A / 2))^(1/3)`` with p = 3
     and q = 2. Both exponents can be freed to test the law.
@@ -186,7 +188,11 @@ class RecoilModel(Model):
     def __init__(
         self, *, drag_area_kg_m: float, moving_mass_kg: float, fins: Mapping[str, float | None]
     ) -> None:
-        """Create the model from ``rho C_d A / 2`` (kg/m), ``m_f + m_a`` (kg) and fin inertias (kg m2)."""
+        """Create the model from drag factor, moving mass (kg) and inertias of the fins (kg m2).
+
+        The drag factor ``rho C_d A / 2`` is in kg/m. The moving mass is the mass of the robot plus its added
+        mass. An inertia is None if it is unknown.
+        """
         self.drag_area_kg_m = drag_area_kg_m
         self.moving_mass_kg = moving_mass_kg
         self.fins = fins
@@ -212,11 +218,11 @@ class RecoilModel(Model):
         return {"quadratic": self.drag_area_kg_m, "linear": 0.0, "dry": 0.0, "mass": self.moving_mass_kg}
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the average speed of each cruise run of a trial (see :meth:`Model.simulate`)."""
+        """Return the predicted average speed of each cruise run of a trial (see :meth:`Model.simulate`)."""
         return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> RecoilScales:
-        """Return the typical scales of the quantities in trials."""
+        """Return the typical sizes of speed, force and inertia in cruise trials."""
         return RecoilScales(self, trials)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
@@ -233,11 +239,11 @@ class RecoilModel(Model):
         steady = Stroke(inputs["frequency_hz"], inputs["amplitude_rad"], np.ones(len(trial.time_s)), inertia)
         stroke = hooks.beaten(steady)
         efficiency, offset, p, q = values[:4]
-        # scale frequency and amplitude by reference values, so that a free exponent does not change the
-        # efficiency
+        # Divide frequency and amplitude by reference values, so that the estimates of exponents and
+        # efficiency are nearly independent.
         f_mid, a_mid = known.middle
         f, a = stroke.frequency_hz / f_mid, np.maximum(stroke.amplitude_rad - np.deg2rad(offset), 0.0) / a_mid
-        # compute the propulsive power of each run, W (boxfish paper, Eqs 5, 27)
+        # Compute the propulsive power of each run, W (boxfish paper, Eqs 5, 27).
         factor = 8 * efficiency * np.pi**2 * stroke.inertia_kg_m2
         power = stroke.thrust * (factor * f_mid**3 * f**p * a_mid**2 * a**q)
         c = hooks.changed(self.resistance(), "coefficients")
@@ -290,7 +296,7 @@ class SurgeModel(Model):
     def __init__(
         self, *, amplitudes_rad: Sequence[float], frequencies_hz: Sequence[float], speed_m_s: float
     ) -> None:
-        """Create the model from the amplitudes and frequencies of all trials, and from a typical speed."""
+        """Create the model from the beat amplitudes and frequencies of all trials and a typical speed."""
         self.reference_amplitude_rad = float(np.exp(np.mean(np.log(amplitudes_rad))))
         self.reference_frequency_hz = float(np.exp(np.mean(np.log(frequencies_hz))))
         many = len(np.unique(np.round(frequencies_hz, 6))) > 1
@@ -306,11 +312,11 @@ class SurgeModel(Model):
         )
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the surge at the samples of a trial, in closed form (see :meth:`Model.simulate`)."""
+        """Return the simulated surge at the samples of a trial, m/s (see :meth:`Model.simulate`)."""
         return self.hooked(values, trial, NONE)
 
     def scales(self, trials: Sequence[Trial]) -> SurgeScales:
-        """Return the typical scales of the quantities in trials."""
+        """Return the typical sizes of speed and force per mass in straight swimming trials."""
         return SurgeScales(self, trials)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
@@ -343,7 +349,10 @@ class SurgeModel(Model):
 
 
 def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
-    """Return the surge from the initial speed ``u0`` with constant thrust ``a`` and quadratic drag, m/s."""
+    """Return the surge over time with constant thrust and quadratic drag, m/s.
+
+    ``a`` is the thrust per mass (m/s2), ``drag`` the drag per mass (1/m), and ``u0`` the surge at time zero.
+    """
     if a <= 0 or drag <= 0:
         return u0 + max(a, 0.0) * t
     terminal, rate = math.sqrt(a / drag), math.sqrt(a * drag)
@@ -352,9 +361,9 @@ def _closed_form(t: Array, a: float, drag: float, u0: float) -> Array:
 
 
 def _half_steps(t: Array) -> Array:
-    """Return the times that limit half integration steps, from zero to the last sample time.
+    """Return the times at which half integration steps of the surge begin and end, s.
 
-    All sample times after zero are limits of steps.
+    The steps extend from time zero to the last sample time. A step ends at every sample time after zero.
     """
     knots = np.unique(np.append(t[t > 0], 0.0))
     parts = [np.zeros(1)]
@@ -366,9 +375,10 @@ def _half_steps(t: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _integrated(half, water, thrust, quadratic, linear, dry, u0):  # type: ignore[no-untyped-def]
-    """Integrate the surge by the fourth-order Runge-Kutta method. Return it at every second time of ``half``.
+    """Integrate the equation of motion of the surge by the fourth-order Runge-Kutta method.
 
-    ``water`` has the speed of the water at every time of ``half``.
+    ``half`` has the times of half steps, and ``water`` the speed of the water at these times. The result is
+    the surge at every second time, where the steps end. All coefficients are per unit of mass.
     """
     count = (len(half) + 1) // 2
     surge = np.empty(count)

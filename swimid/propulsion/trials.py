@@ -1,4 +1,4 @@
-"""Reading of the trials for ``fit-propulsion``: cruise tables and logs of straight free swimming."""
+"""Functions that read the trials of ``fit-propulsion``: cruise tables and logs of straight free swimming."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: Standard deviation of the stop-watch times of cruise runs, s (boxfish paper, section 3.4), and relative
-#: standard deviation of the speed between equal runs.
+#: standard deviation of the average speed between repeated runs with the same setting.
 TIME_SD_S, SPEED_RSD = 0.1, 0.01
-#: Models of the parameter files that can be used as a drag file.
+#: Names of the rig models whose parameter files can be used as a drag file.
 RIGS = ("falling-weight", "towed", "free-decay")
-#: Minimum number of whole tail beats in a free-swim trial.
+#: Minimum number of complete tail beats in a free-swim trial.
 MIN_BEATS = 4
-#: Keys of a trials file that have an effect, by experiment. The keys of all drives are included, so that a
-#: stroke, which is not supported, gets a specific error message.
+#: Keys of a trials file that each propulsion experiment uses. Other keys have no effect on the experiment.
+#: The keys of stroke drives are included, although strokes are not supported, so that they get a specific
+#: error message.
 USES = {
     "cruise": frozenset({"format", "experiment", "robot", "table", "drag"}),
     "free-swim": trials_format.EVERYWHERE
@@ -48,7 +49,7 @@ USES = {
 
 
 def load(source: str | Path | TrialSet, *, drag: parameters_format.Source | None = None) -> Experiment:
-    """Read the trials file of a cruise or free-swim experiment.
+    """Read the trials file of a cruise experiment or of a free-swim experiment.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def fin_inertias(robot: Robot, fins: list[str], path: Path) -> dict[str, float |
 def recoil_model(
     robot: Robot, fins: list[str], drag: parameters_format.Source, *, unknown: Sequence[str] = (), path: Path
 ) -> RecoilModel:
-    """Return the recoil-law model of the fins of a robot, with drag parameters from a rig experiment.
+    """Return the recoil-law model of a robot's fins, with the drag parameters of a rig experiment.
 
     Parameters
     ----------
@@ -144,7 +145,8 @@ def _cruise(path: Path, entries: Cruise, robot: Robot, source: parameters_format
     for fin, inertia in model.fins.items():
         rows = np.array([f == fin for f in table.fin])
         speed, distance = table.mean_speed_m_s[rows], table.distance_m[rows]
-        # the deviations are relative weights of the runs, because the fit estimates the size of the noise
+        # Compute standard deviations of the speeds. Only their ratios between runs matter, because the fit
+        # estimates the size of the noise.
         spread = np.hypot(speed**2 / distance * TIME_SD_S, SPEED_RSD * speed)
         inputs = {
             "frequency_hz": table.frequency_hz[rows],
@@ -191,8 +193,8 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
         if beat is not None:
             frequency = beat.frequency_hz
         time, speed = beat_averages(log, 1.0 / frequency)
-        # Use only beats with the full amplitude, for which the thrust law is valid. Assume no ramp of the
-        # amplitude unless the trial states one.
+        # Use only tail beats with the full amplitude, because the thrust law is valid for these only. Assume
+        # no initial ramp of the amplitude unless the trial states one.
         ramp = 0.0
         if "ramp_s" in drive.model_fields_set:
             ramp = drive.ramp_s
@@ -237,21 +239,24 @@ def _free_swim(path: Path, entries: FreeSwim, robot: Robot) -> Experiment:
 
 
 def _waveform(drive: Drive) -> tuple[str, float]:
-    """Return the waveform of a drive and its asymmetry. A Hopf oscillator on its limit cycle gives a sine."""
+    """Return the name of the waveform of a drive and its asymmetry.
+
+    A Hopf oscillator without asymmetry counts as a sine, which it gives on its limit cycle.
+    """
     if drive.waveform == "a-cpg" and drive.asymmetry != 0:
         return "a-cpg", drive.asymmetry
     return "sine", 0.0
 
 
 def _pooled_frequencies(trials: list[Trial]) -> list[Trial]:
-    """Replace the measured beat frequencies of trials with the same setting by their median."""
+    """Replace the beat frequency of each trial by the median over trials with nearly the same frequency."""
     values = np.array([t.surge.frequency_hz for t in trials])
     pooled = [float(np.median(values[np.abs(values / v - 1) < FREQUENCY_RTOL])) for v in values]
     return [replace(t, surge=replace(t.surge, frequency_hz=f)) for t, f in zip(trials, pooled, strict=True)]
 
 
 def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the surge of a log averaged over whole tail beats.
+    """Average the surge of a log over complete tail beats.
 
     The surge is the column ``u_m_s``. If the log has no such column, the surge is the displacement during a
     beat along the mean heading, divided by the period.
@@ -287,7 +292,8 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     averaged = values[-1]
     if len(values) > 1:
         averaged = np.unwrap(averaged)
-    # integrate to the exact ends of each beat, because one sample more or less would cause an error
+    # Integrate to the exact ends of each beat by interpolation. A mean over whole samples would have an error
+    # of up to one sample at each end.
     speeds = over_beats(cumulative_trapezoid(averaged, time, initial=0.0)) / period_s
     if len(values) > 1:
         heading, (x, y) = speeds, (over_beats(place) for place in values[:2])
@@ -301,15 +307,16 @@ def beat_averages(log: Log, period_s: float) -> tuple[np.ndarray, np.ndarray]:
 # ---------------------------------------------------------------- cruise table
 
 
-#: Columns of a cruise table in which every row must have a number.
+#: Columns of a cruise table in which every row must have a positive number.
 NUMBERS = ("frequency_hz", "amplitude_deg", "distance_m")
-#: Type of a row of a cruise table: its line in the file (None for data in memory), and its cells by column.
+#: Type of a row of a cruise table. It has the line number in the file (None for a table in memory), and the
+#: text of each cell by column name.
 Row = tuple[int | None, dict[str, str]]
 
 
 @dataclass(frozen=True)
 class CruiseTable:
-    """Cruise table: timed runs of a robot from rest over known distances.
+    """Table of timed runs in which a robot swims a known distance from rest (cruise table).
 
     The mean speed of a run without a measurement is NaN. ``source`` is the entry of the table in the
     provenance.
@@ -381,7 +388,7 @@ def read_table(source: str | Path | pd.DataFrame) -> CruiseTable:
 
 
 def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> list[Row]:
-    """Return the rows of a cruise table that are neither blank nor comments."""
+    """Return the rows of a cruise table without its header, blank lines and comments."""
     rows: list[Row] = []
     for number, line in enumerate(text.splitlines(), start=1):
         if number <= (header_line or 1) or not line.strip(", \t") or line.startswith("#"):
@@ -396,7 +403,10 @@ def _rows(text: str, path: Path, header_line: int | None, names: list[str]) -> l
 
 
 def _numbers(rows: list[Row], name: str, path: Path) -> Array:
-    """Return the positive numbers in a column of a cruise table; NaN where a measurement is missing."""
+    """Return the values of a column of a cruise table; NaN where a measurement is missing.
+
+    Raise an error if a value is not a positive number.
+    """
     values = np.full(len(rows), np.nan)
     for row, (line, cells) in enumerate(rows):
         text = cells[name]

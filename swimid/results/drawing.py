@@ -1,8 +1,8 @@
-"""Drawing of the figures of results with matplotlib. A panel is as wide as one journal column.
+"""Functions that draw the figures of results with matplotlib. A panel is as wide as one journal column.
 
 The same function draws a panel for a notebook, for ``swimid plot`` and for a report. In a report, a panel is
-an SVG element with the colours of the page, so that one drawing serves the light, the dark and the printed
-page.
+an SVG element with the colours of the page, so that the same drawing can be shown on a light, a dark and a
+printed page.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ from swimid.results.evidence import MAX_POINTS, Figure, Heat, Panel, Trace, thin
 
 Array = NDArray[np.float64]
 
-#: Width of a panel (one journal column) and default height of a panel, inches.
+#: Width of a panel of a figure (one journal column) and its default height, inches.
 WIDTH, HEIGHT = 3.5, 2.3
-#: Height of a figure of three or more panels, and minimum height of a panel, inches.
+#: Total height of a figure of three or more panels, and minimum height of one panel, inches.
 TALLEST, LOW = 5.1, 1.2
-#: Space for labels and title beside and around the axes of a panel, inches.
+#: Space that labels and title need around the axes of a panel, in width and in height, inches.
 FRAME = 0.6
-#: Font size in ``figure.mplstyle``, points.
+#: Font size of figures, points, as in the style file ``figure.mplstyle``.
 FONT = 8.0
-#: Approximate width of a letter, as a fraction of the font size, for estimates of the length of a text.
+#: Approximate width of a letter as a fraction of the font size. It is used to estimate the width of a text.
 LETTER = 0.58
-#: Resolution of a PNG, pixels per inch.
+#: Resolution of figures that are written as PNG files, pixels per inch.
 DPI = 300
-#: Minimum number of points at which a trace is drawn as a single SVG path of dots. The path takes a tenth of
-#: the file size of separate markers.
+#: Minimum number of points at which a trace of points is drawn as a single SVG path of dots. The path takes a
+#: tenth of the file size of separate markers.
 MIN_CLOUD = 60
 #: Minimum ratio of height to width at which a swimming path is drawn with equal scales on both axes. A
 #: flatter path would look like a line.
 MIN_SHAPE = 0.2
-#: Minimum size, points, at which a marker gets an edge in the background colour. The edge separates markers
-#: that overlap.
+#: Minimum size, points, at which a marker of a trace gets an edge in the background colour. The edge
+#: separates markers that overlap.
 MIN_EDGED = 2.5
-#: Opacity of the darkest cell of a heat map. The number in the cell is still legible.
+#: Opacity of the darkest cell of a heat map. It is so low that the number in the cell is legible.
 DARKEST = 0.55
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -69,7 +69,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 @cache
 def palette() -> dict[str, str]:
-    """Return the colours of the page in light mode by name: ``ink``, ``paper``, ``s1``..."""
+    """Return the colours of a report page in light mode by name, such as ``ink``, ``paper`` and ``s1``."""
     css = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     names = ("ink", "grid", "paper", "shade", *(f"s{k}" for k in range(1, 7)))
     return {name: re.search(rf"--{name}: (#[0-9a-f]+)", css)[1] for name in names}  # type: ignore[index]
@@ -95,7 +95,7 @@ def style() -> Any:
 def paint(
     axes: Axes, panel: Panel, slots: dict[Any, int], *, compact: bool = False, legend: bool = True
 ) -> None:
-    """Draw a panel on axes.
+    """Draw a panel of a figure on matplotlib axes: traces or heat map, labels, reference lines, legend.
 
     Parameters
     ----------
@@ -110,7 +110,8 @@ def paint(
     """
     if panel.heat is not None:
         _heat(axes, panel.heat)
-    # A group with points and a line is a measurement and its model: draw small dots on a broad, pale line.
+    # A group with points and a line shows a measurement and its model. Draw it as small dots on a broad, pale
+    # line.
     pointed = {trace.group for trace in panel.traces if trace.style == "points"} - {None}
     lined = {trace.group for trace in panel.traces if trace.style in ("line", "dashed", "step")}
     seen: dict[tuple[int, str], int] = {}
@@ -122,7 +123,7 @@ def paint(
         small = paired or panel.y_categories is not None
         _trace(axes, trace, slot, repeat, paired=paired, small=small, compact=compact)
     axes.set_xlabel("\n".join(textwrap.wrap(panel.x_label, 52)))
-    # the axis label may use two thirds of the height of the panel
+    # Wrap the label of the vertical axis at two thirds of the height of the panel.
     letters = int(72 * _height(panel) / (1.5 * LETTER * FONT))
     axes.set_ylabel("\n".join(textwrap.wrap(panel.y_label, letters)))
     _scales(axes, panel)
@@ -138,7 +139,7 @@ def paint(
 
 
 def slots_of(figure: Figure) -> dict[Any, int]:
-    """Return the colour index of each group of traces, the same in every panel of a figure."""
+    """Return the colour index of each group of traces. It is the same in every panel of a figure."""
     keys = [_key(trace, k) for panel in figure.panels for k, trace in enumerate(panel.traces)]
     slots: dict[Any, int] = {key: key for key in keys if isinstance(key, int)}
     free = (k for k in count() if k not in slots.values())
@@ -159,7 +160,7 @@ def _colour(slot: int) -> str:
 
 
 def _array(values: Sequence[float | None]) -> Array:
-    return np.array(values, dtype=float)  # None becomes NaN
+    return np.array(values, dtype=float)  # The conversion to float turns None into NaN.
 
 
 def _trace(
@@ -167,15 +168,16 @@ def _trace(
 ) -> None:
     """Draw one trace of a panel on its axes, as a line or as points.
 
-    ``paired`` says that the trace is a measurement or its model, which are drawn over each other. ``small``
-    asks for small points, ``compact`` draws many points as one path.
+    ``paired`` states that the trace is a measurement or its model, which are drawn over each other. ``small``
+    selects small points. ``compact`` selects a single path for many points. ``slot`` is the colour index, and
+    ``repeat`` the number of earlier traces with the same colour and style.
     """
     x, y, colour = _array(trace.x), _array(trace.y), _colour(slot)
     marker = MARKERS[slot % len(MARKERS)]
     label = trace.label or None
     if trace.lower is not None and trace.upper is not None:
         band = axes.fill_between(x, _array(trace.lower), _array(trace.upper), color=colour, alpha=0.2, lw=0)
-        if not np.any(y):  # the trace is a band about zero without a line
+        if not np.any(y):  # A trace that is zero everywhere is a band without a line.
             band.set_label(trace.label)
             return
     elif len(x) > MAX_POINTS:
@@ -191,7 +193,8 @@ def _trace(
         edge = {"mew": 0.0 if size < MIN_EDGED else 0.4, "mec": palette()["paper"]}
         about: dict[str, Any] = {"ls": "", "color": colour, "label": label, "zorder": 2.5, **edge}
         if compact and len(x) >= MIN_CLOUD:
-            # draw the points as one path of very short strokes with round ends, which saves space in an SVG
+            # Draw the points as one path of very short strokes with round ends, which saves space in an SVG
+            # file.
             end, gap = x + 1e-4 * (float(np.ptp(x[np.isfinite(x)])) or 1.0), np.full(len(x), np.nan)
             dots = [np.column_stack(parts).ravel() for parts in ((x, end, gap), (y, y, gap))]
             (line,) = axes.plot(*dots, color=colour, lw=size, solid_capstyle="round", zorder=2.5)
@@ -232,7 +235,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
     if panel.equal_aspect and _shape(panel) > MIN_SHAPE:
         axes.set_aspect("equal", adjustable="box")
         step = max(float(ticks[1] - ticks[0]) for ticks in (axes.get_xticks(), axes.get_yticks()))
-        # a short axis keeps its own ticks, because with the common step it would have one tick or none
+        # Use a common distance of ticks only if both axes then have several ticks.
         if 2 * step <= min(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())):
             axes.xaxis.set_major_locator(MultipleLocator(step))
             axes.yaxis.set_major_locator(MultipleLocator(step))
@@ -251,7 +254,7 @@ def _cut(name: str, letters: int = 28) -> str:
 
 
 def _slant(axes: Axes, names: Sequence[str]) -> None:
-    """Slant the category names of the x axis if they would overlap."""
+    """Slant the names of the categories on the x axis if horizontal names would overlap."""
     if sum(len(_cut(name)) + 2 for name in names) * LETTER * FONT > 60 * WIDTH:
         axes.tick_params(axis="x", labelrotation=35)
         for label in axes.get_xticklabels():
@@ -271,7 +274,10 @@ def _spans(axes: Axes, panel: Panel) -> None:
 
 
 def _legend(axes: Axes) -> int:
-    """Draw the legend above the axes and return its number of rows."""
+    """Draw the legend of a panel above its axes, and return the number of rows of the legend.
+
+    A panel with a single line has no legend, and the number is 0.
+    """
     handles, labels = axes.get_legend_handles_labels()
     found = dict(zip(labels, handles, strict=True))
     if not found or (len(found) == 1 and isinstance(next(iter(found.values())), Line2D)):
@@ -284,7 +290,7 @@ def _legend(axes: Axes) -> int:
 
 
 def _heat(axes: Axes, heat: Heat) -> None:
-    """Draw a heat map: a table of numbers in cells that are shaded by value."""
+    """Draw a heat map on axes: a table of numbers in cells that are shaded by value."""
     values = np.array([_array(row) for row in heat.values]).reshape(len(heat.rows), len(heat.columns))
     shades = values
     if heat.scale == "log":
@@ -316,7 +322,7 @@ def _heat(axes: Axes, heat: Heat) -> None:
 
 
 def _height(panel: Panel, panels: int = 1) -> float:
-    """Return the height of a panel in a figure with ``panels`` panels, inches."""
+    """Return the height of a panel, inches. It depends on its content and on the number of panels."""
     if panel.heat is not None:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
@@ -327,7 +333,7 @@ def _height(panel: Panel, panels: int = 1) -> float:
 
 
 def _shape(panel: Panel) -> float:
-    """Return the ratio of the range of y to the range of x over all traces of a panel."""
+    """Return the range of y divided by the range of x over all traces of a panel."""
     spans = []
     for name in ("x", "y"):
         values = [v for trace in panel.traces for v in getattr(trace, name) if v is not None]
@@ -344,10 +350,10 @@ def canvas(
     new: Callable[..., Canvas] = Canvas,
     step: Callable[[int], None] = lambda amount: None,
 ) -> Canvas:
-    """Return one matplotlib figure, as wide as a journal column, with all panels below each other.
+    """Draw all panels of several figures below each other in one matplotlib figure, and return it.
 
-    A panel has no legend if the panel above shows all its labels. Panels with the same horizontal range share
-    the horizontal axis.
+    It is as wide as a journal column. A panel has no legend if the panel above shows all its labels. Panels
+    with the same horizontal range share the horizontal axis.
 
     Parameters
     ----------
@@ -355,15 +361,15 @@ def canvas(
     title : str
         Heading of the matplotlib figure.
     new : callable
-        Function that creates the matplotlib figure. A notebook shows a figure created by ``pyplot.figure``.
+        Function that creates the matplotlib figure. With ``pyplot.figure`` a notebook shows the figure.
     step : callable
         Function that is called once for each panel drawn.
     """
     heights: list[float] = []
     for figure in figures:
         heights += [_height(panel, len(figure.panels)) for panel in figure.panels]
-    # Create the figure outside ``rc_context``: a notebook backend changes other settings, which must stay
-    # changed.
+    # Create the matplotlib figure outside ``rc_context``, which would undo the settings that a notebook
+    # backend changes when it creates a figure.
     drawn = new(figsize=(WIDTH, sum(heights)), layout="constrained", facecolor=palette()["paper"])
     with mpl.rc_context(style()):
         if title:
@@ -391,9 +397,9 @@ def canvas(
 
 
 def _lettered(figure: Figure, index: int, heading: str = "") -> str:
-    """Return the title of a panel, preceded by a letter such as ``(a)`` if the figure has several panels.
+    """Return the title of a panel of a figure, with a letter such as ``(a)`` if there are several panels.
 
-    The title of a panel without a title is the heading.
+    ``heading`` is used as the title of a panel that has none.
     """
     title = figure.panels[index].title or heading
     if len(figure.panels) == 1:
@@ -402,7 +408,7 @@ def _lettered(figure: Figure, index: int, heading: str = "") -> str:
 
 
 def _same_range(panel: Panel, other: Panel) -> bool:
-    """Return whether two panels have the same quantity and the same range on their horizontal axes."""
+    """Return whether the horizontal axes of two panels have the same quantity and nearly the same range."""
     if panel.equal_aspect or panel.x_label != other.x_label or panel.x_categories != other.x_categories:
         return False
     first, second = (
@@ -422,7 +428,7 @@ def _labels(panel: Panel) -> set[str]:
 def write(
     path: Path, figures: Sequence[Figure], *, title: str, step: Callable[[int], None] = lambda amount: None
 ) -> None:
-    """Write figures on a white background to an ``.svg`` or ``.png`` file, complete or not at all."""
+    """Write figures on a white background to an ``.svg`` or ``.png`` file, completely or not at all."""
     kind = path.suffix.lower().removeprefix(".")
     metadata = {"svg": {"Date": None, "Creator": SOFTWARE}, "png": {"Software": SOFTWARE}}[kind]
     with mpl.rc_context({**style(), "svg.fonttype": "path"}):
@@ -435,7 +441,10 @@ def write(
 
 
 def for_page(figure: Figure, prefix: str) -> list[str]:
-    """Return each panel of a figure as an SVG element of an HTML page. Its ids depend on ``prefix``."""
+    """Draw each panel of a figure as an SVG element of an HTML page, and return the elements.
+
+    The ids in the elements depend on ``prefix``, which must differ between the figures of a page.
+    """
     drawings = []
     slots = slots_of(figure)
     for index, panel in enumerate(figure.panels):
@@ -454,11 +463,11 @@ def for_page(figure: Figure, prefix: str) -> list[str]:
 
 
 def _inline(text: str, about: str) -> str:
-    """Convert an SVG file into an element of an HTML page.
+    """Convert the text of an SVG file into an element of an HTML page.
 
-    The style sheet, the metadata and ids without a reference are removed, colours and fonts become those of
-    the page, and coordinates are rounded to a tenth of a point. Only tags are changed, never the text between
-    tags.
+    The style sheet, the metadata and ids without a reference are removed. Colours and fonts become those of
+    the page. Coordinates are rounded to a tenth of a point. Only tags are changed, never the text between
+    tags. ``about`` describes the drawing for screen readers.
     """
     text = re.sub(r"<(metadata|style)\b.*?</\1>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r"<[^>]*>", _tag, text)
@@ -470,8 +479,8 @@ def _inline(text: str, about: str) -> str:
 
 
 def _tag(match: re.Match[str]) -> str:
-    # Keep the ids of markers and clip paths, which are a letter and a hash. matplotlib refers to no other
-    # ids.
+    # Remove the ids of an SVG tag, except those of markers and clip paths, which are a letter and a hash.
+    # matplotlib refers to no other ids.
     tag = re.sub(r' id="(?![a-z][0-9a-f]{10}")[^"]*"', "", match[0]).replace("xlink:href", "href")
     for name, colour in palette().items():
         tag = tag.replace(colour, f"var(--{name})".replace("var(--ink)", "currentColor"))
@@ -482,6 +491,6 @@ def _tag(match: re.Match[str]) -> str:
 
 
 def _path(path: str) -> str:
-    """Return the data of an SVG path with coordinates rounded to a tenth of a point."""
+    """Shorten the data of an SVG path: round its coordinates to a tenth of a point and remove spaces."""
     path = re.sub(r"-?\d+\.\d+(?:e-?\d+)?", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), path)
     return re.sub(r"\s*([MLCQz])\s*", r"\1", path.strip())

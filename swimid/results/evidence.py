@@ -1,7 +1,7 @@
-"""Evidence file of a result (``swimid-evidence/1``): its verdict, checks, tables and figures as data.
+"""Evidence of a result (``swimid-evidence/1``): its verdict, checks, tables and figures as data in a file.
 
-A command writes the evidence next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show the
-evidence of all commands with the same code. Numbers keep all digits, and NaN is written as null.
+A command writes the evidence file next to its result: ``drag.yaml`` has ``drag.evidence.json``. Reports show
+the evidence of all commands with the same code. Numbers keep all digits, and NaN is written as null.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from swimid.notices import Notice
 from swimid.results import numbers
 
 FORMAT: Literal["swimid-evidence/1"] = "swimid-evidence/1"
-#: Name of the check that fails if values are impossible for a swimmer, which suggests a wrong unit.
+#: Name of the check that does not pass if values are impossible for a swimmer, which suggests a wrong unit.
 POSSIBLE = "Values a swimmer reaches"
-#: Maximum number of points of a trace. A longer trace is reduced to its envelope before it is stored.
+#: Maximum number of points of a trace in a figure. A longer trace is drawn as its envelope.
 MAX_POINTS = 2000
-#: Maximum number of reasons in the text of a verdict.
+#: Maximum number of failed checks whose reasons the text of a verdict states.
 MAX_REASONS = 3
 
 
@@ -33,17 +33,19 @@ class _Part(BaseModel):
 
 
 class Trace(_Part):
-    """Trace in a panel of a figure: a curve or a set of points."""
+    """Curve or set of points in a panel of a figure."""
 
     x: yamlio.Numbers
     y: yamlio.Numbers
     label: str = ""
     style: Literal["line", "dashed", "points", "step", "stems", "arrows"] = "line"
-    #: Number of a group of traces that share a colour, such as a measurement and its simulation.
+    #: Number of the group to which the trace belongs. Traces of a group, such as a measurement and its
+    #: simulation, have the same colour.
     group: int | None = None
-    #: Half-widths of error bars, with one number for each point of the trace.
+    #: Half-widths of vertical error bars, with one number for each point of the trace.
     y_error: yamlio.Numbers | None = None
-    #: Lower and upper limits of a shaded band in the colour of the trace, with one number for each point.
+    #: Lower and upper limits of a shaded band in the colour of the trace, with one number each for each
+    #: point.
     lower: yamlio.Numbers | None = None
     upper: yamlio.Numbers | None = None
 
@@ -65,7 +67,7 @@ class Mark(_Part):
 
 
 class Span(_Part):
-    """Shaded interval of an axis of a panel, for instance a gap in the data."""
+    """Interval of an axis that is shaded in a panel of a figure, for instance a gap in the data."""
 
     start: float
     end: float
@@ -74,17 +76,18 @@ class Span(_Part):
 
 
 class Heat(_Part):
-    """Heat map: a table of numbers in shaded cells, shown in a panel in place of traces.
+    """Heat map of a panel: a table of numbers in cells that are shaded by value.
 
-    Every cell shows its number. With the scale ``log``, cells with a number above ``neutral`` are shaded by
-    its logarithm. With the scale ``linear``, the shade increases from the smallest to the largest number.
+    A panel has a heat map in place of traces. Every cell shows its number. With the scale ``log``, cells with
+    a number above ``neutral`` are shaded by the logarithm of the number. With the scale ``linear``, the shade
+    increases from the smallest to the largest number.
     """
 
     rows: list[str]
     columns: list[str]
-    #: Numbers of each row of cells; None for a cell without a number.
+    #: Numbers in the cells of the heat map, row by row; None for a cell without a number.
     values: list[yamlio.Numbers]
-    #: Largest number whose cell has no shade, with the scale ``log``.
+    #: Largest number whose cell has no shade if the scale is ``log``.
     neutral: float = Field(default=1.0, gt=0)
     scale: Literal["log", "linear"] = "log"
 
@@ -109,9 +112,9 @@ class Panel(_Part):
     invert_y: bool = False
     marks: list[Mark] = []
     spans: list[Span] = []
-    #: Names of the categories on the x axis, at the positions 0, 1, 2, ..., in place of numbers.
+    #: Names that the x axis shows at the positions 0, 1, 2, ...; None for an axis with numbers.
     x_categories: list[str] | None = None
-    #: Names of the categories on the y axis, at the positions 0, 1, 2, ..., in place of numbers.
+    #: Names that the y axis shows at the positions 0, 1, 2, ...; None for an axis with numbers.
     y_categories: list[str] | None = None
 
 
@@ -125,7 +128,7 @@ class Figure(_Part):
 
 
 class Image(_Part):
-    """Picture whose content is stored in the evidence, for instance a video frame with its track."""
+    """Picture whose content is stored in the evidence of a result, such as a video frame with a track."""
 
     id: str
     title: str
@@ -135,7 +138,10 @@ class Image(_Part):
 
 
 class Table(_Part):
-    """Table of a report with texts and numbers. A folded table opens on demand and is not printed."""
+    """Table of a report with texts and numbers.
+
+    A folded table shows only its title until the reader opens it, and is not printed.
+    """
 
     id: str
     title: str
@@ -146,40 +152,44 @@ class Table(_Part):
 
 
 class Check(_Part):
-    """Check of one property of a result against a limit."""
+    """Check of one property of a result: its value, the limit, and whether the value is within the limit."""
 
     name: str
     value: str
     limit: str = ""
     verdict: Literal["pass", "warn", "fail", "info"]
     text: str = ""
-    #: Reason for the verdict of the result if the check does not pass, as a clause.
+    #: Clause that the verdict of the result states as a reason if the check does not pass.
     reason: str = ""
 
 
 class Verdict(_Part):
-    """Level of a result, and a sentence with the finding and the reason for the level."""
+    """Verdict on a result: how far it can be relied on, and a text with the finding and the reasons."""
 
     level: Literal["good", "caution", "bad"]
     text: str
-    #: Word that reports show in place of the level; empty to show the level itself.
+    #: Word that reports show in place of the level of the verdict; empty to show the level itself.
     word: str = ""
 
     def lowered(self, level: str, text: str) -> Verdict:
-        """Return this verdict with another text, and with the worse of its own level and the given level."""
+        """Return a copy of the verdict with another text, and with the given level if that is worse."""
         worst = max(level, self.level, key=("good", "caution", "bad").index)
         return self.model_copy(update={"level": worst, "text": text})
 
 
-#: Warning that is stored with the result.
+#: Class of a warning that is stored in the evidence of a result.
 NoticeRecord = Notice
 
 
 class Evidence(_Part):
-    """Evidence of a result: what a report shows in addition to the content of the result file."""
+    """Evidence of a result: verdict, checks, tables, figures and other entries of a report.
+
+    A report shows the evidence in addition to the content of the result file.
+    """
 
     format: Literal["swimid-evidence/1"] = FORMAT
-    #: Name of the result file, and SHA-256 of its content. Both are empty for a result in memory.
+    #: Name of the result file to which the evidence belongs, and SHA-256 of the content of this file. Both
+    #: are empty for a result in memory.
     result: str = ""
     sha256: str = ""
     command: str
@@ -196,16 +206,17 @@ class Evidence(_Part):
     notices: list[Notice] = []
     #: Sentences for the methods section of a paper, generated from the settings of the computation.
     methods: list[str] = []
-    #: Sources to cite with the sentences in ``methods``.
+    #: Publications to cite together with the sentences in ``methods``.
     references: list[str] = []
-    #: Copy of the block ``provenance`` of the result.
+    #: Copy of the block ``provenance`` of the result file: command, version and inputs.
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _nothing_impossible(self) -> Evidence:
-        """Lower the verdict if values are unusual for a swimmer, or if a unit contradicts other columns.
+        """Lower the verdict if a warning says that values are unusual for a swimmer or have a wrong unit.
 
-        Unusual values alone lower the verdict to caution only, because the stated unit may be correct.
+        A unit that contradicts other columns lowers the verdict to bad. Values that are only unusual lower it
+        to caution, because the stated unit may be correct.
         """
         if any(check.name == POSSIBLE for check in self.checks):
             return self
@@ -229,7 +240,7 @@ def check(
     otherwise: Literal["warn", "fail"] = "warn",
     reason: str = "",
 ) -> Check:
-    """Return the entry of the evidence for a check of a value against a limit.
+    """Return a check of a value against a limit, as an entry of the evidence of a result.
 
     Parameters
     ----------
@@ -247,7 +258,7 @@ def check(
 
 
 def judged(answer: str, checks: Sequence[Check]) -> Verdict:
-    """Return the verdict of a result: its answer, followed by the reasons of the checks that do not pass.
+    """Return the verdict on a result: its answer, followed by the reasons of the checks that do not pass.
 
     The level is bad if a check fails, caution if a check warns, and good otherwise.
     """
@@ -262,13 +273,13 @@ def judged(answer: str, checks: Sequence[Check]) -> Verdict:
 
 
 def leaf_table(id: str, title: str, entries: dict[str, Any], caption: str = "") -> Table:
-    """Return a folded table with the name and the value of each leaf of a nested mapping."""
+    """Return a folded table with a row for the name and value of each innermost entry of a nested mapping."""
     rows: list[list[Any]] = [list(leaf) for leaf in leaves(entries)]
     return Table(id=id, title=title, columns=["quantity", "value"], rows=rows, caption=caption, folded=True)
 
 
 def leaves(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the name and the value of each leaf of a nested mapping.
+    """Yield the name and the value of each innermost entry of a nested mapping.
 
     ``a.b`` names the value of the key ``b`` in the mapping ``a``. ``a[1].b`` names the value of ``b`` in the
     first mapping of the list ``a``.
@@ -286,18 +297,24 @@ def leaves(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def sidecar(result: str | Path) -> Path:
-    """Return the path of the evidence of a result file: ``drag.yaml`` has ``drag.evidence.json``."""
+    """Return the path of the evidence file of a result: ``drag.evidence.json`` for ``drag.yaml``."""
     result = Path(result)
     return result.with_name(f"{result.stem}.evidence.json")
 
 
 def write(path: str | Path, evidence: Evidence) -> None:
-    """Write evidence as JSON, complete or not at all; numbers that are not finite are null."""
+    """Write the evidence of a result to a JSON file, completely or not at all.
+
+    Numbers that are not finite are written as null.
+    """
     atomic.write_text(path, evidence.model_dump_json() + "\n")
 
 
 def check_beside(result: Path) -> None:
-    """Check that the evidence of a result will not replace the evidence of another file with the same stem.
+    """Check that writing a result does not replace the evidence of another file.
+
+    The evidence files of two results have the same name if the names of the results differ only in the
+    ending.
 
     Raises
     ------
@@ -313,13 +330,13 @@ def check_beside(result: Path) -> None:
 
 
 def remove_outdated(result: Path) -> None:
-    """Remove the evidence of an older result file, which is replaced by a result without evidence."""
+    """Remove the evidence file of an older result, if a result without evidence replaces the result file."""
     if result.exists() and _owner(sidecar(result)) == result.name:
         atomic.remove(sidecar(result))
 
 
 def _owner(path: Path) -> str:
-    """Return the name of the result file to which an evidence file belongs; empty if unknown."""
+    """Return the name of the result file that an evidence file states; empty if it states none."""
     try:
         data = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -346,10 +363,10 @@ def read(path: str | Path) -> Evidence:
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a curve to at most ``points`` samples that preserve the envelope of y.
+    """Reduce a curve to a maximum number of samples that preserve its envelope.
 
-    The record is divided into segments of equal length. The samples with the smallest and the largest y of
-    each segment are retained in their order, so that no peak is lost.
+    The curve is divided into segments with equal numbers of samples. The samples with the smallest and the
+    largest y of each segment are retained in their order, so that no peak is lost.
 
     Parameters
     ----------
@@ -377,22 +394,25 @@ def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.nd
 
 # ---------------------------------------------------------------- parts that several packages use
 
-#: Maximum number of points of one trial in a figure of several trials.
+#: Maximum number of points that one trial has in a figure of several trials.
 POINTS = 400
-#: Number of measured points that are drawn along a straight curve over the whole width of a panel.
+#: Number of measured points that are drawn along a straight line over the whole width of a panel. A curve
+#: with more rise and fall has more points.
 MAX_MARKS = 50
-#: Maximum number of trials in a figure of residuals, and largest residual in it. Each trial is a row of the
-#: figure, which shows weighted residuals between -ROW_SD and ROW_SD standard deviations of the noise.
+#: Maximum number of trials in a figure of residuals, and largest residual that it shows, in standard
+#: deviations of the noise. Each trial is a row of the figure. Larger residuals are drawn at the edge of the
+#: row.
 MAX_ROWS, ROW_SD = 12, 4.0
-#: Distance from the middle of a row at which a residual of ROW_SD standard deviations is drawn, in rows.
+#: Distance from the middle of a row of a figure of residuals at which a residual of ROW_SD standard
+#: deviations is drawn, as a fraction of the distance between two rows.
 HALF_ROW = 0.45
 
 Cell = str | float | int | bool | None
 
 
-#: Type of a channel of one trial with its simulation: an object with ``trial``, ``role`` ("fit" or
-#: "validate"), and the arrays ``time_s``, ``measured``, ``simulated`` and ``weighted`` (measured minus
-#: simulated, divided by the standard deviation of the noise).
+#: Type of the measured and simulated values of one channel in one trial. It is an object with ``trial``,
+#: ``role`` ("fit" or "validate"), and the arrays ``time_s``, ``measured``, ``simulated`` and ``weighted``
+#: (measured minus simulated, divided by the standard deviation of the noise).
 Series = Any
 #: Type of a correlation function: an object with ``lags``, ``values`` and ``bound``. The bound is the
 #: half-width of the 95 % band of white noise.
@@ -400,7 +420,7 @@ Correlogram = Any
 
 
 def p_text(p: float) -> str:
-    """Return a p-value as text.
+    """Return a p-value as text with two significant digits.
 
     >>> p_text(0.0321), p_text(1e-20)
     ('p = 0.032', 'p < 10⁻¹⁶')
@@ -411,7 +431,7 @@ def p_text(p: float) -> str:
 
 
 def notices(recorded: Sequence[Notice]) -> list[Notice]:
-    """Return recorded warnings as entries of the evidence."""
+    """Return recorded warnings as the list ``notices`` of the evidence of a result."""
     return list(recorded)
 
 
@@ -421,7 +441,7 @@ def notices(recorded: Sequence[Notice]) -> list[Notice]:
 def table(
     id: str, title: str, rows: Sequence[Mapping[str, Cell]], caption: str = "", columns: Sequence[str] = ()
 ) -> Table:
-    """Return a table from rows, each a mapping of column names to cells.
+    """Return a table of a report from its rows. Each row is a mapping of column names to cells.
 
     Parameters
     ----------
@@ -446,12 +466,15 @@ def figure(
     traces: Sequence[Trace],
     **more: Any,
 ) -> Figure:
-    """Return a figure with one panel. Further keyword arguments are fields of :class:`Panel`."""
+    """Return a figure of a report with a single panel.
+
+    Further keyword arguments are fields of :class:`Panel`.
+    """
     return panels(id, title, caption, [panel(x_label, y_label, traces, **more)])
 
 
 def panels(id: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure:
-    """Return a figure with the given panels."""
+    """Return a figure of a report with several panels."""
     return Figure(id=id, title=title, caption=caption, panels=list(panels))
 
 
@@ -466,7 +489,10 @@ def band(x: Any, y: Any, half: Any, **trace: Any) -> Trace:
 
 
 def points(runs: Sequence[Any], x: Callable[[Any], Any], y: Callable[[Any], Any], **trace: Any) -> Trace:
-    """Return a trace with one point for each of ``runs``, at the coordinates that ``x`` and ``y`` compute."""
+    """Return a trace of points, one for each object in ``runs``.
+
+    The functions ``x`` and ``y`` compute the coordinates of a point from its object.
+    """
     return Trace(x=[x(run) for run in runs], y=[y(run) for run in runs], style="points", **trace)
 
 
@@ -479,7 +505,7 @@ def measured_and_simulated(
     shown: Sequence[Series],
     factor: float = 1.0,
 ) -> Figure:
-    """Return a figure of measured points and simulated lines for the worst and the best trial.
+    """Return a figure of one channel with measured points and simulated lines for selected trials.
 
     There is a panel for the fitted trial with the largest root-mean-square weighted residual, for the fitted
     trial with the smallest, and for the held-out trial with the largest. ``factor`` converts values to the
@@ -499,12 +525,10 @@ def measured_and_simulated(
 
 
 def apart(x: Any, y: Any) -> Any:
-    """Return the indices of samples of a curve at distances of 1 / MAX_MARKS of the panel's width.
+    """Return the indices of samples that are evenly spaced along a curve in a panel of a figure.
 
-    The distances are measured along the curve.
-
-    A curve that rises and falls gets more points than a straight one, at most :data:`POINTS`. The panel is
-    twice as wide as it is high.
+    The distance along the curve is 1 / MAX_MARKS of the width of the panel, which is twice as wide as high. A
+    curve that rises and falls has more samples than a straight line, at most :data:`POINTS`.
     """
     known = np.flatnonzero(np.isfinite(y))
     if not len(known):
@@ -519,9 +543,9 @@ def apart(x: Any, y: Any) -> Any:
 
 
 def _extremes(shown: Sequence[Series]) -> dict[str, Series]:
-    """Return the fitted trials with the largest and the smallest error, and the worst held-out trial.
+    """Select the fitted trials with the largest and the smallest error, and the worst held-out trial.
 
-    The keys are the titles of their panels.
+    The error is the root mean square of the weighted residuals. The keys are titles of panels.
     """
     ranked = sorted(shown, key=lambda s: _rms(s.weighted))
     fitted = [s for s in ranked if s.role == "fit"]
@@ -544,9 +568,10 @@ def _rms(values: Any) -> float:
 def residuals(
     id: str, title: str, caption: str, x_label: str, shown: Sequence[Series], correlation: Correlogram | None
 ) -> Figure:
-    """Return a figure of the weighted residuals of the trials with the largest errors.
+    """Return a figure of the residuals over time, divided by the standard deviation of the noise.
 
-    If ``correlation`` is given, a second panel shows the autocorrelation of the residuals.
+    It shows the trials with the largest errors. If ``correlation`` is given, a second panel shows the
+    autocorrelation of the residuals.
     """
     worst = sorted(range(len(shown)), key=lambda k: -_rms(shown[k].weighted))[:MAX_ROWS]
     rows = [shown[k] for k in sorted(worst)]
@@ -571,7 +596,10 @@ def residuals(
 
 
 def correlogram(correlation: Correlogram, y_label: str, label: str, *, skip_zero: bool) -> Panel:
-    """Return a panel with a correlation function as stems, and with the 95 % band of white noise."""
+    """Return a panel that shows a correlation function as stems, and the 95 % band of white noise.
+
+    With ``skip_zero`` the stem at lag 0 is left out.
+    """
     keep = np.ones(len(correlation.lags), dtype=bool)
     if skip_zero:
         keep = correlation.lags != 0

@@ -1,4 +1,4 @@
-"""Formatting of numbers and units for reports and terminals.
+"""Functions that format numbers and units as text for reports and terminals.
 
 The text is Unicode: ``−`` for minus, ``×`` and superscripts for powers of ten.
 
@@ -19,26 +19,26 @@ import re
 from collections.abc import Sequence
 from typing import TypeGuard
 
-#: Two-sided 95 % quantile of the normal distribution.
+#: Half-width of the two-sided 95 % interval of the normal distribution, in standard deviations.
 Z95 = 1.959963984540054
 
-#: Text in place of a missing number.
+#: Text that tables show in place of a missing number.
 NOTHING = "–"
 
 _SUPERSCRIPTS = str.maketrans("0123456789-+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺")
-#: Limits of the decimal exponent. A number whose exponent is at least ``_LARGE``, or below ``_SMALL``, is
-#: written with a factor ``× 10ⁿ``.
+#: Limits of the decimal exponent n of a number without a power of ten in its text. If n is at least
+#: ``_LARGE``, or below ``_SMALL``, the number is written with the factor ``× 10ⁿ``.
 _LARGE, _SMALL = 6, -3
-#: Maximum number of significant digits of a number in a text. A float64 has no more digits.
+#: Maximum number of significant digits of a number as text, which is the number of exact digits of a float64.
 _MOST_DIGITS = 15
 
 _UNITS = (
     "kg m^2/s^2, N s^2/m^2, N m/rad, rad/s^2, deg/s^2, kg/m^3, kg m^2, N s/m, m/s^2, rad/s, deg/s, BL/s, "
     "kg m, N m, J/m, m/s, m^2, m^3, rad, deg, BL, Hz, kg, px, N, W, J, V, A, m, s"
 )
-#: Unit of each suffix of a column or key: ``m_s2`` stands for m/s^2.
+#: Unit for each ending that the name of a column or key may have: ``m_s2`` stands for m/s^2.
 _SUFFIXES = {re.sub("[ /]", "_", u).replace("^", ""): u for u in re.split(", ", _UNITS)} | {"hz": "Hz"}
-#: Name in words of the quantity in each column with a body-fixed speed.
+#: Name in words for each column that has a velocity component along a body axis.
 BODY_SPEEDS = {"u_m_s": "surge speed", "v_m_s": "sway speed", "w_m_s": "heave speed"}
 
 
@@ -47,12 +47,12 @@ def _is_number(value: float | None) -> TypeGuard[float]:
 
 
 def _is_error(stderr: float | None) -> TypeGuard[float]:
-    """Return whether a standard error is known and positive, so that it can set the number of digits."""
+    """Return whether a standard error is known and positive. Only then can it set the number of digits."""
     return _is_number(stderr) and stderr > 0
 
 
 def _exponent(value: float, digits: int = _MOST_DIGITS) -> int:
-    """Return the decimal exponent of a value after rounding to ``digits`` significant digits."""
+    """Return the decimal exponent that a value has after it is rounded to ``digits`` significant digits."""
     return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
 
 
@@ -71,7 +71,7 @@ def power_of_ten(exponent: int) -> str:
 
 
 def number(value: float | int | None, digits: int = 4, unit: str = "") -> str:
-    """Return a number as text with ``digits`` significant digits, without trailing zeros, with its unit.
+    """Return a number as text with its unit, rounded to significant digits and without trailing zeros.
 
     Whole numbers (``int``) below a million keep all their digits. NaN and None are shown as a dash.
     """
@@ -97,7 +97,10 @@ def _trimmed(text: str) -> str:
 
 
 def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
-    """Return the common power of ten and the decimal places of a value and its standard error."""
+    """Return the power of ten and the decimal places with which a value and its standard error are written.
+
+    The standard error has ``digits`` significant digits.
+    """
     last = _exponent(stderr, digits) - digits + 1
     first = _exponent(stderr, digits)
     if value:
@@ -109,7 +112,10 @@ def _layout(value: float, stderr: float, digits: int) -> tuple[int, int]:
 
 
 def measured(value: float | None, stderr: float | None, unit: str = "", digits: int = 2) -> str:
-    """Return ``value ± stderr unit``, rounded to ``digits`` significant digits of the standard error.
+    """Return a value with its standard error and unit as text, such as ``0.705 ± 0.033 kg``.
+
+    Both numbers are rounded to ``digits`` significant digits of the standard error.
+
 
     Without a standard error (None, NaN, infinite or zero) the text is the value alone, with six significant
     digits.
@@ -137,9 +143,10 @@ def measured(value: float | None, stderr: float | None, unit: str = "", digits: 
 
 
 def interval(low: float | None, high: float | None, stderr: float | None = None, unit: str = "") -> str:
-    """Return ``low … high``, rounded to two digits of ``stderr``, or to four digits without ``stderr``.
+    """Return an interval as text with its unit, such as ``15 … 35``.
 
-    Without ``stderr``, two ends that have the same text are written as one number.
+    The ends are rounded to two significant digits of a standard error. Without one they have four significant
+    digits, and two ends with the same text are written as one number.
 
     >>> interval(27.0, 27.0, None, "deg"), interval(15.0, 35.0)
     ('27°', '15 … 35')
@@ -156,14 +163,17 @@ def interval(low: float | None, high: float | None, stderr: float | None = None,
 
 
 def confidence95(value: float | None, stderr: float | None) -> tuple[float, float] | None:
-    """Return the ends of the 95 % interval, ``value ± 1.96 stderr``; None without a standard error."""
+    """Return the ends of the 95 % interval of an estimate, ``value ± 1.96 stderr``.
+
+    Return None without a positive standard error.
+    """
     if not (_is_number(value) and _is_error(stderr)):
         return None
     return value - Z95 * stderr, value + Z95 * stderr
 
 
 def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] | None) -> str:
-    """Return the bounds of a parameter as text: ``0 … 5``, ``≥ 0``, ``≤ 1`` or ``free``."""
+    """Return the bounds of a parameter as text: ``0 … 5``, ``≥ 0``, ``≤ 1``, or ``free`` without bounds."""
     low, high = bounds or (None, None)
     if _is_number(low) and _is_number(high):
         return f"{number(low)} … {number(high)}"
@@ -173,7 +183,7 @@ def bounds_text(bounds: tuple[float | None, float | None] | list[float | None] |
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """Return a fraction as text in percent. A fraction below 1 is never shown as ``100 %``.
+    """Return a fraction as text in percent, such as ``14.2 %``. A fraction below 1 is never ``100 %``.
 
     >>> percent(0.142), percent(0.99998), percent(1.0)
     ('14.2 %', '> 99.9 %', '100 %')
@@ -187,7 +197,10 @@ def percent(fraction: float | None, digits: int = 3) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit as printed: ``m/s²`` for ``m/s^2``, ``kg·m²`` for ``kg m^2``, nothing for ``"1"``."""
+    """Return a unit as it is printed: ``m/s²`` for ``m/s^2``, ``kg·m²`` for ``kg m^2``.
+
+    A dimensionless quantity (``"1"``) has an empty text.
+    """
     unit = unit.strip()
     if unit in {"", "1", "-", "none", "None"}:
         return ""
@@ -209,7 +222,9 @@ def _joined(text: str, unit: str) -> str:
 
 
 def in_degrees(unit: str) -> tuple[float, str]:
-    """Return the conversion factor and the unit for display: degrees for radians, other units unchanged.
+    """Return the factor and the unit by which a quantity in radians is shown in degrees.
+
+    Other units have the factor 1 and are unchanged.
 
     >>> in_degrees("m/s")
     (1.0, 'm/s')
@@ -220,9 +235,9 @@ def in_degrees(unit: str) -> tuple[float, str]:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return the bare name and the unit of a column or key: ``yaw_rate_rad_s`` is yaw_rate in rad/s.
+    """Split the name of a column or key into its bare name and its unit.
 
-    A name without a known ending has the unit ``""``.
+    ``yaw_rate_rad_s`` is yaw_rate in rad/s. A name without a known ending has the unit ``""``.
     """
     for suffix in sorted(_SUFFIXES, key=len, reverse=True):
         if name.endswith("_" + suffix):

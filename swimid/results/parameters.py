@@ -1,4 +1,4 @@
-"""Parameter file (``swimid-parameters/1``), which every fit writes, and the class of the results of fits."""
+"""Parameter file (``swimid-parameters/1``), which every fit writes, and the class of the result of a fit."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
-#: Text that tables show for the status of an estimate.
+#: Text that tables show for the status of an estimate, if it differs from the name of the status.
 STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
 
 
 class Estimate(yamlio.Document):
-    """Estimate of one parameter.
+    """Estimate of one parameter, with its standard error, unit, bounds and status.
 
     A simulation uses ``value`` whatever the status is. The data support the value only if the status is
     ``estimated``.
@@ -41,7 +41,9 @@ class Estimate(yamlio.Document):
 
 
 def spoken(name: str, meaning: str) -> str:
-    """Return a parameter as text for a sentence: its name in words, or its meaning followed by its name.
+    """Return the text that names a parameter in a sentence.
+
+    It is the name in words if the meaning contains these words, and otherwise the meaning with the name.
 
     >>> spoken("c_ma", "added mass over mass"), spoken("added_mass", "added mass")
     ('added mass over mass (c_ma)', 'added mass')
@@ -55,14 +57,14 @@ def spoken(name: str, meaning: str) -> str:
 
 
 class Correlation(yamlio.Document):
-    """Correlation matrix of the estimated parameters."""
+    """Correlation matrix of the estimated parameters of a fit, with the names of its rows."""
 
     names: list[str]
     matrix: list[list[float]]
 
 
 class Pole(yamlio.Document):
-    """Pole of a discrete-time model in the z plane."""
+    """Pole of a discrete-time model in the z plane, with the standard error of its magnitude."""
 
     real: float
     imag: float
@@ -71,7 +73,7 @@ class Pole(yamlio.Document):
 
 
 class Fit(yamlio.Document):
-    """Block ``fit`` of a parameter file: errors by channel, noise, and whether the fit converged."""
+    """Block ``fit`` of a parameter file: trials, errors of each channel, noise, convergence of the fit."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -83,17 +85,18 @@ class Fit(yamlio.Document):
 
 
 class ParameterFile(yamlio.ResultFile):
-    """Content of a parameter file."""
+    """Content of a parameter file: the estimates of a fit, with its settings, errors and provenance."""
 
     kind: ClassVar[str] = "parameter file"
 
     format: Literal["swimid-parameters/1"] = FORMAT
     model: str
     robot: str | None = None
-    #: Names of the effects that act in the model. Their parameters are ``effect/parameter``.
+    #: Names of the effects that were added to the model. Their parameters have names of the form
+    #: ``effect/parameter``.
     effects: list[str] = []
     parameters: dict[str, Estimate]
-    #: Sentences about the combinations of parameters that the data determine or do not determine.
+    #: Sentences that state which combinations of parameters the data determine and which they do not.
     identifiability: list[str] = []
     correlation: Correlation | None = None
     #: Quantities computed from the parameters, with their uncertainty.
@@ -102,15 +105,16 @@ class ParameterFile(yamlio.ResultFile):
     sample_time_s: float | None = None
     poles: list[Pole] | None = None
     stable: bool | None = None
-    #: Settings of the fit that are part of the model, such as orders, subtracted means and columns.
+    #: Settings of the fit that a simulation needs, such as model orders, subtracted means and column names.
     settings: dict[str, Any] = {}
     fit: Fit | None = None
     provenance: dict[str, Any] = Field(default_factory=dict)
-    #: Drag parameters that the fit of the recoil law used, if they were passed in memory.
+    #: Drag parameters that a fit of the recoil law used; None for other fits. They are not written to the
+    #: file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
     def write(self, path: str | Path) -> None:
-        """Write the parameter file, complete or not at all. Floating-point numbers are not rounded."""
+        """Write the parameter file, completely or not at all. Floating-point numbers are not rounded."""
         data = self.model_dump(mode="python", exclude_none=False)
         for estimate in (*data["parameters"].values(), *data["derived"].values()):
             if not estimate["meaning"]:
@@ -124,14 +128,14 @@ class ParameterFile(yamlio.ResultFile):
         return self.parameters[name].value
 
 
-#: Source of parameters: a parameter file, its content, or the result of a fit.
+#: Type of a source of parameters: the path of a parameter file, its content, or the result of a fit.
 Source = str | Path | ParameterFile | FileResult[ParameterFile]
 
 
 def place(source: Source) -> Path:
-    """Return the path that messages show for a source of parameters.
+    """Return the path of a source of parameters, for messages and for relative paths in the parameters.
 
-    Relative paths in the parameters start at the folder of this path.
+    A source in memory has the path ``parameters`` in the working folder.
     """
     if isinstance(source, str | Path):
         return Path(source)
@@ -139,7 +143,7 @@ def place(source: Source) -> Path:
 
 
 def _file(source: Source) -> ParameterFile:
-    """Return the content of the parameter file to which a source of parameters refers."""
+    """Return the content of the parameter file for a path, a content in memory or the result of a fit."""
     if isinstance(source, str | Path):
         return ParameterFile.read(source)
     if isinstance(source, ParameterFile):
@@ -148,7 +152,10 @@ def _file(source: Source) -> ParameterFile:
 
 
 def origin(source: Source) -> Path | Held:
-    """Return the provenance entry of a source of parameters: its path, or its name and SHA-256."""
+    """Return the entry of a source of parameters in the provenance of a result.
+
+    It is the path of a file, or the name and SHA-256 of parameters in memory.
+    """
     if isinstance(source, str | Path):
         return Path(source)
     file = _file(source)
@@ -157,7 +164,7 @@ def origin(source: Source) -> Path | Held:
 
 
 def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> ParameterFile:
-    """Read a parameter file, or take the parameters of a fit in memory.
+    """Return the content of a parameter file, from the file or from the result of a fit in memory.
 
     Parameters
     ----------
@@ -182,7 +189,7 @@ def read(source: Source, *, model: str | tuple[str, ...] | None = None) -> Param
 
 
 def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path) -> list[float]:
-    """Return the values of parameters, which must be in the file and must be identifiable.
+    """Return the values of the named parameters of a file. Each must be present and identifiable.
 
     Raises
     ------
@@ -235,17 +242,20 @@ class Fitted(FileResult[ParameterFile]):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Table with a row for each parameter: value, standard error, 95 % interval, unit, status."""
+        """Table of the fitted parameters: value, standard error, 95 % interval, unit and status of each."""
         return _estimates_frame(self.file.parameters)
 
     @property
     def derived(self) -> pd.DataFrame:
-        """Table of quantities computed from the parameters, with the same columns as :attr:`parameters`."""
+        """Table of the quantities that are computed from the parameters, such as a terminal speed.
+
+        Its columns are those of :attr:`parameters`.
+        """
         return _estimates_frame(self.file.derived)
 
     @property
     def correlation(self) -> pd.DataFrame:
-        """Correlation matrix of the estimates; empty if fewer than two estimates have a standard error."""
+        """Correlation matrix of the estimated parameters; empty without such a matrix in the file."""
         import pandas as pd
 
         found = self.file.correlation or Correlation(names=[], matrix=[])
@@ -288,7 +298,10 @@ class Fitted(FileResult[ParameterFile]):
         return [table for table in tables if table.rows]
 
     def bare(self) -> Evidence:
-        """Return the minimal evidence for a parameter file whose evidence file is missing."""
+        """Return evidence without checks and figures for a parameter file whose evidence file is missing.
+
+        Its verdict follows from the convergence of the fit and from the status of the parameters.
+        """
         parameters = self.file.parameters.items()
         weak = [spoken(name, e.meaning) for name, e in parameters if e.status == "unidentifiable"]
         verdict = Verdict(level="caution", text="No evidence file, so its checks cannot be shown.")
@@ -303,7 +316,7 @@ class Fitted(FileResult[ParameterFile]):
 
 
 def _estimates(id: str, title: str, estimates: dict[str, Estimate], *, folded: bool = False) -> Table:
-    """Return a table of estimates, rounded to two significant digits of their standard errors."""
+    """Return a report table of estimates, rounded to two significant digits of their standard errors."""
     rows: list[list[Any]] = []
     for name, e in estimates.items():
         band, ends = "", numbers.confidence95(e.value, e.stderr)
@@ -328,7 +341,10 @@ def value_text(estimate: Estimate) -> str:
 
 
 def _correlation(correlation: Correlation | None) -> Table:
-    """Return the correlation matrix as a table, without rows if there are fewer than two estimates."""
+    """Return the report table of the correlation matrix of the estimates.
+
+    The table has no rows if there are fewer than two estimates.
+    """
     found = correlation or Correlation(names=[], matrix=[])
     rows: list[list[Any]] = []
     if len(found.names) > 1:
@@ -345,7 +361,10 @@ def _correlation(correlation: Correlation | None) -> Table:
 
 
 def _channels(fit: Fit) -> Table:
-    """Return a table of the errors of each channel on fitted and on validation trials, with its noise."""
+    """Return the report table of the errors of each channel, with its noise.
+
+    Errors on fitted trials and on validation trials have separate rows.
+    """
     rows: list[list[Any]] = []
     for label, entries in {"fit": fit.channels, "validation": fit.validation.get("channels", {})}.items():
         for name, entry in entries.items():
@@ -358,9 +377,10 @@ def _channels(fit: Fit) -> Table:
 
 
 def _noise(known: dict[str, Any], rmse: float | None, unit: str) -> tuple[str, str]:
-    """Return the noise of a channel, and the ratio of its root-mean-square error to the noise, as text.
+    """Return the noise of a channel as text, and its root-mean-square error divided by the noise as text.
 
-    The noise is the standard deviation of the values and, if it is known, of the sample times.
+    The noise is the standard deviation of the values and, if it is known, of the sample times. The ratio is a
+    dash if the sample times have noise.
     """
     sd, time_sd_s = known.get("value_sd"), known.get("time_sd_s")
     text, ratio = numbers.number(sd, 3, unit), numbers.NOTHING

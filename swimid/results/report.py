@@ -1,6 +1,6 @@
-"""Command ``report``: creation of one page with several results and their evidence.
+"""Command ``swimid report``, which creates one page with several results and their evidence.
 
-The page is HTML without scripts, or Markdown, from one template for each format.
+The page is HTML without scripts, or Markdown. There is one template for each of these formats.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from swimid.results.parameters import Fitted, value_text
 from swimid.results.result import Result, Text, cell_text, is_numeric, load_result
 
 _ENDINGS: dict[str, Kind] = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
-#: Symbol and word for each level of a verdict, so that the level can be read without colour.
+#: Symbol and word that a report shows for each level of a verdict, so that it is legible without colour.
 LEVELS = {"good": ("✓", "Good"), "caution": ("!", "Caution"), "bad": ("✕", "Bad")}
 CHECKS = {
     "pass": ("✓", "pass", "good"),
@@ -37,10 +37,10 @@ CHECKS = {
     "fail": ("✕", "fail", "bad"),
     "info": ("i", "info", "muted"),
 }
-#: Maximum number of panels, and maximum number of tables, in the main part of a result. The first figure is
-#: always in the main part. Other figures and tables are folded.
+#: Maximum number of panels of figures, and maximum number of tables, that a report shows unfolded for a
+#: result. The first figure is always shown. The remaining figures and tables are folded.
 MAIN_PANELS, MAIN_TABLES = 3, 1
-#: Maximum number of parameters that are drawn when fits are compared.
+#: Maximum number of parameters in the figure that compares several fits of one model.
 MAX_COMPARED = 6
 
 
@@ -52,7 +52,7 @@ def report(
     output: str | Path | None = None,
     progress: Progress = silent,
 ) -> Text:
-    """Create one report about any number of results. No result is computed again.
+    """Create one report page about any number of results. No result is computed again.
 
     The default title is the title of a single result, or "Identification report" for several results.
 
@@ -128,7 +128,7 @@ def report(
 
 
 def _read(path: Path) -> Result:
-    """Read a result with its evidence. Warnings that occur while reading are added to the evidence.
+    """Read a result file with its evidence, and add the warnings of the reading to the evidence.
 
     Warns
     -----
@@ -150,7 +150,10 @@ def _read(path: Path) -> Result:
 
 
 def overall(contents: Sequence[ev.Evidence]) -> ev.Verdict:
-    """Return the worst level among the results, and a sentence with the number of results at this level."""
+    """Return the verdict on all results of a report together.
+
+    Its level is the worst level among the results. Its text states how many results have this level.
+    """
     levels = [shown.verdict.level for shown in contents]
     worst = max(levels, key=list(LEVELS).index)
     count = levels.count(worst)
@@ -175,7 +178,7 @@ def render(
     digests: dict[str, str],
     progress: Progress = silent,
 ) -> str:
-    """Return the text of a report on results, in HTML or Markdown.
+    """Return the text of a report page on several results, in HTML or Markdown.
 
     Parameters
     ----------
@@ -238,7 +241,10 @@ def render(
 
 
 def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> dict[str, Any]:
-    """Return the content of one result for the template, with visible and folded parts separate."""
+    """Return the variables of the report template for one result.
+
+    Figures and tables that are shown are separate from those that are folded.
+    """
     panels = itertools.accumulate(len(figure.panels) for figure in content.figures)
     n_main = max(sum(total <= MAIN_PANELS for total in panels), 1)
     tables = [table for table in content.tables if not table.folded][:MAIN_TABLES]
@@ -255,7 +261,7 @@ def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> 
 
 
 def _explained(figure: ev.Figure) -> ev.Figure:
-    """Return a figure with a remark in its caption if long traces are drawn as envelopes."""
+    """Add a remark to the caption of a figure if traces are so long that they are drawn as envelopes."""
     if all(len(trace.x) <= ev.MAX_POINTS for panel in figure.panels for trace in panel.traces):
         return figure
     caption = f"{figure.caption} Long traces are drawn as their envelope."
@@ -265,7 +271,10 @@ def _explained(figure: ev.Figure) -> ev.Figure:
 def _warnings(
     results: Sequence[Result], contents: Sequence[ev.Evidence]
 ) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """Return each warning code with its meaning and its (result, text) pairs, without duplicates."""
+    """Group the warnings of all results by code, without duplicates.
+
+    Return for each code its meaning, and for each warning the name of the result and the text.
+    """
     texts: dict[str, list[tuple[str, str]]] = {}
     for result, content in zip(results, contents, strict=True):
         for notice in content.notices:
@@ -276,7 +285,7 @@ def _warnings(
 
 
 def _markdown(text: str) -> str:
-    """Return a text as one line of Markdown, with the special characters of Markdown and HTML escaped."""
+    """Convert a text to one line of Markdown, with the special characters of Markdown and HTML escaped."""
     plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return re.sub(r"([\\`*\[\]|]|(?<!\w)_|_(?!\w))", r"\\\1", plain)
 
@@ -293,9 +302,10 @@ def _code(text: str) -> str:
 
 
 def compared(results: Sequence[Result]) -> list[tuple[list[Fitted], ev.Evidence]]:
-    """Return each group of two or more fits of one model, with a table and a figure of their parameters.
+    """Find fits of the same model among the results, and compare their parameters in a table and a figure.
 
-    Fits are compared only if they have the same parameters in the same units.
+    Return each group of two or more fits with this comparison. Fits belong to a group only if they have the
+    same parameters in the same units.
     """
     groups: dict[Any, list[Fitted]] = {}
     for result in results:

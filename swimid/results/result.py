@@ -1,4 +1,4 @@
-"""Base classes of the results that commands return. A result has an answer, its evidence and its text."""
+"""Base classes of the results that commands return, functions for their text, and reading of results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 File = TypeVar("File", bound="ResultFile")
 
-#: Class of results, as ``module:class``, for each ``format:`` of a YAML file that swimid writes.
+#: Class of the result, as ``module:class``, for each format of a result file in YAML.
 FORMATS = {
     "swimid-parameters/1": "swimid.results.parameters:Fitted",
     "swimid-comparison/1": "swimid.simulation.compare:Comparison",
@@ -42,13 +42,15 @@ FORMATS = {
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
 LOG = "swimid.logs.tracks:Logged"
 
-#: Maximum width of a line on a terminal, and minimum width of a column whose texts are shortened, characters.
+#: Maximum width of a line on a terminal, and minimum width of a table column with shortened texts,
+#: characters.
 WIDTH, MIN_CUT = 100, 16
-#: Pattern of a number as :mod:`swimid.results.numbers` writes it, of a dash, or of an empty text.
+#: Pattern of a table cell that counts as a number: a number as :mod:`swimid.results.numbers` writes it, a
+#: dash, or an empty text.
 _NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
 
-#: Suggested next command after the result of each command. ``{trials}`` is the first YAML file among the
-#: inputs of the result, ``{params}`` the last.
+#: Command that is suggested to the user after each command. ``{file}`` is the result file, ``{trials}`` the
+#: first YAML file among the inputs of the result, and ``{params}`` the last.
 NEXT = {
     **dict.fromkeys(
         ("fit-drag", "fit-propulsion", "fit-graybox"),
@@ -102,13 +104,13 @@ class Result:
     evidence: ev.Evidence | None = None
     document: Any = None
 
-    #: Name in reports of the kind of result, such as ``Parameter file``.
+    #: Name that reports give to results of this class, such as ``Parameter file``.
     kind: ClassVar[str] = "Result"
-    #: Default ending of the name of a result file.
+    #: Ending of the name of a result file that is not written yet.
     ending: ClassVar[str] = ".yaml"
 
     def summary(self) -> str:
-        """Return the answer of the result in plain text, as the command prints it."""
+        """Return a summary of the result in plain text, as the command prints it."""
         if self.text or self.evidence is None:
             return self.text
         shown = self.content()
@@ -126,7 +128,7 @@ class Result:
         return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
 
     def next_command(self, file: str) -> str:
-        """Return the command to suggest next if this result is stored in ``file``; empty if there is none."""
+        """Return the command that a user may run next on this result in ``file``; empty if there is none."""
         provenance = getattr(self.evidence, "provenance", {})
         if not provenance and self.path.suffix not in LOG_ENDINGS:
             return ""
@@ -136,9 +138,9 @@ class Result:
         return NEXT.get(self.command, "").format(file=file, trials=trials, params=params)
 
     def content(self) -> ev.Evidence:
-        """Return the content of a report on the result: its evidence, with facts and tables of its file.
+        """Return the content of a report on the result: its evidence, and facts and tables of its file.
 
-        Without evidence, the verdict is not better than caution.
+        The verdict on a result without evidence is caution or bad.
         """
         shown = self.evidence or self.bare()
         facts = {**self._own_facts(), **shown.facts}
@@ -159,17 +161,17 @@ class Result:
         return next(iter([*written, *self.outputs, unwritten]))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the answer as plain data at full precision, as ``--json`` prints it."""
+        """Return the content of the result as plain data at full precision, as ``--json`` prints it."""
         return self.data
 
     @property
     def verdict(self) -> str:
-        """Level of the verdict: ``"good"``, ``"caution"`` or ``"bad"``; empty without evidence."""
+        """Level of the verdict: ``"good"``, ``"caution"`` or ``"bad"``; empty if there is no evidence."""
         return "" if self.evidence is None else self.evidence.verdict.level
 
     @property
     def warnings(self) -> pd.DataFrame:
-        """Table of the warnings of the computation: columns ``code`` and ``text`` (``docs/warnings.md``)."""
+        """Table of the warnings of the computation, with their code (``docs/warnings.md``) and text."""
         return _frame(["code", "text"], [[n.code, n.text] for n in self._shown("notices")])
 
     def checks(self) -> pd.DataFrame:
@@ -178,7 +180,7 @@ class Result:
         return _frame(names, [[getattr(check, name) for name in names] for check in self._shown("checks")])
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Return the tables that a report shows for the result, by their id."""
+        """Return the tables that a report shows for the result. The key is the id of the table."""
         return {table.id: _frame(table.columns, table.rows) for table in self.content().tables}
 
     @property
@@ -187,13 +189,13 @@ class Result:
         return [figure.id for figure in self._shown("figures")]
 
     def figures(self) -> dict[str, Canvas]:
-        """Draw every figure of the report with matplotlib, and return the figures by their id."""
+        """Draw the figures that a report shows for the result. The key is the id of the figure."""
         from swimid.results import drawing
 
         return {figure.id: drawing.canvas([figure]) for figure in self._shown("figures")}
 
     def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
-        """Draw one figure of the report. A notebook shows the figure, and ``pyplot.savefig`` saves it.
+        """Draw one figure of the result. A notebook shows the figure, and ``pyplot.savefig`` saves it.
 
         Parameters
         ----------
@@ -261,7 +263,7 @@ class Result:
         return replace(self, outputs=[*self.outputs, *written])
 
     def saved(self, output: str | Path | None) -> Self:
-        """Write the result if ``output`` is given, and return it."""
+        """Return this result, after it is written to the file ``output`` if that is given."""
         if output is None:
             return self
         return self.save(output)
@@ -283,24 +285,27 @@ class Result:
         return replace(loaded, command=evidence.command, evidence=evidence)
 
     def _own_facts(self) -> dict[str, str]:
-        """Return the facts for a report that the result file contains."""
+        """Return the facts that a report takes from the content of the result file, by name."""
         return {}
 
     def _own_notes(self) -> list[str]:
-        """Return the notes for a report that the result file contains."""
+        """Return the notes (sentences) that a report takes from the content of the result file."""
         return []
 
     def _own_tables(self) -> list[ev.Table]:
-        """Return the tables for a report that show the content of the result file."""
+        """Return the tables by which a report shows the content of the result file."""
         return []
 
     @classmethod
     def _plain(cls, document: Any) -> dict[str, Any]:
-        """Return the content of a result file as plain data."""
+        """Return the content of a result file as plain data. It is empty unless a subclass overrides this."""
         return {}
 
     def bare(self) -> ev.Evidence:
-        """Return the minimal evidence for a result file whose evidence file is missing."""
+        """Return evidence without checks for a result file whose evidence file is missing.
+
+        It has the content of the result file as a table.
+        """
         return ev.Evidence(
             command=self.command,
             title=f"{self.kind} {self.path.name}",
@@ -317,15 +322,16 @@ class Result:
         raise UsageError(f"the result of {self.command} is no file", hint="its text is .summary()")
 
     def _shown(self, what: str) -> Sequence[Any]:
-        """Return the entries of one kind in the evidence; an empty list without evidence.
+        """Return all checks, tables, figures or notices of the evidence, whichever ``what`` names.
 
-        ``what`` is ``checks``, ``tables``, ``figures`` or ``notices``.
+        The list is empty for a result without evidence.
         """
         return getattr(self.evidence, what, [])
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        # Replace the default ``__repr__`` of a dataclass, which prints all fields and also large arrays.
+        # Replace the default ``__repr__`` of a dataclass, because it prints all fields including large
+        # arrays.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
@@ -336,7 +342,7 @@ class Result:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        """Return the HTML that a notebook shows: the summary, and the checks in a folded table."""
+        """Return the HTML that a notebook shows for the result: its summary, and a folded table of checks."""
         shown = f"<pre>{html.escape(self.summary())}</pre>"
         if self.evidence is not None and self.evidence.checks:
             table = self.checks().to_html(index=False, border=0)
@@ -346,7 +352,7 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Text(Result):
-    """Result of ``report`` or ``export``: a text, which is stored in ``document``."""
+    """Result of ``report`` or ``export``, whose ``document`` is the text of a page or of an exported file."""
 
     def _write(self, path: Path) -> list[Path]:
         atomic.write_text(path, self.document)
@@ -361,7 +367,7 @@ class Text(Result):
 
 
 def _of_document(evidence: ev.Evidence, document: Any, name: str) -> ev.Evidence:
-    """Return the evidence of a result file, with a lower verdict if the file has changed.
+    """Return the evidence of a result file, with a lower verdict if the file has changed since.
 
     Warns
     -----
@@ -390,7 +396,7 @@ def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFram
 
 @dataclass(frozen=True, eq=False)
 class FileResult(Result, Generic[File]):
-    """Result that is stored in a YAML file with a format of its own."""
+    """Base class of results that are stored in a YAML file. Each subclass has its own file format."""
 
     file_type: ClassVar[type[ResultFile]]
 
@@ -406,7 +412,7 @@ class FileResult(Result, Generic[File]):
 
     @classmethod
     def of(cls, file: File, evidence: ev.Evidence) -> Self:
-        """Return a result with the given content of its file and the given evidence."""
+        """Create a result in memory from the content of its file and its evidence."""
         return cls(evidence.command, "", cls._plain(file), evidence=evidence, document=file)
 
     @classmethod
@@ -437,7 +443,7 @@ def cell_text(value: Any) -> str:
 
 
 def is_numeric(table: ev.Table) -> list[bool]:
-    """Return for each column of a table whether all cells are numbers, which are aligned to the right."""
+    """Return for each column of a table whether all its cells are numbers. Such a column is right-aligned."""
     right = []
     for k in range(len(table.columns)):
         column = [row[k] for row in table.rows]
@@ -446,7 +452,10 @@ def is_numeric(table: ev.Table) -> list[bool]:
 
 
 def table_text(table: ev.Table) -> str:
-    """Return a table as text in aligned columns. In long lines, texts are shortened or columns omitted."""
+    """Return a table as text in aligned columns for a terminal.
+
+    If the lines are too long, the texts of a column are shortened, or the last columns are left out.
+    """
     rows = [table.columns, *([cell_text(value) for value in row] for row in table.rows)]
     right, left = is_numeric(table), WIDTH
     columns: list[list[str]] = []

@@ -1,9 +1,9 @@
 """Command ``fit-drag``: drag, added mass and friction of a body on a rig, with checks of the estimates.
 
-The checks look for omitted parameters, start states, an outlier trial, a measured force of the wrong sign,
-and parameters that no body can have. Added mass, drag and driving force are compared with the largest values
-that any body of the known size can have, from theory and tables. Terminal speed, period and damping ratios
-are derived with their standard errors.
+The checks look for omitted parameters, trials that do not start at rest, an outlier trial, a measured force
+of the wrong sign, and estimates that no body can have. Added mass, drag and driving force are compared with
+the largest values that any body of the known size can have, from theory and tables. Terminal speed, period
+and damping ratios are derived with their standard errors.
 
 The reference fit (``stated``) has the parameters that the user chose. Each parameter that it holds for all
 trials is tested in two ways. First the parameter is freed in addition to the others. The test compares its
@@ -56,34 +56,36 @@ from swimid.rig.model import ALIKE, COORDINATES, falling_weight_closed_form, ter
 from swimid.rig.options import FitDragOptions
 from swimid.robots.file import Body, Robot, Theory
 
-#: Start values of a parameter that is freed in a test. They are distances from the value at which it was
-#: held, in multiples of its typical scale.
+#: Start values of the search for a held parameter that a test frees. They are distances from the value at
+#: which the parameter was held, in multiples of its typical scale.
 FREED_STARTS: tuple[float, ...] = (0.0, 1.0, -1.0)
-#: Minimum of twice the logarithm of a likelihood ratio at which evidence counts as strong [1]_.
+#: Minimum of twice the logarithm of a likelihood ratio at which evidence counts as strong (Kass and Raftery
+#: [1]_).
 STRONG = 6.0
-#: Maximum number of parameters that a warning names.
+#: Maximum number of omitted parameters that one warning names.
 MAX_NAMED = 3
-#: Maximum p-value, and maximum ratio of the sums of squared residuals with and without parameters of the
-#: start state, at which each trial gets a start state of its own.
+#: Limits for a separate initial state of each trial: maximum p-value of the F-test, and maximum ratio of the
+#: sum of squared residuals with separate initial states to the sum with all trials starting at rest.
 START_P, START_RATIO = 1e-6, 0.8
-#: Parameters of the start state of a trial, and their descriptions in a warning.
+#: Parameters of the initial state of a trial. Each has the text of a warning on how the trials then start.
 STARTS = {"initial_speed": "moving", "clock_offset": "at another time than their first sample"}
-#: Maximum ratio of the squared residuals with one more shared parameter to those with one more parameter for
-#: each trial. Up to this ratio the shared parameter is preferred.
+#: Limit on the ratio of the sums of squared residuals of two fits. The first has one additional parameter
+#: that all trials share, the second has one per trial. Up to this ratio the shared parameter is preferred.
 SHARED_RATIO = 1.1
-#: Maximum p-value at which the slope of the pulley friction over the pulling force counts as a trend.
+#: Maximum p-value at which pulley friction is reported to depend on the pulling force of the trials.
 TREND_P = 1e-2
-#: Reason in messages why the two-point method has no result.
+#: Reason that messages give if the two-point method has no result.
 NO_ANSWER = "its speeds do not rise with the pulling mass as Eq 13 says"
-#: Parameters that the two-point method estimates. Their units are 1, kg and N.
+#: Names of the parameters that the two-point method estimates. The units of the estimates are 1, kg and N.
 NAMES = ("drag_coefficient", "added_mass", "pulley_friction")
-#: Default displacements of the two-point method, as fractions of the displacement that all drops reached.
+#: Default displacements of the two-point method, as fractions of the largest displacement that every drop
+#: reached.
 POINT_SHARES = (0.255, 0.51)
-#: Half-width of the interval around a displacement of the two-point method in which the speed is fitted, as a
-#: fraction of the first displacement.
+#: Half-width of the displacement interval over which the two-point method fits a speed, as a fraction of the
+#: smaller of its two displacements.
 HALF_WIDTH = 1 / 6
-#: Minimum number of samples around each of the two displacements of the two-point method. If there are more
-#: than `MIN_SCATTER_SAMPLES` samples, their noise is estimated.
+#: Minimum number of samples around each of the two displacements of the two-point method, and the number of
+#: samples above which their noise is estimated.
 MIN_SAMPLES, MIN_SCATTER_SAMPLES = 3, 4
 #: Minimum number of different pulling masses for the two-point method.
 MIN_MASSES = 3
@@ -200,10 +202,10 @@ def fit_drag(
 def _fit_best(
     experiment: Experiment, choices: tuple[Parameter, ...], start_state: str, progress: Progress
 ) -> tuple[FitResult, dict[str, str], list[ev.Check]]:
-    """Return the best fit of a rig experiment, its settings and its checks.
+    """Return the fit of a rig experiment with the smallest residuals, its settings and its checks.
 
-    The best fit is chosen over the possible roundings of encoder counts and over the start states of the
-    trials.
+    The fits differ in the rounding of encoder counts (down, to the nearest, up) and in the initial states of
+    the trials.
     """
     if start_state == "estimate":
         choices = chosen(choices, freed=("start_offset", "initial_speed"))
@@ -211,7 +213,8 @@ def _fit_best(
     adapted = []
     for p in choices:
         if p.name == "gravity_stiffness" and p.free and known.get("stiffness") == 0.0:
-            # without a spring, the search starts at the gravity stiffness that follows from the period
+            # Without a spring, start the search at the gravity stiffness that follows from the period of the
+            # decay. This value is the typical scale of the parameter.
             p = replace(p, start=p.scale)
         adapted.append(p)
     readings = experiment.variants or {"": experiment.trials}
@@ -234,9 +237,9 @@ def _fit_best(
 
 
 def _methods(result: FitResult, name: str, pair: TwoPointResult | None) -> list[str]:
-    """Return sentences on the fit for the methods section of a paper.
+    """Return sentences for the methods section of a paper that describe the fit of a rig experiment.
 
-    If the result of the two-point method is given, a sentence describes this method.
+    If the result ``pair`` of the two-point method is given, a further sentence describes this method.
     """
     count = len([t for t in result.trials if t.role == "fit"])
     sentences = [
@@ -282,14 +285,14 @@ def _methods_table(experiment: Experiment, result: FitResult, pair: TwoPointResu
 
 @dataclass(frozen=True)
 class Omitted:
-    """Parameter that the fit holds at a value, although the data show that it differs from that value.
+    """Parameter that the reference fit holds at a value although the data show that it differs from it.
 
     Attributes
     ----------
     fit : FitResult
-        Fit in which the parameter is free, or replaces others.
+        Fit in which the parameter is free, or replaces other parameters.
     replaced : tuple of str
-        Parameters that it replaces; empty if the parameter is freed in addition to the others.
+        Parameters that this parameter replaces; empty if it is freed in addition to the other parameters.
     evidence : float
         Twice the logarithm of the likelihood ratio of the fit with the parameter to the reference fit.
     """
@@ -301,18 +304,21 @@ class Omitted:
 
     @property
     def text(self) -> str:
-        """Name, estimate and standard error of the parameter as text."""
+        """Name, estimate and standard error of the omitted parameter as text."""
         place = f" in the place of {', '.join(self.replaced)}" * bool(self.replaced)
         return _measured(self.fit, self.parameter.name) + place
 
     @property
     def criterion(self) -> float:
-        """BIC of the fit minus BIC of the reference fit: about -2 times the logarithm of the Bayes factor."""
+        """Bayesian information criterion (BIC) of the fit with the omitted parameter minus that without it.
+
+        It is about -2 times the logarithm of the Bayes factor. A negative value supports the parameter.
+        """
         return math.log(self.fit.samples) * (not self.replaced) - self.evidence
 
     @property
     def sentence(self) -> str:
-        """Sentence on the effect of the parameter on the fit, with the options that choose it."""
+        """Sentence on how the omitted parameter would change the fit, with the options that include it."""
         name = self.parameter.name
         held = "".join(f" --fix {other}=0" for other in self.replaced)
         acting = next(p for p in self.fit.parameters if p.name == name)
@@ -324,11 +330,12 @@ class Omitted:
 
 
 def find_omitted(stated: FitResult) -> list[Omitted]:
-    """Return the held parameters that the data support, sorted by BIC (lowest first).
+    """Return the held parameters that differ from their held values according to the data, lowest BIC first.
 
-    A freed parameter is supported if its p-value is below :data:`SIGNIFICANCE`. A replacement is supported
-    unless its log-likelihood is lower than that of the reference fit by strong evidence (:data:`STRONG`). It
-    must also move an estimate of the reference fit out of its 95 % interval.
+    BIC is the Bayesian information criterion of the fit with the parameter. A freed parameter is returned if
+    its p-value is below :data:`SIGNIFICANCE`. A parameter that replaces others is returned unless strong
+    evidence (:data:`STRONG`) favours the reference fit. The replacement must also move an estimate of the
+    reference fit out of its 95 % interval.
     """
     held = [p for p in stated.parameters if not p.free and not p.per_trial]
     found = []
@@ -337,7 +344,8 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
         freed = _fit_from_starts(stated, parameter, chosen(stated.parameters, freed=(name,)))
         if freed is not None and freed.fit.stderr(name) and freed.fit.status[name] == "estimated":
             distance, error = abs(freed.fit.value(name) - parameter.start), freed.fit.stderr(name) or 0.0
-            # unlike the standard error, the likelihood ratio does not depend on the parametrisation
+            # Limit the ratio of estimate to standard error by the likelihood ratio, because the likelihood
+            # ratio does not depend on the parametrisation.
             z = min(distance / error, math.sqrt(max(freed.evidence, 0.0)))
             sides = 2.0 - (parameter.start in parameter.bounds)
             p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
@@ -355,9 +363,9 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
 
 
 def fit_freed(stated: FitResult, name: str) -> FitResult | None:
-    """Return the best of several fits in which one more parameter is free; None if all of them fail.
+    """Return the fit in which one held parameter is free; None if the fit fails from all start values.
 
-    The fits differ in the start value of this parameter.
+    The search begins at several start values of this parameter. The fit with the lowest cost is returned.
     """
     held = [p for p in stated.parameters if p.name == name and not p.free]
     freed = [_fit_from_starts(stated, p, chosen(stated.parameters, freed=(name,))) for p in held]
@@ -365,9 +373,10 @@ def fit_freed(stated: FitResult, name: str) -> FitResult | None:
 
 
 def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
-    """Return a fit in which a parameter replaces the parameters with a similar effect; None if not tested.
+    """Return a fit in which a held parameter replaces the parameters with a similar effect.
 
-    A parameter is not tested if only the user, and not the model, holds it.
+    Return None if there is no parameter to replace, or if the user holds the parameter and the model by
+    default does not.
     """
     alike = next((names for names in ALIKE if held.name in names), ())
     others = [
@@ -388,7 +397,10 @@ def _fit_replacement(stated: FitResult, held: Parameter) -> Omitted | None:
 def _fit_from_starts(
     stated: FitResult, held: Parameter, parameters: tuple[Parameter, ...], replaced: tuple[str, ...] = ()
 ) -> Omitted | None:
-    """Return the best of several fits with different start values of the parameter ``held``."""
+    """Return the fit with the lowest cost among fits with different start values of the parameter ``held``.
+
+    Return None if all fits fail.
+    """
     free = any(p.name == held.name and p.free for p in parameters)
     here = {p.name: stated.value(p.name) for p in parameters if p.free and p.name in stated.labels}
     fits, steps = [], FREED_STARTS
@@ -401,7 +413,7 @@ def _fit_from_starts(
         if free:
             here[held.name] = start
         begun = [replace(p, start=here.get(p.name, p.start)) for p in parameters]
-        # ignore a search that fails, because another start value may succeed
+        # Ignore a search that fails, because a search from another start value may succeed.
         with suppress(NoTrustworthyResult), recorded():
             fits.append(output_error.fit(stated.model, stated.trials, parameters=begun, tested=False))
     if not fits:
@@ -416,7 +428,7 @@ def compute_evidence(stated: FitResult, fit: FitResult) -> float:
 
 
 def find_moved(stated: FitResult, other: FitResult) -> list[str]:
-    """Return the shared parameters whose 95 % interval in one fit excludes the estimate of another fit."""
+    """Return the shared parameters whose 95 % interval in the fit ``stated`` excludes the other estimate."""
     found = []
     for label in [one for one in stated.shared if stated.status[one] != "unidentifiable"]:
         error = stated.stderr(label)
@@ -426,7 +438,7 @@ def find_moved(stated: FitResult, other: FitResult) -> list[str]:
 
 
 def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
-    """Check that the fit leaves out no parameter that the data support, and warn of each such parameter."""
+    """Check that the fit ``stated`` omits no parameter that the data support, and warn if it omits any."""
     name = "no parameter left out"
     limit = f"p ≥ {SIGNIFICANCE:g}, and no other law explains as much"
     if not omitted:
@@ -446,11 +458,10 @@ def omission_check(stated: FitResult, omitted: Sequence[Omitted]) -> ev.Check:
 
 
 def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
-    """Return a fit with a separate start state for each trial if the data clearly support it.
+    """Fit a separate initial speed or clock offset for each falling-weight trial.
 
-    Otherwise return the given fit.
-
-    The given fit is also returned if a friction of each trial lowers the residuals more than the start
+    Return this fit if the data clearly support it, and otherwise the given fit ``plain``. The given fit is
+    also returned if a separate friction for each trial lowers the residuals more than the separate initial
     states, or if an omitted parameter lowers them about as much.
 
     Parameters
@@ -462,7 +473,7 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
     -------
     result : FitResult
     start_state : str
-        Name of the parameter of the start state that is estimated; ``rest`` if there is none.
+        Name of the parameter of the initial state that is estimated; ``rest`` if there is none.
     omitted : list of Omitted
         Omitted parameters of the result.
     """
@@ -487,14 +498,16 @@ def fit_start_states(plain: FitResult) -> tuple[FitResult, str, list[Omitted]]:
         f"the trials start {STARTS[reason]}; {reason} is estimated for each ({values} "
         f"{best.parameter(reason).unit}). Use --start-state rest to insist on rest at the first sample",
     )
-    # test again, because the start states may have absorbed a part of the omitted effect
+    # Search for omitted parameters again, because the separate initial states may explain residuals that an
+    # omitted parameter seemed to explain.
     return best, reason, find_omitted(best)
 
 
 def trial_checks(plain: FitResult, result: FitResult) -> list[ev.Check]:
-    """Return checks that fail or warn if the friction differs between trials, or if a trial is an outlier.
+    """Check whether the pulley friction differs between trials, and whether one trial is an outlier.
 
-    Both are tested only if the residuals of the plain fit are coloured or trials disagree.
+    Return no checks if the residuals of the fit ``plain`` without per-trial parameters are white and the
+    trials agree.
     """
     coloured = any(len(noise.autoregression) for noise in plain.noise.values())
     if plain.scatter_p >= HETEROGENEITY and not coloured:
@@ -523,10 +536,11 @@ def _measured(fit: FitResult, label: str) -> str:
 
 
 def _friction_check(plain: FitResult) -> list[ev.Check]:
-    """Return a check: bad if the friction depends on the pulling force, a warning if it varies otherwise.
+    """Check whether the pulley friction differs between trials.
 
-    The friction of each trial is estimated by linearisation about the fit. It shows whether trials differ,
-    but not by how much.
+    The check fails if the friction depends on the pulling force, and warns if it varies in another way. The
+    friction of each trial is estimated by linearisation about the fit ``plain``. These estimates show whether
+    trials differ, but not by how much.
     """
     from swimid.fitting import between_trials
 
@@ -550,7 +564,10 @@ def _friction_check(plain: FitResult) -> list[ev.Check]:
 
 
 def _is_significant(plain: FitResult, rival: FitResult) -> bool:
-    """Return whether an F-test prefers the fit ``rival`` with more unknowns. It allows for coloured noise."""
+    """Return whether an F-test prefers the fit ``rival``, which has more parameters than the fit ``plain``.
+
+    The test allows for coloured residuals.
+    """
     extra = len(rival.labels) - len(plain.labels)
     before, after = squared_error(plain), squared_error(rival)
     if after <= 0 or before <= after or after > START_RATIO * before:
@@ -566,7 +583,7 @@ def _is_significant(plain: FitResult, rival: FitResult) -> bool:
 
 
 def squared_error(result: FitResult) -> float:
-    """Return the sum of squared residuals of a fit over the fitted trials."""
+    """Return the sum of squared residuals of a fit over its trials with the role ``fit``."""
     return float(sum(np.nansum(s.residual**2) for s in result.series if s.role == "fit"))
 
 
@@ -574,12 +591,15 @@ def squared_error(result: FitResult) -> float:
 
 
 def sign_check(result: FitResult) -> ev.Check:
-    """Check that no trial fits better if the sign of the measured force is changed."""
+    """Check the sign of the measured force of a towed body.
+
+    The check fails if the model fits trials better with the sign of the force changed.
+    """
     name, limit = "sign of force_N", "no trial agrees better with -force_N"
     fitted = [t for t in result.trials if t.role == "fit"]
     channel = next(s.channel for s in result.series if s.role == "fit")
-    # simulate with the start values, because a fit to a force of the wrong sign makes the body so heavy that
-    # no force moves it
+    # Simulate with the start values of the parameters. Estimates from a force of the wrong sign are not
+    # suitable, because they make the body so heavy that no force moves it.
     start = np.array([p.start for p in result.model.parameters])
 
     def mean_square(trial: Trial) -> float:
@@ -626,16 +646,17 @@ MAX_SLENDERNESS = 10.0
 WATER_KG_M3, WATER_VISCOSITY_M2_S = (950.0, 1050.0), 1.0e-6
 #: Step of the finite differences of the delta method, in standard errors of the parameter.
 DELTA_STEP = 1e-4
-#: Type of a function that computes a derived quantity from the coefficients of the equation of motion. The
-#: value is NaN if the quantity does not exist.
+#: Type of a function that computes a quantity, such as the terminal speed, from the coefficients of the
+#: equation of motion. The value of the function is NaN if the quantity does not exist.
 Quantity = Callable[[Mapping[str, float]], float]
 
 
 def derive(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
-    """Return the terminal speed of each falling-weight trial, or the period and damping ratios of a decay.
+    """Return the quantities that follow from the estimates of a rig experiment.
 
-    A decay has two damping ratios. One includes all damping, at the amplitude of the largest first swing. The
-    other includes linear damping only, and is the limit for small swings.
+    A falling-weight experiment has the terminal speed of each trial. A free decay has the natural period, the
+    amplitude of the largest first swing, and two damping ratios. One ratio includes all damping at this
+    amplitude. The other ratio includes linear damping only, and is the limit for small swings.
     """
     first = result.trials[0]
     quantities: dict[str, Estimate | None] = {}
@@ -655,11 +676,12 @@ def derive(experiment: Experiment, result: FitResult) -> dict[str, Estimate]:
 
 
 def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) -> Estimate | None:
-    """Return the value and the standard error of a function of a trial's coefficients (delta method).
+    """Return the value of a derived quantity of a trial, and its standard error by the delta method.
 
-    The status is ``fixed`` if the function depends on no estimated parameter, and ``at-bound`` if it depends
-    on a parameter at its bound. It is ``unidentifiable`` if the standard error is above half the value. The
-    result is None if the function has no finite value.
+    The quantity is a function of the coefficients of the equation of motion. Its status is ``fixed`` if it
+    depends on no estimated parameter, and ``at-bound`` if it depends on a parameter at its bound. The status
+    is ``unidentifiable`` if the standard error is above half the value. Return None if the quantity has no
+    finite value.
     """
 
     def at(values: Array) -> float:
@@ -684,8 +706,8 @@ def propagate(result: FitResult, trial: Trial, quantity: Quantity, unit: str) ->
         if gradient[j] == 0:
             continue
         bound |= status == "at-bound"
-        # A parameter at its lower bound 0 needs no standard error here, because the standard errors of the
-        # other parameters include the effect of its uncertainty.
+        # Compute the standard error of the derived quantity without that of a parameter at its lower bound 0.
+        # The standard errors of the other parameters include the effect of its uncertainty.
         vanishes = status == "at-bound" and parameter.lower == 0.0 >= values[k]
         unknown |= error is None and not vanishes
     known = np.isfinite(np.diag(result.covariance)) & (gradient != 0)
@@ -707,11 +729,11 @@ def _rate(c: Mapping[str, float]) -> float:
 
 
 def _damping_ratio(c: Mapping[str, float], amplitude: float = 0.0) -> float:
-    """Return the damping ratio of the linear damping that dissipates the same energy in a swing.
+    """Return the damping ratio of a free decay at a given amplitude, by equivalent linear damping.
 
-    Linear, quadratic and dry damping are linearised at the given amplitude (Chakrabarti, "Empirical
-    calculation of roll damping for ships and barges", Ocean Engineering 2001). At the amplitude 0 only linear
-    damping is included.
+    The equivalent linear damping dissipates the same energy in a swing as linear, quadratic and dry damping
+    together (Chakrabarti, "Empirical calculation of roll damping for ships and barges", Ocean Engineering
+    2001). At the amplitude 0 only linear damping is included.
     """
     whole, speed = c["linear"], _rate(c) * amplitude
     if speed > 0:
@@ -720,7 +742,7 @@ def _damping_ratio(c: Mapping[str, float], amplitude: float = 0.0) -> float:
 
 
 def _first_amplitude(result: FitResult, trial: Trial) -> float:
-    """Return the maximum displacement of a simulated free decay from its rest position."""
+    """Return the maximum displacement of a simulated free decay from its rest position, m or rad."""
     series = next(s for s in result.series if s.trial == trial.id)
     values = series.simulated[np.isfinite(series.simulated)]
     rest = result.values(trial.id)[result.model.index("rest_position")]
@@ -731,10 +753,10 @@ def _first_amplitude(result: FitResult, trial: Trial) -> float:
 
 
 def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]:
-    """Check that added mass, drag, swing and driving force are physically possible.
+    """Check that estimated added mass and drag, swing angles and driving forces are physically possible.
 
-    The limits follow from body mass, frontal area and size only. If a limit depended on the stated force, a
-    wrong force could pass the check.
+    The limits follow from the mass, the frontal area and the size of the body only. If a limit depended on
+    the stated force, a wrong force could pass the check.
     """
     checks = []
     for name, most, basis, inputs in _limits(experiment, result):
@@ -765,13 +787,13 @@ def possible_checks(experiment: Experiment, result: FitResult) -> list[ev.Check]
     return checks
 
 
-#: Physical limit of an estimate: name of the estimate, its maximum, the body that has this maximum, and the
-#: inputs to check if the maximum is exceeded.
+#: Type of the physical limit of an estimate: name of the estimate, its maximum, a description of the bodies
+#: for which the maximum holds, and the inputs to check if the estimate exceeds the maximum.
 Limit = tuple[str, float, str, str]
 
 
 def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
-    """Yield the physical limits of added mass or added moment of inertia, and of the drag coefficient."""
+    """Yield the physical limit of each identifiable estimate: added mass, added inertia, drag coefficient."""
     density, box = experiment.robot.fluid.density_kg_m3, _box(experiment.robot.body)
     known = {name for name, status in result.status.items() if status != "unidentifiable"}
     along = result.model.channels[0].name == "x_m"
@@ -799,10 +821,11 @@ def _limits(experiment: Experiment, result: FitResult) -> Iterator[Limit]:
 
 
 def _force_ratios(experiment: Experiment) -> list[tuple[float, float, float, str]]:
-    """Return force ratio, driving force (N), its maximum (N) and trial of each drop without a pulley.
+    """Compare the driving force of each drop without a pulley with the largest possible driving force.
 
-    The ratio is the driving force divided by its maximum. The maximum is the weight of the body or its net
-    buoyancy.
+    Return for each drop the ratio of the two forces, the driving force (N), the largest possible driving
+    force (N) and the name of the trial. The largest possible force is the weight of the body or, if larger,
+    its maximum net buoyancy.
     """
     forces = []
     for trial in experiment.trials:
@@ -823,21 +846,23 @@ def _max_displaced(experiment: Experiment, trial: Trial) -> float:
     rig, weight = trial.rig, trial.rig.pull / experiment.robot.fluid.gravity_m_s2
     if rig.pulley:
         return rig.inertia - weight - experiment.robot.rig.pulley_inertia_kg
-    # a rising body displaces more than its own mass, by its net buoyancy, but not more than its size allows
+    # A rising body displaces its own mass plus the mass equivalent of its net buoyancy. It cannot displace
+    # more water than its size allows.
     return max(rig.inertia, min(rig.inertia + weight, _water_in_body(experiment, trial)))
 
 
 def _box(body: Body) -> tuple[float, float, float] | None:
-    """Return the length, width and height of a body, m; None if one is unknown."""
+    """Return the length, width and height of a body, m; None if one of these dimensions is unknown."""
     if body.length_m and body.width_m and body.height_m:
         return body.length_m, body.width_m, body.height_m
     return None
 
 
 def _water_in_body(experiment: Experiment, trial: Trial) -> float:
-    """Return the mass of water in the largest body of the known size, kg; infinite if the size is unknown.
+    """Return the mass of water, kg, that fills the bounding box of the body; infinite if no size is known.
 
-    Without a box, the body is as long as a body of its frontal area can be (:data:`MAX_SLENDERNESS`).
+    If only the frontal area is known, the body is assumed to have the maximum length for this area
+    (:data:`MAX_SLENDERNESS`).
     """
     box, density = _box(experiment.robot.body), experiment.robot.fluid.density_kg_m3
     area = 2.0 * trial.rig.area_factor / density
@@ -850,7 +875,7 @@ def _water_in_body(experiment: Experiment, trial: Trial) -> float:
 
 
 def prism_added_mass(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
-    """Return the added mass of a box that moves along its length, kg.
+    """Return the added mass of a box in water that moves along its length, kg.
 
     Notes
     -----
@@ -869,7 +894,7 @@ def prism_added_mass(length_m: float, width_m: float, height_m: float, density_k
 def max_added_mass_in_box(
     length_m: float, width_m: float, height_m: float, density_kg_m3: float, *, along: bool
 ) -> float:
-    """Return the maximum added mass of a body that fits into a box, kg.
+    """Return the maximum added mass of any body that fits into a box of the given size, kg.
 
     Parameters
     ----------
@@ -894,7 +919,9 @@ def max_added_mass_in_box(
 
 
 def max_added_inertia(length_m: float, width_m: float, height_m: float, density_kg_m3: float) -> float:
-    """Return the maximum added inertia, kg m2, of a body that rotates about a point in its bounding box.
+    """Return the maximum added moment of inertia, kg m2, of a body that rotates about a point in its box.
+
+    The box is the bounding box of the body with the given dimensions.
 
     Notes
     -----
@@ -909,7 +936,9 @@ def max_added_inertia(length_m: float, width_m: float, height_m: float, density_
 
 
 def max_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_kg_m3: float) -> float:
-    """Return the maximum added mass of a convex body that moves perpendicular to its frontal area, kg.
+    """Return the maximum added mass, kg, of a convex body of known displacement and frontal area.
+
+    The body moves perpendicular to its frontal area.
 
     Parameters
     ----------
@@ -933,7 +962,9 @@ def max_added_mass(displaced_kg: float, frontal_area_m2: float | None, density_k
 
 
 def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> float:
-    """Return the Reynolds number with the diameter of the frontal area; NaN if the fluid is not water.
+    """Return the Reynolds number of a body in water; NaN if the fluid density is not that of water.
+
+    The length scale is the diameter of a circle with the frontal area of the body.
 
     >>> round(reynolds(1.0, np.pi / 4, 1000.0))
     1000000
@@ -945,9 +976,10 @@ def reynolds(speed_m_s: float, frontal_area_m2: float, density_kg_m3: float) -> 
 
 
 def max_drag_coefficient(reynolds_number: float) -> float:
-    """Return the maximum drag coefficient of any body, based on its frontal area.
+    """Return an upper bound of the drag coefficient of any body at a Reynolds number.
 
-    The result is NaN if the Reynolds number is not positive.
+    The drag coefficient refers to the frontal area of the body. The result is NaN if the Reynolds number is
+    not positive.
 
     Notes
     -----
@@ -963,7 +995,10 @@ def max_drag_coefficient(reynolds_number: float) -> float:
 
 
 def theory_estimates(robot: Robot) -> list[Theory]:
-    """Return the theoretical estimates in a robot file, and the added mass of a prism of the robot's size."""
+    """Return the theoretical estimates that the robot file states, and the added mass of a prism.
+
+    The prism has the length, width and height of the robot. Its added mass is left out if they are unknown.
+    """
     quoted = list(robot.theory)
     box = _box(robot.body)
     if box is not None:
@@ -979,12 +1014,13 @@ def theory_estimates(robot: Robot) -> list[Theory]:
 
 @dataclass(frozen=True)
 class TwoPointResult:
-    """Result of the two-point method of the boxfish paper.
+    """Estimates, standard errors and bias of the two-point method of the boxfish paper.
 
     Attributes
     ----------
     values, stderr, bias : dict of str to float
-        Results for the parameters :data:`NAMES`. The standard error combines random error and bias.
+        Estimate, standard error and bias of each parameter in :data:`NAMES`. The standard error combines
+        random error and bias.
     points_m : tuple of float
         The two displacements.
     pulling_mass_kg : ndarray, shape (k,)
@@ -1004,7 +1040,10 @@ class TwoPointResult:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the squared speeds rise with the pulling mass, so that the standard errors are finite."""
+        """Whether all standard errors of the two-point method are finite.
+
+        They are finite if the squared speeds rise with the pulling mass as the method assumes.
+        """
         return all(map(math.isfinite, self.stderr.values()))
 
     @property
@@ -1019,7 +1058,9 @@ class TwoPointResult:
 def speed_at(
     time_s: Array, displacement_m: Array, point_m: float, half_width_m: float
 ) -> tuple[float, float]:
-    """Return the speed at a displacement and its standard error, m/s, from a line fitted around this point.
+    """Return the speed of a body at a given displacement, and the standard error of this speed, m/s.
+
+    The speed is the slope of a straight line that is fitted to the samples around this displacement.
 
     Raises
     ------
@@ -1081,7 +1122,10 @@ def two_point(
         raise NoTrustworthyResult(f"the two displacements must rise from zero: {points[0]:g} {points[1]:g}")
 
     def speeds(displacements: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the speeds at the two displacements and their standard errors, each of shape (2, k)."""
+        """Return the speeds of k drops at the two displacements and their standard errors, m/s.
+
+        Both arrays have the shape (2, k).
+        """
         pairs = list(zip(times, displacements, strict=True))
         width = points[0] * HALF_WIDTH
         fits = np.array([[speed_at(t, x, point, width) for t, x in pairs] for point in points])
@@ -1091,7 +1135,7 @@ def two_point(
         lines = np.array([np.polyfit(masses, v, 1) for v in squared])
         slopes, intercepts = lines.T
         a1 = solve_a1(slopes[0] / slopes[1], points)
-        # compute tanh^2 phi(x) = 1 - exp(-2 a1 x), which follows from Eq 14
+        # Compute tanh^2 phi(x) = 1 - exp(-2 a1 x) at the two displacements (from Eq 14 of the boxfish paper).
         saturation = -np.expm1(-2 * a1 * np.array(points))
         drag = float(np.mean(2 * gravity * saturation / (density * area * slopes)))
         added = density * drag * area / (2 * a1) - mass - float(masses.mean())
@@ -1101,7 +1145,7 @@ def two_point(
     squared, squared_sd = measured**2, 2 * np.abs(measured) * measured_sd
     answer, lines = solve(squared)
 
-    # Estimate the random error from the residuals of the squared speeds about their lines.
+    # Estimate the random error of the squared speeds from their residuals about the lines over pulling mass.
     scatter = squared - np.array([np.polyval(line, masses) for line in lines])
     pooled = math.sqrt(float(np.sum(scatter**2)) / max(2 * len(masses) - 4, 1))
     spread = np.maximum(squared_sd, pooled)
@@ -1131,9 +1175,9 @@ def two_point(
 
 
 def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
-    """Solve Eq 18 of the boxfish paper for the coefficient a1, 1/m.
+    """Solve Eq 18 of the boxfish paper for a1, the quadratic drag divided by the moving mass, 1/m.
 
-    If the second displacement is twice the first, Eq 19 is the closed form.
+    If the second displacement is twice the first, Eq 19 of the paper is the solution in closed form.
 
     Raises
     ------
@@ -1160,7 +1204,7 @@ def solve_a1(ratio: float, points_m: tuple[float, float]) -> float:
 
 
 def _two_point_file(file: ParameterFile, pair: TwoPointResult) -> ParameterFile:
-    """Return a parameter file in which the estimates are those of the two-point method.
+    """Return a copy of a parameter file with the estimates of the two-point method.
 
     Raises
     ------

@@ -37,7 +37,8 @@ from swimid.fitting.model import (
     no_force,
 )
 
-#: Coordinates of a rig: unit, unit of the speed, and whether the coordinate is an angle.
+#: Coordinates in which a body can move on a rig. Each has its unit, the unit of its rate, and whether the
+#: coordinate is an angle.
 COORDINATES: dict[str, tuple[str, str, bool]] = {
     "x_m": ("m", "m/s", False),
     "z_m": ("m", "m/s", False),
@@ -45,8 +46,8 @@ COORDINATES: dict[str, tuple[str, str, bool]] = {
     "pitch_rad": ("rad", "rad/s", True),
     "yaw_rad": ("rad", "rad/s", True),
 }
-#: Groups of parameters with a similar effect on the motion. In a fit, one parameter of a group can replace
-#: the others.
+#: Groups of rig parameters with a similar effect on the motion. In a fit, one parameter of a group can
+#: replace the other parameters of the group.
 ALIKE = (
     (
         *("drag_coefficient", "quadratic_drag", "quadratic_damping"),
@@ -54,17 +55,18 @@ ALIKE = (
     ),
     ("stiffness", "gravity_stiffness"),
 )
-#: Maximum integration step of a first fit, s. If the simulation is not accurate enough, the fit halves the
-#: step.
+#: Initial maximum integration step of a rig simulation, s. If the simulation is not accurate enough, the fit
+#: halves the step.
 DEFAULT_STEP = 0.01
 #: Maximum number of steps of :data:`DEFAULT_STEP` in a trial. Longer trials have longer steps.
 MAX_STEPS = 5_000
-#: Coefficients of the equation of motion, in the order in which :func:`integrate` takes them.
+#: Names of the coefficients of the equation of motion, in the order of the argument ``c`` of
+#: :func:`integrate`.
 EQUATION = ("inertia", "quadratic", "linear", "dry", "stiffness", "rest", "gravity", "cubic")
 
 
 class RigScales(Scales):
-    """Typical scales of the quantities in the trials of a rig."""
+    """Typical sizes of speed, force, stiffness and inertia in the trials of a rig, for scaling parameters."""
 
     model: RigModel
 
@@ -74,9 +76,9 @@ class RigScales(Scales):
 
     @property
     def speed(self) -> float:
-        """Typical speed of the body.
+        """Typical speed of the body on the rig, m/s or rad/s.
 
-        In a free decay it is the range of motion times the natural angular frequency.
+        In a free decay the typical speed is the range of motion times the natural angular frequency.
         """
         if not self.model.rig.swings:
             return super().speed
@@ -85,12 +87,12 @@ class RigScales(Scales):
 
     @property
     def stiffness(self) -> float:
-        """Typical stiffness for small swings, N/m or N m/rad."""
+        """Sum of the start values of linear stiffness and gravity stiffness, N/m or N m/rad."""
         return self.model.start("stiffness") + self.model.start("gravity_stiffness")
 
     @property
     def inertia(self) -> float:
-        """Typical inertia, including added inertia, kg or kg m2; 1 if the inertia is unknown."""
+        """Typical inertia of body and added water, kg or kg m2; 1 if no trial has a known inertia."""
         known = [t.rig.inertia for t in self.trials if not math.isnan(t.rig.inertia)]
         if not known:
             return 1.0
@@ -98,9 +100,9 @@ class RigScales(Scales):
 
     @property
     def force(self) -> float:
-        """Typical applied force, N or N m.
+        """Typical applied force of the trials, N or N m.
 
-        In a free decay it is the restoring force at the range of motion.
+        In a free decay it is the restoring force at a displacement equal to the range of motion.
         """
         if self.model.rig.swings:
             return max(self.stiffness, 1e-12) * self.span
@@ -109,9 +111,9 @@ class RigScales(Scales):
 
     @property
     def brake(self) -> float:
-        """Typical force of friction or damping: a tenth of the typical applied force.
+        """Typical force of friction or damping, N or N m: a tenth of the typical applied force.
 
-        In a free decay it is a hundredth, because losses add up over many swings.
+        In a free decay it is a hundredth of the typical force, because losses add up over many swings.
         """
         if self.model.rig.swings:
             return 0.01 * self.force
@@ -119,7 +121,7 @@ class RigScales(Scales):
 
     @property
     def quadratic(self) -> float:
-        """Minimum quadratic drag coefficient of all trials, at the start values of the parameters."""
+        """Smallest quadratic drag of all trials, in N s2/m2 or N m s2/rad2, at the parameter start values."""
         start = np.array([p.start for p in self.model.parameters])
         return min((self.model.coefficients(start, t.rig)["quadratic"] for t in self.trials), default=0.0)
 
@@ -149,19 +151,19 @@ class RigModel(Model):
 
     @property
     def rig(self) -> Rig:
-        """Displacement and speed channels of the rig, and whether it rotates or swings."""
+        """Displacement channel and speed channel of the rig, with flags for a rotation and a free decay."""
         displacement, speed = self.channels
         return Rig(displacement, speed, COORDINATES[self.coordinate][2], self.name == "free-decay")
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axis along which the body moves, such as ``x``; empty for a rotation."""
+        """Name of the axis along which the body moves, such as ``x``; empty if the body rotates."""
         if self.rig.rotation:
             return ()
         return (self.coordinate.removesuffix("_m"),)
 
     def scales(self, trials: Sequence[Trial]) -> RigScales:
-        """Return the typical scales of the quantities in trials."""
+        """Return the typical sizes of speed, force, stiffness and inertia in trials of this rig."""
         return RigScales(self, trials)
 
     def onset(self, trial: Trial) -> float:
@@ -169,7 +171,7 @@ class RigModel(Model):
         return trial.rig.begin_s
 
     def origin(self, trial: Trial) -> dict[str, float]:
-        """Return the initial displacement of a trial by the name of its channel."""
+        """Return the initial displacement of a trial, m or rad. The key is the name of the channel."""
         return {self.coordinate: trial.rig.x0}
 
     def _value(self, values: Array, *names: str) -> float:
@@ -179,7 +181,7 @@ class RigModel(Model):
         return 0.0
 
     def coefficients(self, values: Array, known: RigInput) -> dict[str, float]:
-        """Return the coefficients of the equation of motion in one trial."""
+        """Return the coefficients of the equation of motion of one trial for given parameter values."""
         drag = self._value(values, "drag_coefficient")
         friction = 0.0
         if known.pulley:
@@ -210,7 +212,11 @@ class RigModel(Model):
         }
 
     def _moved(self, c: dict[str, float], trial: Trial, release: float, hooks: Hooks) -> dict[str, Array]:
-        """Return displacement and speed of a trial for the coefficients and the initial state ``c``."""
+        """Simulate a trial and return its displacement and speed.
+
+        ``c`` has the coefficients of the equation of motion, the constant force, its drift and the initial
+        state.
+        """
         if c["inertia"] <= 0 or not np.isfinite(list(c.values())).all():
             return self.broken_down(trial)
         time, measured, known = trial.time_s, trial.inputs.get("force_N"), c["force"]
@@ -223,7 +229,8 @@ class RigModel(Model):
         force = np.array([known])
         if measured is not None:
             force = measured + known + c["drift"] * (time - trial.rig.begin_s)
-        # the step must not depend on the parameters, so that finite differences are smooth
+        # Choose a step that does not depend on the parameters, so that the simulation is a smooth function of
+        # the parameters.
         step = self.max_step * max(1.0, float(time[-1] - time[0]) / MAX_STEPS / DEFAULT_STEP)
         water = extra = None
         if forced:
@@ -239,7 +246,7 @@ class RigModel(Model):
         return {self.coordinate: x, self.speed: v}
 
     def simulate(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return displacement and speed at the samples of a trial (see :meth:`Model.simulate`)."""
+        """Return the simulated displacement and speed at the samples of a trial (:meth:`Model.simulate`)."""
         return self.hooked(values, trial, NONE)
 
     def hooked(self, values: Array, trial: Trial, hooks: Hooks) -> dict[str, Array]:
@@ -271,7 +278,10 @@ class RigModel(Model):
         return RigModel(self.name, self.parameters, self.coordinate, max_step=0.5 * self.max_step)
 
     def sensitivity_to_time(self, values: Array, trial: Trial) -> dict[str, Array]:
-        """Return the time derivatives of the channels of a trial: the speed, and its numerical derivative."""
+        """Return the time derivatives of simulated displacement and speed at the samples of a trial.
+
+        They are the simulated speed and the numerical derivative of the speed.
+        """
         simulated = self.simulate(values, trial)
         rate = np.zeros(1)
         if len(trial.time_s) > 1:
@@ -280,7 +290,11 @@ class RigModel(Model):
 
 
 def terminal_speed(c: Mapping[str, float], force: float) -> float:
-    """Return the terminal speed, at which drag and friction balance a force, m/s; NaN if there is none."""
+    """Return the terminal speed of a body under a constant force, m/s.
+
+    At this speed drag and friction balance the force. Return NaN if the force does not exceed the friction,
+    or if there is no drag.
+    """
     push = force - c["dry"]
     brake = c["linear"] + math.sqrt(c["linear"] ** 2 + 4 * max(c["quadratic"], 0.0) * max(push, 0.0))
     return 2 * push / brake if push > 0 and brake > 0 else math.nan
@@ -299,7 +313,10 @@ def _signed(name: str, unit: str, scale: float, meaning: str, **more: Any) -> Pa
 
 
 def _drag(area_known: bool, source: str = "") -> Parameter:
-    """Return the parameter for quadratic drag: the drag coefficient if the frontal area is known."""
+    """Return the parameter of quadratic drag.
+
+    It is the drag coefficient if the frontal area is known, and otherwise the quadratic drag in N s2/m2.
+    """
     if area_known:
         return Parameter(
             "drag_coefficient", "1", 0.0, 5.0, 1.0, 0.5, meaning="drag coefficient C_d", source=source
@@ -308,7 +325,7 @@ def _drag(area_known: bool, source: str = "") -> Parameter:
 
 
 def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple[Parameter, ...]:
-    """Return the parameters of the initial state of each trial: displacement, speed, and clock offset."""
+    """Return the per-trial parameters of a release: initial displacement, initial speed and clock offset."""
     unit, speed_unit, _ = COORDINATES[coordinate]
     own: dict[str, Any] = {"per_trial": True}
     return (
@@ -321,7 +338,9 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
 def falling_weight(
     *, mass_kg: float, force_N: float, area_known: bool, pulley: bool, speed_m_s: float = 0.3
 ) -> RigModel:
-    """Return the falling-weight model (boxfish paper, Eqs 7, 8), scaled by typical inertia, force and speed.
+    """Return the model of a body that a falling weight pulls (boxfish paper, Eqs 7, 8).
+
+    The start values and scales of its parameters follow from typical inertia, force and speed.
 
     Parameters
     ----------
@@ -370,10 +389,12 @@ def free_decay(
     amplitude: float,
     gravity: float = 0.0,
 ) -> RigModel:
-    """Return the model of a free decay in one coordinate (one of :data:`COORDINATES`).
+    """Return the model of a free decay of a body in one coordinate, such as roll.
 
     Parameters
     ----------
+    coordinate : str
+        Name of the coordinate, one of :data:`COORDINATES`.
     inertia : float
         Known inertia, kg or kg m2.
     stiffness : float or None
@@ -418,13 +439,15 @@ def free_decay(
 # ---------------------------------------------------------------- integration
 
 
-#: Maximum number of times that dry friction stops or releases the body within one integration step.
+#: Maximum number of times that a body with dry friction stops or starts to move within one integration step.
 MAX_EVENTS = 8
 
 
 @numba.njit(cache=True, nogil=True)
 def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
-    """Return when a body at rest overcomes dry friction, and in which direction (0 if it stays at rest).
+    """Return the time until a body at rest overcomes dry friction, s, and the sign of its motion.
+
+    The sign is 0 if the body stays at rest.
 
     Parameters
     ----------
@@ -449,7 +472,11 @@ def breakaway(push, slope, dry, left):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def restoring(x, c):  # type: ignore[no-untyped-def]
-    """Return the restoring force at a displacement, for the coefficients in the order of :data:`EQUATION`."""
+    """Return the restoring force or moment that opposes a displacement from the rest position, N or N m.
+
+    It has the sign of the displacement, and is subtracted from the applied force. ``c`` has the coefficients
+    of the equation of motion in the order of :data:`EQUATION`.
+    """
     _, _, _, _, stiffness, rest, gravity, cubic = c
     away = x - rest
     pull = stiffness * away
@@ -460,8 +487,8 @@ def restoring(x, c):  # type: ignore[no-untyped-def]
     return pull
 
 
-# The argument ``extra`` is None in still water without forces of effects. Numba then compiles these functions
-# without the code for moving water and forces.
+# The argument ``extra`` of the following functions is None if the water is still and no added effect exerts a
+# force. Numba then compiles the functions without the code for moving water and such forces.
 
 
 @numba.njit(cache=True, nogil=True)
@@ -502,7 +529,7 @@ def _rk4(t, x, v, side, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-untyped-def]
-    """Integrate the motion over one step with dry friction.
+    """Integrate the motion of a body with dry friction over one step.
 
     The step is divided at the times at which the body stops or starts to move.
     """
@@ -516,7 +543,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
             if extra is None:
                 after, side = breakaway(f - restoring(x, c), slope, dry, left)
             else:
-                # assume that the sum of all forces is linear in time over the rest of the step
+                # Approximate the sum of all forces as linear in time over the rest of the step.
                 push = inertia * _acceleration(t + done, x, v, 0.0, f, w, dw, c, extra)
                 end = inertia * _acceleration(t + h, x, v, 0.0, f1, w0 + dw * h, dw, c, extra)
                 after, side = breakaway(push, (end - push) / left, dry, left)
@@ -552,7 +579,7 @@ def _with_friction(t, x, v, h, f0, f1, w0, dw, c, extra):  # type: ignore[no-unt
 def integrate(  # type: ignore[no-untyped-def]
     time, start, max_step, force, x0, v0, c, water=None, extra=None
 ):
-    """Integrate the equation of motion with the fourth-order Runge-Kutta method and fixed steps.
+    """Integrate the equation of motion of a rig with the fourth-order Runge-Kutta method and fixed steps.
 
     Parameters
     ----------
@@ -639,7 +666,9 @@ def step_ends(time, start, max_step):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type: ignore[no-untyped-def]
-    """Return displacement (m) and speed (m/s) of a body that a constant force pulls from rest.
+    """Return displacement (m) and speed (m/s) of a body with quadratic drag under a constant force.
+
+    The body starts at rest.
 
     Parameters
     ----------
@@ -673,11 +702,11 @@ def falling_weight_closed_form(time, start, inertia, quadratic, force):  # type:
         t = max(time[i] - start, 0.0)
         phi = rate * t
         if phi < 1e-4:
-            # use the Taylor series of ln cosh and tanh, which need no division by the drag
+            # Use the Taylor series of ln cosh and tanh, which avoid a division by zero drag.
             x[i] = 0.5 * a2 * t * t * (1.0 - phi * phi / 6.0)
             v[i] = a2 * t * (1.0 - phi * phi / 3.0)
         else:
-            # compute ln cosh (without overflow) and tanh from the same exponential
+            # Compute ln cosh and tanh from the same exponential, so that ln cosh does not overflow.
             decay = math.exp(-2.0 * phi)
             x[i] = (phi + math.log1p(decay) - math.log(2.0)) / a1
             v[i] = math.sqrt(a2 / a1) * (1.0 - decay) / (1.0 + decay)

@@ -1,4 +1,4 @@
-"""Reading of the trials of a rig with one degree of freedom: falling weight, towing and free decay."""
+"""Functions that read the trials of a rig with one degree of freedom: falling weight, towing, free decay."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from swimid.notices import warn
 from swimid.rig import model as rig
 from swimid.robots.file import Robot
 
-#: Relative tolerance within which a sample counts as equal to the extreme of a swing, and a swing as equal to
-#: the largest swing.
+#: Relative tolerance of comparisons in a free decay. A sample within it counts as the extreme of a swing. A
+#: swing within it counts as equal to the largest swing.
 EXTREME_RTOL = 0.05
-#: Minimum duration that a body stays near the extreme of a swing, as a fraction of a period, for the body to
-#: count as held there. A free swing stays within 5 % of its extreme for ``2 arccos(0.95) / (2 pi)`` of a
-#: period, which is 0.1.
+#: Minimum duration near the extreme of a swing, as a fraction of a period, at which the body is assumed to
+#: have been held there before release. A free swing stays within 5 % of its extreme for 0.1 of a period,
+#: ``2 arccos(0.95) / (2 pi)``.
 HELD_PERIODS = 0.1
 #: Minimum number of samples of a falling-weight trial.
 MIN_SAMPLES = 5
-#: Maximum initial position, as a fraction of the drop distance, at which a drop is taken to start at the
-#: origin.
+#: Maximum position of the first sample of a drop, as a fraction of the drop distance, at which the drop is
+#: assumed to start at the origin.
 ORIGIN_RTOL = 0.02
 MASS = "inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
-#: Keys of a trials file that have an effect, by experiment.
+#: Keys of a trials file that each rig experiment uses. Other keys have no effect on the experiment.
 USES = {
     "falling-weight": trials_format.EVERYWHERE
     | {"trials.pulling_mass_kg", "trials.driving_force_N", f"trials.{MASS}", *_DRAG},
@@ -86,7 +86,10 @@ def _mass(entry: RigTrial, robot: Robot, path: Path) -> float:
 
 
 def _area_factors(entries: Sequence[RigTrial], robot: Robot, path: Path) -> list[float]:
-    """Return ``rho A / 2`` of the drag law for each trial, kg/m; zeros if no frontal area is known."""
+    """Return the factor ``rho A / 2`` of the drag law for each trial, kg/m; zeros without a frontal area.
+
+    ``rho`` is the density of the fluid, and ``A`` the frontal area of the body.
+    """
     factors: list[float] = []
     for entry in entries:
         area = entry.frontal_area_m2 or robot.body.frontal_area_m2 or 0.0
@@ -123,9 +126,10 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
     span = min(float(record.time_s[-1] - record.time_s[0]) for record in records)
     model.parameters = chosen(
         model.parameters,
-        # assume that the release is within one duration of a trial from the start of the log
+        # Limit the time between the release and the start of the log to the duration of the shortest trial.
         bounds={"clock_offset": (-span, span)},
-        # estimate the start position of drops that start outside the origin, because it has measurement noise
+        # Estimate the start position of drops that do not start at the origin, because their first measured
+        # position has noise.
         freed=("start_offset",) * any(k.x0 != 0 for k in known),
     )
 
@@ -133,7 +137,8 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
         made = []
         for entry, record, one in zip(entries.trials, records, known, strict=True):
             clicks = record.kind == "clicks"
-            # the first row of an encoder log defines the origin and is not a measurement
+            # Leave out the first row of a log with one row per encoder step, because it defines the origin
+            # and is not a measurement.
             rows = slice(int(clicks and record.position[0] == 0), None)
             position = {"x_m": true_position(record, rounding)[rows]}
             trial = Trial(entry.id, entry.role, record.time_s[rows], position, rig=one)
@@ -150,7 +155,7 @@ def _falling_weight(path: Path, entries: FallingWeight, robot: Robot) -> Experim
 
 
 def _without_standstill(log: Log) -> tuple[Array, Array]:
-    """Return time and displacement of a drop up to the time from which the body stands still at the wall.
+    """Return the times and displacements of a drop up to the time at which the body comes to rest.
 
     Raises
     ------
@@ -172,7 +177,7 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
     reference = np.flatnonzero(position < position.min() + 0.7 * (arrived - position.min()))
     if len(before) and len(reference) and len(position) - before[-1] >= 6:
         last, far = int(before[-1]) + 1, int(reference[-1])
-        # compute the time in which a moving body would cover the rest of the distance
+        # Compute the time in which the body at its mean speed would cover the rest of the distance.
         needed = 0.0
         if time[last] > time[far] and position[last] > position[far]:
             speed = (position[last] - position[far]) / (time[last] - time[far])
@@ -195,7 +200,10 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
 def _drop(
     entry: FallingWeightTrial, path: Path, robot: Robot, factor: float
 ) -> tuple[Input, RigInput, Displacement]:
-    """Return the log of a drop, its known quantities (mass, force, time of release), and its displacement."""
+    """Return the log of a falling-weight trial, its known quantities and its displacement record.
+
+    The known quantities are the moving mass, the driving force and the time of release.
+    """
     log = read_log(entry, path.parent, required=("x_m",))
     time, position = _without_standstill(log)
     record = read_encoder(time, position, robot.rig.encoder_resolution_m)
@@ -215,13 +223,13 @@ def _drop(
             )
     travelled = position - position[0]
     from_origin = abs(position[0]) <= ORIGIN_RTOL * float(travelled.max())
-    # If the body has already moved in the first row, the release was before this row. The release is at time
-    # zero if the force can have moved the body that far since time zero. Otherwise the release is estimated
-    # from the time that the force needs.
+    # If the body has already moved in the first row of a drop, it was released before this row. The release
+    # is at time zero if the driving force can have moved the body that far since time zero. Otherwise the
+    # time of release is estimated from the time that the driving force needs.
     quickest = np.sqrt(2.0 * max(float(position[0]), 0.0) * mass / force)
     at_zero = from_origin and position[0] > 0 and 0.5 * quickest <= time[0] <= 5.0 * quickest
-    # only the count of an encoder shows for certain that the body has moved, because a camera position has
-    # noise
+    # Accept only the count of an encoder as proof that the body has moved before the first row, because a
+    # camera position has noise.
     counted = record.kind != "continuous" and record.position[0] > 0 and from_origin
     release, x0 = float(time[0]), float(position[0])
     if at_zero:
@@ -352,7 +360,7 @@ def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Pat
 
 
 def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Array]:
-    """Divide a free decay into half swings, which lie on alternating sides of the rest position.
+    """Divide the record of a free decay into half swings, which alternate about the rest position.
 
     Returns
     -------
@@ -367,16 +375,16 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
         If the record has fewer than three half swings.
     """
     found = None
-    # Most records end at rest, so that their end gives the rest position. Otherwise try the middle of the
-    # range.
+    # Most records end with the body at rest, so that the last quarter of the record gives the rest position.
+    # If no swings are found about this level, try the middle of the range of the record.
     for level in (float(np.median(values[len(values) * 3 // 4 :])), 0.5 * float(values.max() + values.min())):
         for _ in range(3):
             crossings, extremes = _half_swings(values, level, noise)
             if len(extremes) < 3:
                 break
             found = crossings, extremes
-            # estimate the rest position by a weighted mean of extremes, whose error is of second order in the
-            # decay
+            # Estimate the rest position by a weighted mean of three successive extremes. The error of this
+            # mean is of second order in the decay per half swing.
             level = float(extremes[-3:] @ (0.25, 0.5, 0.25))
         if found is not None:
             return found
@@ -386,10 +394,13 @@ def _swings(values: Array, noise: float, log: Log, name: str) -> tuple[Array, Ar
 
 
 def _half_swings(values: Array, level: float, noise: float) -> tuple[Array, Array]:
-    """Return the indices at which a record crosses a level, and the extreme of each part between them."""
+    """Return the indices at which a record crosses a level, and the extreme value between two crossings.
+
+    An extreme is the value that is farthest from the level. The ends of the record count as crossings.
+    """
     away = values - level
     amplitude = float(np.max(np.abs(away)))
-    # ignore values within a band around the level, so that noise does not count as a crossing
+    # Ignore values within a band around the level, so that noise does not count as a crossing.
     band = min(max(0.1 * amplitude, 4.0 * noise), 0.25 * amplitude)
     state = np.sign(away) * (np.abs(away) > band)
     marked = np.flatnonzero(state)
@@ -403,16 +414,18 @@ def _period(time: Array, crossings: Array) -> float:
     halves = np.diff(time[crossings])
     regular = np.abs(halves / np.median(halves) - 1.0) < 0.3
     count = max(int(np.argmin([*regular, False])), 1)
-    # use whole periods, because the two half swings differ in duration if the level is not the rest position
+    # Use an even number of half swings, because the two half swings of a period differ in duration if the
+    # crossed level is not the rest position.
     count = max(count - count % 2, 1)
     return 2.0 * float(np.sum(halves[:count])) / count
 
 
 def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
-    """Return the times and values of a free decay after its release, its period and its first amplitude.
+    """Return the record of a free decay from its release on, its period (s) and its first amplitude.
 
-    Swings of a free decay do not grow, so that the decay begins with the first of the largest swings. If the
-    body was held at an excursion, or was at rest before it was deflected, the decay begins after that.
+    The record consists of times and values. Swings of a free decay do not grow, so that the decay begins with
+    the first of the largest swings. If the body was held at an excursion before its release, or was at rest
+    before it was deflected, the decay begins at the end of this time.
     """
     there = np.isfinite(log[name])
     time, values = log.time_s[there], log[name][there]
@@ -489,8 +502,8 @@ class Displacement:
     rounded: int | None = None
 
 
-#: Roundings of an encoder count. Each has the true position minus the count, in steps, in three cases: when
-#: the count rises, when the count falls, and on average while the count is constant.
+#: Possible roundings of an encoder count. Each has the difference of true position and count, in encoder
+#: steps, in three cases: when the count rises, when it falls, and on average while it is constant.
 ROUNDINGS = {"floor": (0.0, 1.0, 0.5), "nearest": (-0.5, 0.5, 0.0), "ceil": (-1.0, 0.0, -0.5)}
 
 
@@ -510,16 +523,19 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
     moves = np.diff(counts)
     forward = moves[moves != 0]
     if len(forward) < 3 or np.mean(np.sign(forward) == np.sign(np.median(forward))) < 0.98:
-        return plain  # rounded values rise and fall, but a count moves in one direction
+        # Rounded noisy values rise and fall, but the count of an encoder moves in one direction.
+        return plain
     if np.mean(np.abs(moves) == 1) > 0.9 and np.std(np.diff(time_s)) >= 0.02 * np.mean(np.diff(time_s)):
         return Displacement("clicks", time_s, position, step)
     if np.median(np.abs(moves)) <= 1 and np.mean(moves == 0) > 0.05:
         at = np.flatnonzero(moves) + 1
         gap = time_s[at] - time_s[at - 1]
-        # use the middle one of the m steps that a count has passed within an interval if it changed by m
+        # If the count changed by m steps within an interval, assign the middle one of these m steps to the
+        # middle of the interval.
         middle = position[at] - 0.5 * (moves[at - 1] - np.sign(moves[at - 1])) * step
         times = time_s[at] - 0.5 * gap
-        # the time of the change is uniformly distributed between the two samples
+        # The time of the change is uniformly distributed between two samples. Its standard deviation is the
+        # sampling interval divided by sqrt(12).
         falls = int(middle[-1] < middle[0])
         return Displacement("sampled", times, middle, step, gap / np.sqrt(12.0), 0.0, falls)
     if np.median(np.abs(moves)) <= 3 or (resolution is not None and abs(step / resolution - 1) < 0.02):
@@ -528,20 +544,24 @@ def read_encoder(time_s: Array, position: Array, resolution: float | None = None
 
 
 def third_difference_sd(values: Array) -> float:
-    """Return the standard deviation of white noise on a smooth signal, from its third differences.
+    """Estimate the standard deviation of white noise on a smooth signal from the signal's third differences.
 
     >>> round(third_difference_sd(np.random.default_rng(0).normal(0.0, 2.0, 4000)), 1)
     2.0
     """
     rough = np.abs(np.diff(values, 3))
-    # normal noise has the median absolute value 0.6745 sd, and its third difference has 20 times the variance
+    # The median absolute value of normal noise is 0.6745 standard deviations. The third difference of white
+    # noise has 20 times its variance.
     if not len(rough):
         return 0.0
     return float(np.median(rough)) / (0.6745 * float(np.sqrt(20.0)))
 
 
 def true_position(record: Displacement, rounding: str) -> Array:
-    """Return the true positions of a displacement record for one of the :data:`ROUNDINGS` of its counts."""
+    """Return the true positions of an encoder record under an assumed rounding of its counts.
+
+    The rounding is a key of :data:`ROUNDINGS`. A record that was not counted is returned unchanged.
+    """
     if record.rounded is None or record.resolution is None:
         return record.position
     return record.position + ROUNDINGS[rounding][record.rounded] * record.resolution

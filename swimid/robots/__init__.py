@@ -1,5 +1,5 @@
-"""Robot files, and the built-in robots as YAML.
+"""Format of robot files, and the robot files of the built-in robots.
 
-``file`` reads a robot file by name or path. ``planar`` defines the links, joints and elements of a robot in a
-plane, and ``spatial`` those of a robot in 3-D.
+``file`` reads a robot file from its name or path. ``planar`` defines the links, joints and hydrodynamic
+elements of a robot that moves in a plane, and ``spatial`` those of a robot that moves in 3-D.
 """

@@ -1,7 +1,7 @@
-"""Robot file (``swimid-robot/1``): the known properties of a robot before any fit.
+"""Robot file (``swimid-robot/1``) with the known properties of a robot: its format, and how it is read.
 
-Built-in robots are YAML files in ``swimid/robots``. A user can describe another robot in a YAML file, without
-writing code.
+Properties are known if they need no fit, such as masses and lengths. Built-in robots are YAML files in
+``swimid/robots``. A user can describe another robot in a YAML file, without writing code.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from swimid.robots.planar import Multilink
     from swimid.robots.spatial import Multibody
 else:
-    # schema_of replaces these types of the fields multilink and multibody, and imports their modules only
-    # when a file needs them
+    # The function schema_of replaces these types of the fields multilink and multibody. It imports the
+    # modules of the types only if a robot file has the field.
     Multilink = Multibody = Any
 
 FORMAT = "swimid-robot/1"
@@ -30,14 +30,14 @@ NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Fluid(yamlio.Document):
-    """Density of the water, and acceleration of gravity."""
+    """Density of the water in which the robot swims, and acceleration of gravity."""
 
     density_kg_m3: PositiveFloat = 997.0
     gravity_m_s2: PositiveFloat = 9.81
 
 
 class Body(yamlio.Document):
-    """Properties of the robot as a single rigid body."""
+    """Masses, dimensions and moments of inertia of a robot that is regarded as a single rigid body."""
 
     inertial_mass_kg: NonNegative | None = None
     frontal_area_m2: PositiveFloat | None = None
@@ -50,7 +50,7 @@ class Body(yamlio.Document):
 
 
 class Rig(yamlio.Document):
-    """Test rig that pulls or holds the robot."""
+    """Properties of the test rig that pulls the robot or holds it by a spring."""
 
     pulley_inertia_kg: NonNegative = 0.0
     encoder_resolution_m: PositiveFloat | None = None
@@ -58,14 +58,14 @@ class Rig(yamlio.Document):
     roll_stiffness_N_m_rad: NonNegative | None = None
     pitch_stiffness_N_m_rad: NonNegative | None = None
     yaw_stiffness_N_m_rad: NonNegative | None = None
-    #: Stiffness by gravity: the product m g l of a pendulum, or m g GM of a ship. The restoring moment is
-    #: this product times the sine of the angle.
+    #: Stiffness of the restoring moment of gravity in roll: the product m g l of a pendulum, or m g GM of a
+    #: ship. The restoring moment is this product times the sine of the roll angle.
     roll_gravity_stiffness_N_m_rad: NonNegative | None = None
     pitch_gravity_stiffness_N_m_rad: NonNegative | None = None
 
 
 class Theory(yamlio.Document):
-    """Value of a parameter from theory or published tables, for comparison with an estimate."""
+    """Value of a parameter from theory or published tables, which reports compare with its estimate."""
 
     parameter: str
     value: float
@@ -75,10 +75,10 @@ class Theory(yamlio.Document):
 
 
 class Fin(yamlio.Document):
-    """A caudal fin.
+    """Dimensions and hydrodynamic moment of inertia of a caudal fin.
 
-    The inertia of a rectangular fin is computed from its size. The inertia of a fin of another shape must be
-    given.
+    The moment of inertia of a rectangular fin is computed from its size. For a fin of another shape it must
+    be given.
     """
 
     shape: Literal["rectangle", "other"] = "rectangle"
@@ -90,16 +90,19 @@ class Fin(yamlio.Document):
 
 
 class ReadingOption(yamlio.Document):
-    """One interpretation of an ambiguous symbol in the source, and the values that it changes in the file."""
+    """Possible interpretation of an ambiguous statement in the source of a robot file.
+
+    ``says`` describes the interpretation, and ``set`` has the entries of the file that it changes.
+    """
 
     says: str
-    #: New values of entries of the robot file by dotted path, such as ``elements.0.axial_area_m2``. Members
-    #: of lists are addressed by name or index.
+    #: New values of the entries of the robot file that this interpretation changes. The key is a dotted path,
+    #: such as ``elements.0.axial_area_m2``. A member of a list is addressed by its name or index.
     set: dict[str, Any] = {}
 
 
 class Reading(yamlio.Document):
-    """An ambiguity of the source, its possible interpretations, and the chosen interpretation."""
+    """Ambiguity in the source of a robot file, with its possible and its chosen interpretation."""
 
     question: str
     chosen: str
@@ -113,7 +116,7 @@ class Reading(yamlio.Document):
 
 
 class Robot(yamlio.Document):
-    """A robot file: the known properties of a robot before any fit.
+    """Content of a robot file: the known properties of a robot before any fit.
 
     Attributes
     ----------
@@ -121,7 +124,7 @@ class Robot(yamlio.Document):
     sources : list of str
         Papers from which the quantities in the file are taken.
     fluid : Fluid
-        ``density_kg_m3``, ``gravity_m_s2``.
+        Density of the water and gravity: ``density_kg_m3``, ``gravity_m_s2``.
     body : Body
         Robot as a single rigid body: ``inertial_mass_kg``, ``frontal_area_m2``, ``length_m``, ...
     rig : Rig
@@ -144,17 +147,18 @@ class Robot(yamlio.Document):
     rig: Rig = Rig()
     fins: dict[str, Fin] = {}
     theory: list[Theory] = []
-    #: Links, joints and elements of a robot in a plane.
+    #: Links, joints and hydrodynamic elements of a robot that moves in a plane.
     multilink: Multilink | None = None
-    #: Links, hinges and elements of a robot in 3-D.
+    #: Links, hinges and hydrodynamic elements of a robot that moves in 3-D.
     multibody: Multibody | None = None
-    #: Ambiguities of the sources, each with its chosen interpretation.
+    #: Ambiguities in the sources of the robot file, each with its chosen interpretation.
     readings: dict[str, Reading] = {}
 
     def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
-        """Return the positions of the markers relative to the reference point, m.
+        """Return the positions of the robot's markers relative to its reference point, m.
 
-        A position is (forward, to port), or (forward, up) in the vertical plane.
+        A position has the components forward and to port, or forward and up for the vertical plane. The
+        reference point is the point whose pose is logged.
         """
         if self.multibody is not None:
             aside = {"horizontal": 1, "vertical": 2}[plane]
@@ -174,9 +178,10 @@ class Robot(yamlio.Document):
 
 @cache
 def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> type[Robot]:
-    """Return the class of a robot file with the given parts.
+    """Return the pydantic model of a robot file that has the given optional fields.
 
-    The modules of these parts are imported only when a robot file has them.
+    The fields are ``multilink`` and ``multibody``. The modules of their types are imported only for a file
+    that has them.
     """
     fields: dict[str, Any] = {}
     if "multilink" in parts:
@@ -191,7 +196,7 @@ def schema_of(parts: frozenset[str] = frozenset({"multilink", "multibody"})) -> 
 
 
 def _validated(data: Mapping[str, Any], path: Path) -> Robot:
-    """Validate the data of a robot file, and return the robot."""
+    """Validate the content of a robot file, and return it as a robot."""
     return yamlio.validate(data, schema_of(frozenset(data) & {"multilink", "multibody"}), path)
 
 
@@ -202,7 +207,7 @@ def built_in() -> list[str]:
 
 
 def locate(name: str, relative_to: Path | None = None) -> Path:
-    """Return the path of a robot file from the name of a built-in robot, or from a path.
+    """Return the path of a robot file, given the name of a built-in robot or the path itself.
 
     Raises
     ------
@@ -244,7 +249,7 @@ def read(name: str, relative_to: Path | None = None, *, readings: Mapping[str, s
 
 
 class RobotFile:
-    """A robot file that can be read with different interpretations of its sources.
+    """Robot file that can be read with different interpretations of its sources.
 
     Parameters
     ----------
@@ -257,7 +262,7 @@ class RobotFile:
         self._written = _validated(self._data, path)
 
     def read(self, readings: Mapping[str, str]) -> Robot:
-        """Return the robot with interpretations that replace those of its file (see :func:`read`)."""
+        """Return the robot, with some interpretations of the sources replaced (see :func:`read`)."""
         written, path = self._written.readings, self.path
         chosen = {key: reading.chosen for key, reading in written.items()}
         for key, option in readings.items():
@@ -282,9 +287,10 @@ class RobotFile:
 
 
 def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
-    """Set the value at a dotted path. A member of a list is addressed by its name or its index.
+    """Set the value at a dotted path in the data of a robot file.
 
-    ``where`` is the dotted path of the reading, for error messages.
+    A member of a list is addressed by its name or its index. ``where`` is the dotted path of the
+    interpretation that sets the value, for error messages.
     """
 
     def key_of(part: str) -> Any:
@@ -307,7 +313,10 @@ def _put(data: Any, place: str, value: Any, where: str, path: Path) -> None:
 
 
 def _member(data: Any, part: str) -> Any:
-    """Return the dictionary key or the list index of a member of loaded data; None if it is not there."""
+    """Return the key or index of one member of a mapping or list in a robot file; None if it has none.
+
+    A member of a list is found by its name or its index.
+    """
     if isinstance(data, list):
         for index, member in enumerate(data):
             named = isinstance(member, dict) and member.get("name") == part
@@ -319,9 +328,9 @@ def _member(data: Any, part: str) -> Any:
 
 
 def located(error: InputError, path: Path) -> InputError:
-    """Return an error with the file and the line of its cause.
+    """Return a copy of an error that also names the robot file and the line of its cause.
 
-    The line is found from the dotted path in the ``column`` of the error.
+    The line is that of the entry to which the dotted path in the ``column`` of the error points.
     """
     whole = data = yamlio.load(path)
     location: list[str | int] = []

@@ -1,4 +1,4 @@
-"""Links, joints and hydrodynamic elements of a robot in a plane, as they are in the robot file.
+"""Entries of a robot file for a robot that moves in a plane: links, joints and hydrodynamic elements.
 
 A station is a distance along a link, measured backwards from its front end. An offset is a distance to port
 (upwards in the vertical plane). Any physical quantity may be a product with named coefficients, such as
@@ -16,12 +16,12 @@ from pydantic import AfterValidator, BeforeValidator, Field, PositiveFloat, mode
 
 from swimid.files import yamlio
 
-#: Pattern of the name of a coefficient.
+#: Pattern of the name of a coefficient in a robot file.
 NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 def factors(quantity: float | str) -> tuple[float, tuple[str, ...]]:
-    """Return the numeric factor and the coefficient names of a quantity.
+    """Split a quantity of a robot file into its numeric factor and the names of its coefficients.
 
     Raises
     ------
@@ -58,20 +58,20 @@ def _quantity(value: Any) -> Any:
     return value
 
 
-#: Physical quantity in a robot file: a number, or a product of numbers and coefficients.
+#: Type of a physical quantity in a robot file: a number, or a product of numbers and named coefficients.
 Quantity = Annotated[float | str, BeforeValidator(_quantity)]
 
 
 class Coefficient(yamlio.Document):
-    """A named coefficient of a robot file, with its value, bounds and start value before a fit."""
+    """Named coefficient of a robot file: its value, and its bounds and start value in a fit."""
 
     value: float
     unit: str = "1"
     bounds: tuple[float | None, float | None] = (None, None)
     #: Start value of the coefficient in a fit; the default is ``value``.
     start: float | None = None
-    #: Typical scale of the coefficient. An estimate is not identifiable if its standard error exceeds half of
-    #: both this scale and the estimate.
+    #: Typical size of the coefficient. Its estimate is not identifiable if the standard error exceeds half of
+    #: this size and also half of the estimate.
     scale: PositiveFloat | None = None
     #: Whether a fit estimates the coefficient by default.
     free: bool = True
@@ -108,12 +108,15 @@ Coefficients = Annotated[dict[str, Coefficient], AfterValidator(_named)]
 
 
 class Link(yamlio.Document):
-    """A rigid link. Its origin is at its front end, and its x axis points forward."""
+    """Rigid link of a robot in a plane.
+
+    The origin of its axes is at its front end, and the x axis points forward.
+    """
 
     name: str
     length_m: PositiveFloat
     mass_kg: Quantity
-    #: Station of the centre of mass: its distance behind the front end of the link, m.
+    #: Distance of the centre of mass behind the front end of the link, m.
     com_m: Quantity
     com_offset_m: Quantity = 0.0
     inertia_kg_m2: Quantity
@@ -122,14 +125,14 @@ class Link(yamlio.Document):
 
 
 class Servo(yamlio.Document):
-    """A second-order servo between the commanded angle and the angle of a joint."""
+    """Second-order system with the commanded angle of a joint as input and the joint angle as output."""
 
     natural_frequency_hz: Quantity
     damping_ratio: Quantity = 0.7
 
 
 class Tendon(yamlio.Document):
-    """A wire with a spring that pulls a joint towards the straight position (tendon fish, Eqs 3 and 4)."""
+    """Wire with a spring that pulls a passive joint to zero angle (tendon fish paper, Eqs 3 and 4)."""
 
     spring_N_m: Quantity
     pretension_m: Quantity
@@ -146,23 +149,23 @@ class Tendon(yamlio.Document):
 
 
 class Driven(yamlio.Document):
-    """Law of a joint that follows the drive or a measured angle."""
+    """Law of a driven joint, whose angle follows the drive of the trial or a measured angle."""
 
-    #: Amplitude of the joint divided by the amplitude of the drive. The same factor applies to the bias
-    #: unless ``bias_gain`` is given.
+    #: Amplitude of the joint angle divided by the amplitude of the drive. The bias of the drive is multiplied
+    #: by the same factor unless ``bias_gain`` is given.
     gain: float = 1.0
     bias_gain: float | None = None
-    #: Phase lag of this joint behind the drive, degrees.
+    #: Phase lag of the joint angle behind the drive, degrees.
     phase_lag_deg: float = 0.0
     servo: Servo | None = None
-    #: Largest angle and rate that may be commanded, in either direction. Proposed trials respect them.
-    #: Recorded trials are not checked.
+    #: Maximum absolute angle and rate that may be commanded to the joint. Proposed trials respect these
+    #: limits. Recorded trials are not checked.
     max_angle_deg: PositiveFloat | None = None
     max_rate_deg_s: PositiveFloat | None = None
 
 
 class Yielding(yamlio.Document):
-    """Law of a passive joint: spring, damper and dry friction."""
+    """Law of the moment in a passive joint: spring, damper and dry friction."""
 
     stiffness_N_m_rad: Quantity = 0.0
     cubic_N_m_rad3: Quantity = 0.0
@@ -176,13 +179,13 @@ class Yielding(yamlio.Document):
 
 
 class Passive(Yielding):
-    """Law of a passive joint in a plane, which may have a tendon."""
+    """Law of the moment in a passive joint of a robot in a plane, which may also have a tendon."""
 
     tendon: Tendon | None = None
 
 
 class Connection(yamlio.Document):
-    """A connection between two links: rigid, or with the law of a driven or of a passive joint."""
+    """Connection between a parent link and a child link: a rigid, a driven or a passive joint."""
 
     name: str
     parent: str
@@ -198,9 +201,12 @@ class Connection(yamlio.Document):
 
 
 class Joint(Connection):
-    """A joint between two links. A positive angle rotates the child link counter-clockwise."""
+    """Joint between a parent link and a child link of a robot in a plane.
 
-    #: Station of the joint on the parent link; the default is the rear end of the parent.
+    A positive angle rotates the child link counter-clockwise.
+    """
+
+    #: Distance of the joint behind the front end of the parent link, m; by default at its rear end.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
     #: Angle of the child link relative to the parent link at zero joint angle, degrees.
@@ -209,15 +215,15 @@ class Joint(Connection):
 
 
 class OnLink(yamlio.Document):
-    """Base class of the elements of a robot file. Each element acts on one link."""
+    """Base class of the hydrodynamic and other force elements of a robot file. Each acts on one link."""
 
     link: str
-    #: Name by which interpretations of the source (readings) refer to the element.
+    #: Name of the element, by which interpretations of the source (readings) can refer to it.
     name: str = ""
 
 
 class AddedMass(OnLink):
-    """Added mass and added inertia of a link, concentrated at a station."""
+    """Added mass and added moment of inertia of a link, concentrated at one point of the link."""
 
     kind: Literal["added-mass"]
     surge_kg: Quantity = 0.0
@@ -228,18 +234,18 @@ class AddedMass(OnLink):
 
 
 class Drag(OnLink):
-    """Morison drag along and across a link, at one station or distributed evenly along the link."""
+    """Morison drag along and across a link, at one point or distributed evenly along the link."""
 
     kind: Literal["drag"]
     axial_area_m2: Quantity = 0.0
     axial_coefficient: Quantity = 0.0
     normal_area_m2: Quantity = 0.0
     normal_coefficient: Quantity = 0.0
-    #: Linear drag of the whole element for motion along the link: force divided by velocity.
+    #: Linear drag of the whole element for motion along the link: force divided by velocity, N s/m.
     axial_linear_N_s_m: Quantity = 0.0
     normal_linear_N_s_m: Quantity = 0.0
-    #: Number of strips along the link, at the points of Gauss's rule. With one strip, the drag acts at the
-    #: point ``at_m`` (default: the middle of the link).
+    #: Number of strips along the link on which the drag acts, at the points of Gauss's rule. With one strip,
+    #: the drag acts at the point ``at_m`` (default: the middle of the link).
     strips: Annotated[int, Field(ge=1, le=200)] = 3
     at_m: Quantity | None = None
     from_m: float | None = None
@@ -256,7 +262,7 @@ class Drag(OnLink):
 
 
 class Damping(OnLink):
-    """Linear and quadratic damping moment against the rotation of a link."""
+    """Linear and quadratic damping moment that opposes the rotation of a link in the plane."""
 
     kind: Literal["damping"]
     linear_N_m_s_rad: Quantity = 0.0
@@ -264,7 +270,7 @@ class Damping(OnLink):
 
 
 class Section(yamlio.Document):
-    """A cross-section of a link: its station, its height normal to the plane of motion, and its perimeter."""
+    """Cross-section of a link at one station: its height normal to the plane of motion, and its perimeter."""
 
     station_m: Annotated[float, Field(ge=0)]
     height_m: Annotated[float, Field(ge=0)]
@@ -272,11 +278,14 @@ class Section(yamlio.Document):
 
 
 class SlenderBody(OnLink):
-    """Added mass and drag on strips along a link of varying cross-section (dolphin, Eqs 4, 7 and 8)."""
+    """Added mass and drag of a slender link with varying cross-section (dolphin paper, Eqs 4, 7 and 8).
+
+    They act on strips along the link.
+    """
 
     kind: Literal["slender-body"]
-    #: Cross-sections of the link from its front end backwards. Between them, height and perimeter are
-    #: interpolated linearly.
+    #: Cross-sections of the link, in order from its front end backwards. Height and perimeter are
+    #: interpolated linearly between two cross-sections.
     sections: Annotated[list[Section], Field(min_length=2)]
     added_mass_coefficient: Quantity = 0.0
     friction_coefficient: Quantity = 0.0
@@ -293,7 +302,7 @@ class SlenderBody(OnLink):
 
 
 class Foil(OnLink):
-    """Lift and drag of a fin at one point (dolphin, Eq 9).
+    """Lift and drag of a fin at one point of a link (dolphin paper, Eq 9).
 
     The polar is that of a flat plate with the angle of attack a: C_l = lift sin(2 a), C_d = drag0 + drag1 (1
     - cos(2 a)).
@@ -303,7 +312,7 @@ class Foil(OnLink):
     area_m2: Quantity
     at_m: Quantity
     offset_m: Quantity = 0.0
-    #: Angle of the fin's chord from the axis of the link, degrees.
+    #: Angle from the x axis of the link to the chord of the fin, counter-clockwise, degrees.
     chord_deg: float = 0.0
     lift_coefficient: Quantity
     drag_coefficient_0: Quantity = 0.0
@@ -321,7 +330,7 @@ class TrailingEdge(OnLink):
     kind: Literal["trailing-edge"]
     #: Lateral added mass per length at the trailing edge: rho pi h^2 / 4 for an edge of height h.
     added_mass_kg_m: Quantity
-    #: Station of the trailing edge; the default is the rear end of the link.
+    #: Distance of the trailing edge behind the front end of the link, m; by default at its rear end.
     at_m: Quantity | None = None
     offset_m: Quantity = 0.0
 
@@ -336,7 +345,7 @@ class Hydrostatics(OnLink):
 
 
 class Force(OnLink):
-    """A constant force at a point of a link, in the axes of the link or of the world."""
+    """Constant force that acts at a point of a link, with components in the axes of the link or the world."""
 
     kind: Literal["force"]
     at_m: Quantity = 0.0
@@ -353,18 +362,18 @@ Element = Annotated[
 
 
 class Reference(yamlio.Document):
-    """A point of the first link: the reference point whose pose is logged, or a marker."""
+    """Point of the first link of a robot in a plane: the reference point of the logged pose, or a marker."""
 
     station_m: float = 0.0
     offset_m: float = 0.0
 
 
 class Multilink(yamlio.Document):
-    """Robot in a plane: a tree of links, with their joints and elements."""
+    """Robot that moves in a plane: a tree of links with their joints and hydrodynamic elements."""
 
     plane: Literal["horizontal", "vertical"]
     base: Literal["free", "fixed"] = "free"
-    #: Heading of a fixed base, degrees.
+    #: Heading of the first link if its base is fixed to the world, counter-clockwise, degrees.
     heading_deg: float = 0.0
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}

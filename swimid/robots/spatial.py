@@ -1,4 +1,4 @@
-"""Links, hinges and hydrodynamic elements of a robot in 3-D, as they are in the robot file.
+"""Entries of a robot file for a robot that moves in 3-D: links, hinges and hydrodynamic elements.
 
 Every link has its own axes: x forward, y to port, z up when all hinges are straight. Their origin is at the
 hinge that connects the link to its parent. The origin of the first link, the base, is arbitrary. Positions
@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 from swimid.files import yamlio
 from swimid.robots.planar import Coefficients, Connection, OnLink, Quantity
 
-#: Vector with components along the axes of a link.
+#: Type of a vector with three physical quantities as components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
 Direction = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -29,18 +29,18 @@ def _long(direction: Direction) -> Direction:
     return direction
 
 
-#: Type of a direction: a vector whose length is not zero.
+#: Type of a direction in 3-D: a vector whose length is not zero. It need not be of length 1.
 Axis = Annotated[Direction, AfterValidator(_long)]
 
 
 class Body(yamlio.Document):
-    """A rigid link. A link without mass only connects two hinges."""
+    """Rigid link of a robot in 3-D. A link without mass only connects two hinges."""
 
     name: str
     mass_kg: Quantity = 0.0
     com_m: Vector = ZERO
-    #: Inertia about the centre of mass: xx, yy, zz. The components xy, xz, yz follow if the link is not
-    #: symmetric.
+    #: Components xx, yy, zz of the inertia tensor of the link about its centre of mass, in the axes of the
+    #: link. The components xy, xz, yz follow if they are not zero.
     inertia_kg_m2: Annotated[list[Quantity], Field(min_length=3, max_length=6)] = [0.0, 0.0, 0.0]
 
     @model_validator(mode="after")
@@ -51,20 +51,25 @@ class Body(yamlio.Document):
 
 
 class Hinge(Connection):
-    """A hinge between two links. A positive angle rotates the child right-handed about the axis."""
+    """Hinge between a parent link and a child link of a robot in 3-D.
 
-    #: Position of the hinge on the parent link.
+    A positive angle rotates the child link right-handed about the axis of the hinge.
+    """
+
+    #: Position of the hinge in the axes of the parent link, m.
     at_m: Vector = ZERO
-    #: Direction of the hinge's axis in the axes of the child link. At zero angle, the child's axes are the
-    #: parent's axes rotated by ``mount_deg``.
+    #: Direction of the rotation axis of the hinge, in the axes of the child link.
     axis: Axis
-    #: Rotation of the child's axes from the parent's axes at zero angle, degrees. It consists of right-handed
-    #: rotations about x, then y, then z of the parent.
+    #: Rotation from the axes of the parent link to those of the child link at zero hinge angle, degrees. It
+    #: consists of right-handed rotations about x, then y, then z of the parent.
     mount_deg: Direction = (0.0, 0.0, 0.0)
 
 
 class AddedMass(OnLink):
-    """Added mass along the axes of a link at a point, and added inertia about these axes."""
+    """Added mass of a link at a point for motion along each axis of the link.
+
+    The element also has the added moments of inertia for rotation about these axes.
+    """
 
     kind: Literal["added-mass"]
     mass_kg: Vector = ZERO
@@ -73,18 +78,19 @@ class AddedMass(OnLink):
 
 
 class Spheroid(OnLink):
-    """Added mass of a prolate spheroid whose long axis is along x (Lamb; sea lion, Eqs 3 to 8)."""
+    """Added mass of a prolate spheroid with its long axis along x of the link (sea lion, Eqs 3 to 8)."""
 
     kind: Literal["spheroid"]
-    #: Half the length of the spheroid, and its maximum radius.
+    #: Half the length of the prolate spheroid, and its maximum radius, m.
     semi_major_m: PositiveFloat
     semi_minor_m: PositiveFloat
     at_m: Vector = ZERO
-    #: Factors on the added masses of the spheroid along x, y and z. They also apply to the added inertias:
-    #: the factor of z to rotation about y, and the factor of y to rotation about z, because these rotations
-    #: move water along z and y.
+    #: Factors by which the added masses of the spheroid along x, y and z are multiplied. The added inertia
+    #: for rotation about y has the factor of z, and that for rotation about z the factor of y, because these
+    #: rotations move water along z and y.
     factors: Vector = (1.0, 1.0, 1.0)
-    #: Whether rotation of the spheroid about y and z has added inertia. The sea lion paper has none.
+    #: Whether the spheroid has added moments of inertia for rotation about y and z. The sea lion paper has
+    #: none.
     turning: bool = True
 
     @model_validator(mode="after")
@@ -95,22 +101,26 @@ class Spheroid(OnLink):
 
 
 class Plate(OnLink):
-    """Added mass of a rectangular flat plate across its plane (sea lion, Eq 9: pi rho k b c^2 / 4)."""
+    """Added mass of a rectangular flat plate that moves normal to its plane.
+
+    It is ``pi rho k b c^2 / 4`` with the span b and the chord c (sea lion paper, Eq 9).
+    """
 
     kind: Literal["plate"]
     span_m: PositiveFloat
     chord_m: PositiveFloat
-    #: Coefficient k in the added mass of the plate (sea lion, Eq 9).
+    #: Dimensionless coefficient k in the added mass of the plate (sea lion paper, Eq 9).
     k: Quantity = 1.0
     at_m: Vector = ZERO
     normal: Axis = (0.0, 0.0, 1.0)
 
 
 class Drag(OnLink):
-    """Drag ``-rho/2 C A |v| v`` along each axis of the link, at a point or on strips between two points.
+    """Quadratic and linear drag on a link along each of its axes, at a point or on strips between two points.
 
-    The strips are at the points of the Gauss-Legendre rule. A few strips are enough for a surface with one
-    coefficient. A surface whose parts have different coefficients needs one element for each part.
+    The quadratic drag is ``-rho/2 C A |v| v`` with the velocity component v. The strips are at the points of
+    the Gauss-Legendre rule. A few strips are enough for a surface with one coefficient. A surface whose parts
+    have different coefficients needs one element for each part.
     """
 
     kind: Literal["drag"]
@@ -118,11 +128,12 @@ class Drag(OnLink):
     coefficient: Vector = (1.0, 1.0, 1.0)
     linear_N_s_m: Vector = ZERO
     at_m: Vector = ZERO
-    #: End of the row of strips that begins at ``at_m``. The field ``area_m2`` is the area of the whole row.
+    #: End of the row of drag strips that begins at ``at_m``. The field ``area_m2`` is the area of the whole
+    #: row.
     to_m: Vector | None = None
     strips: Annotated[int, Field(ge=1, le=200)] = 1
-    #: Half the range of height in which the element gradually leaves the water at the surface. Without this
-    #: entry, the element counts as always under water.
+    #: Half the height of the band about the water surface, m, in which the drag of a surfacing element fades
+    #: out. Without this entry, the element is assumed to be always under water.
     half_height_m: PositiveFloat | None = None
 
     @model_validator(mode="after")
@@ -133,7 +144,7 @@ class Drag(OnLink):
 
 
 class Damping(OnLink):
-    """Linear and quadratic damping moments against the rotation of a link about its axes."""
+    """Linear and quadratic damping moments that oppose the rotation of a link about each of its axes."""
 
     kind: Literal["damping"]
     linear_N_m_s_rad: Vector = ZERO
@@ -141,7 +152,7 @@ class Damping(OnLink):
 
 
 class Foil(OnLink):
-    """Lift and drag of a fin at one point, with the polar of a flat plate.
+    """Lift and drag of a fin at one point of a link, with the polar of a flat plate.
 
     C_l = lift sin(2 a), C_d = drag0 + drag1 (1 - cos(2 a)), where a is the angle between the chord and the
     motion. Flow along the span has no effect.
@@ -165,23 +176,23 @@ class Foil(OnLink):
 
 
 class Hydrostatics(OnLink):
-    """Weight of a link at its centre of mass, and buoyancy of its volume."""
+    """Weight of a link at its centre of mass, and buoyancy at the centre of buoyancy."""
 
     kind: Literal["hydrostatics"]
     volume_m3: Quantity = 0.0
-    #: Centre of buoyancy; the default is the centre of mass.
+    #: Position of the centre of buoyancy in the axes of the link, m; by default the centre of mass.
     buoyancy_at_m: Vector | None = None
     half_height_m: PositiveFloat | None = None
 
 
 class Water(OnLink):
-    """Water inside a hull that moves with the hull."""
+    """Mass of the water inside a flooded hull, which moves with the hull."""
 
     kind: Literal["water"]
     volume_m3: Quantity
     at_m: Vector = ZERO
-    #: Radii of gyration, m, of the water inside the hull. They are taken about the axes through the centre of
-    #: this water.
+    #: Radii of gyration, m, of the water inside the hull about x, y and z axes through the centre of this
+    #: water.
     gyration_m: Direction = (0.0, 0.0, 0.0)
     #: Whether the volumes of the ``hydrostatics`` elements include the volume of the water inside the hull.
     #: The weight of this water is added only in that case.
@@ -189,7 +200,7 @@ class Water(OnLink):
 
 
 class Force(OnLink):
-    """A constant force at a point of a link, in the axes of the link or of the world."""
+    """Constant force that acts at a point of a link, with components in the axes of the link or the world."""
 
     kind: Literal["force"]
     at_m: Vector = ZERO
@@ -204,11 +215,14 @@ Element = Annotated[
 
 
 class Stroke(yamlio.Document):
-    """A cycle of the driven hinges: their angles at given times, with a smooth and periodic interpolation."""
+    """Cyclic motion of several driven hinges, given by their angles at certain times (knots) of a period.
+
+    The angles are interpolated by a smooth periodic curve.
+    """
 
     period_s: PositiveFloat
-    #: Times of the knots of the stroke, from 0 to the period. ``angles_deg`` has the angles of each hinge at
-    #: these times, and its last angle equals its first.
+    #: Times from 0 to the period, s, at which ``angles_deg`` has the angles of each hinge. The last angle of
+    #: a hinge equals its first.
     knots_s: Annotated[list[float], Field(min_length=4)]
     angles_deg: dict[str, list[float]]
 
@@ -227,18 +241,19 @@ class Stroke(yamlio.Document):
 
 
 class Reference(yamlio.Document):
-    """A point of the first link: the reference point whose pose is logged, or a marker."""
+    """Point of the first link of a robot in 3-D: the reference point whose pose is logged, or a marker."""
 
     at_m: Direction = (0.0, 0.0, 0.0)
 
 
 class Multibody(yamlio.Document):
-    """Robot in 3-D: a tree of links, with their hinges, elements and strokes."""
+    """Robot that moves in 3-D: a tree of links with their hinges, hydrodynamic elements and strokes."""
 
     base: Literal["free", "fixed"] = "free"
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
-    #: Height of the water surface in the world. Without this entry, the robot is always under water.
+    #: Height z of the water surface in the world frame, m. Without this entry, the robot is always under
+    #: water.
     surface_z_m: float | None = None
     coefficients: Coefficients = {}
     links: Annotated[list[Body], Field(min_length=1)]
