@@ -359,6 +359,7 @@ def test_the_rivals_swim_the_proposed_trial_differently(fish: tuple[Path, GapFil
     assert file.advice[0].noise < file.advice[0].difference <= 1.4 * whole
 
 
+@pytest.mark.slow
 def test_limits_of_the_robot_the_tank_and_the_options_are_kept(tmp_path: Path) -> None:
     text = (Path(package.__file__).parent / "robots" / "tfish.yaml").read_text()
     limits = f"gain: 0.3333333333333333, max_angle_deg: {MAX_ANGLE}, max_rate_deg_s: {MAX_RATE}"

@@ -236,6 +236,7 @@ def test_a_file_with_wrong_effects_is_refused(
         assert word in str(caught.value)
 
 
+@pytest.mark.slow
 def test_an_effect_that_needs_the_measured_speed_says_so() -> None:
     constants = {"drag-reynolds": {"reference_m_s": 0.2, "whole": True}}
     file = fish("drag-reynolds", settings={"effects": constants}, drag_reynolds__trial_exponent=0.3)

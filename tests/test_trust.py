@@ -11,10 +11,10 @@ import swimid as package
 from swimid.errors import UsageError
 from swimid.optimisation import optimise_gait, study
 from swimid.optimisation.options import OptimiseStiffnessOptions
-from swimid.optimisation.problem import drawn
 from swimid.optimisation.study import Performance
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import Applied
+from swimid.simulation.draws import drawn
 
 VALUES = {
     "c_m0": 0.27, "c_m1": 0.18, "c_m2": 0.26, "c_f0": 0.039, "c_f1": 0.034, "c_f2": 0.015,

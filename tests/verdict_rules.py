@@ -1,4 +1,4 @@
-"""``python -m tests.blind.rules OUT``: score a blind run again without each row of the table of the verdict.
+"""``python -m tests.verdict_rules OUT``: score a blind run again without each row of the table of the verdict.
 
 The gap files of the run hold the facts from which their verdicts follow. Each column of the table is a figure
 of the score, each line the verdict without the rows of one question.
@@ -90,7 +90,7 @@ def table(out: Path) -> str:
 
 def main() -> None:
     """Print the table of a run."""
-    parser = argparse.ArgumentParser(prog="python -m tests.blind.rules", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.verdict_rules", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of a blind run")
     print(table(parser.parse_args().out))
 
