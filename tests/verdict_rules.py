@@ -1,4 +1,4 @@
-"""``python -m tests.verdict_rules OUT``: score a blind run again without each row of the table of the verdict.
+"""``python -m tests.verdict_rules OUT``: score a blind run without each row of the verdict's table.
 
 The gap files of the run hold the facts from which their verdicts follow. Each column of the table is a figure
 of the score, each line the verdict without the rows of one question.

@@ -149,7 +149,7 @@ class Pole(parameters_format.Pole):
 
     @property
     def state(self) -> Literal["stable", "integrating", "unstable"]:
-        """Stability of the pole: stable, integrating, or unstable on or outside the unit circle."""
+        """Class of the pole: unstable (on or outside the unit circle), integrating (near 1), or stable."""
         if self.magnitude >= 1.0:
             return "unstable"
         return "integrating" if self.integrating else "stable"

@@ -378,7 +378,7 @@ class StrokeDeviation(Description):
     size = 0.03
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
-        """Return the hook that applies the smooth change to the joint angles of one trial."""
+        """Return the hook that changes the joint angles of one trial by gain, bias, phase and distortion."""
         begin, length = _window(trial)
         quarter = 0.25 / beat_hz(trial)
 

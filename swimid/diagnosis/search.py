@@ -635,10 +635,10 @@ class Search:
         return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
-        """Return how similarly each effect of a hypothesis changes the trials to another of its effects.
+        """Return for each effect of a hypothesis its largest similarity to another effect of the hypothesis.
 
-        The similarity is the largest squared cosine between its change of the trials and the change by
-        another effect.
+        The similarity of two effects is the squared cosine between the changes of the trials that they
+        cause.
         """
         if len(h.names) < 2:
             return {}

@@ -45,7 +45,7 @@ class Filter:
         return self._begin(time_s, command)
 
     def _held(self, command: float, half: float) -> float:
-        """Return the angle of a joint that moves only if its command is more than ``half`` away, rad."""
+        """Return the angle of a joint that moves if its command differs from it by over ``half``, rad."""
         return min(max(self.angle, command - half), command + half)
 
 
@@ -149,9 +149,9 @@ class ServoLag(Filter):
 
 
 class Slip(Filter):
-    """Filter of a joint whose motion becomes smaller at the time of onset: ``(1 - loss s) command``.
+    """Filter of a joint whose motion is reduced from the time of onset on: ``(1 - loss step) command``.
 
-    ``s`` rises from 0 to 1 within 0.25 s about the time of onset.
+    ``step`` rises from 0 to 1 within 0.25 s about the time of onset.
     """
 
     def __init__(self, loss: float, begin_s: float) -> None:

@@ -445,7 +445,7 @@ def share_check(
 ) -> ev.Check:
     """Return a check of an error, as a fraction, that passes up to ``good`` and fails above ``usable``."""
     shown = numbers.percent(share)
-    # Use NaN for an unknown fraction. Comparisons with NaN are false, so that the check fails.
+    # Represent an unknown share by NaN. Comparisons with NaN are false, so that the check fails.
     value = math.nan if share is None else share
     otherwise = VERDICTS[not value <= usable]
     limit = f"≤ {100 * good:g} % of the {of} (fail above {100 * usable:g} %)"

@@ -940,7 +940,7 @@ class Tied(Model):
 
     @property
     def body(self) -> Any:
-        """Body of the original model, whose parameters are not shared."""
+        """Body of the swimmer in the original model, without shared parameters; None for other models."""
         return self.model.body
 
     @property

@@ -237,7 +237,7 @@ def _smooth(found: Estimate, sensor: Sensor | None = None, passes: int = 1, gate
 
 
 def _most_likely_class(found: Estimate) -> Estimate:
-    """Return the estimate for the error class of the sensor with the largest likelihood of the log.
+    """Estimate the motion with each error class of the sensor, and return the most likely estimate.
 
     The class changes only if the log-likelihood increases by more than ``MIN_GAIN``.
     """

@@ -1026,7 +1026,8 @@ def is_in_degrees(tracks: Iterable[tuple[Array, Array, Array, Array]], window_s:
     tracks = list(tracks)
     turned = [(t, x, y, np.radians(heading)) for t, x, y, heading in tracks]
     plain, found = compare_course(tracks, window_s), compare_course(turned, window_s)
-    # Compute the circular standard deviation of the course itself, by comparison with a heading of zero.
+    # The function compares the course with the heading. With a heading of zero it returns the circular
+    # standard deviation of the course.
     still = compare_course([(t, x, y, np.zeros_like(heading)) for t, x, y, heading in tracks], window_s)
     if found is None or still is None or (plain is not None and plain.spread_rad < LARGEST_SLIP):
         return False

@@ -218,7 +218,7 @@ class OnLink(yamlio.Document):
     """Base class of the hydrodynamic and other force elements of a robot file. Each acts on one link."""
 
     link: str
-    #: Name of the element, by which interpretations of the source (readings) can refer to it.
+    #: Name of the element, to which the interpretations of the published source (``readings``) refer.
     name: str = ""
 
 

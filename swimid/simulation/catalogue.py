@@ -514,7 +514,7 @@ def drag_file(file: ParameterFile, path: Path) -> Path | ParameterFile:
     named = file.settings.get("drag_file")
     if named is None:
         raise InputError("this key is missing", file=path, column="settings.drag_file")
-    # the fit recorded the path relative to its working folder
+    # the path is relative to the folder in which the fit was run
     places = [path.parent / Path(str(named)).name, path.parent / str(named), Path(str(named))]
     place = next((p for p in places if p.is_file()), None)
     if place is None:

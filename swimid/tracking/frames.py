@@ -255,10 +255,10 @@ def _numbers(name: str) -> list[int]:
 
 
 def _positions(path: Path, files: list[Path]) -> list[int]:
-    """Return the position of each picture in a series without gaps, from the number in its name.
+    """Return the index of each picture in the complete series, missing pictures included, from its name.
 
-    If each name contains several numbers, the position follows from the number that changes. If several
-    numbers change, it is the place of the name in the sorted list.
+    The index is the number in the name. If each name contains several numbers, it is the number that changes.
+    If several numbers change, the index is the place of the name in the sorted list.
     """
     columns = np.array([_numbers(f.name) for f in files], dtype=object).T
     counting = [list(column) for column in columns if len(set(column)) > 1]

@@ -693,7 +693,7 @@ class Pose:
 
 
 def facing(track: RawTrack, setup: Setup, plane: Plane) -> Plane:
-    """Return a copy of the plane whose x axis points ahead of the robot, for a camera at its side.
+    """Return a copy of the plane whose x axis points ahead of a robot that is filmed from the side.
 
     With ``facing: auto`` the direction ahead is the mean direction from tail to head marker, or from the rear
     to the front marker if their positions on the robot are known. A single marker does not change the plane.
@@ -783,8 +783,8 @@ def build(track: RawTrack, setup: Setup, plane: Plane) -> Pose:
     used = [head] if setup.places is None else rows
     path = _widened(path, lasting, hidden[used].max(axis=0) * pixel / TWO_SIDED)
     if angle is not None:
-        # Add the error that results from the heading, which moves the reference point at right angles to its
-        # lever from the mid-point of the markers.
+        # Add the position error that results from the error of the heading. It is perpendicular to the line
+        # from the mid-point of the markers to the reference point.
         across = np.abs(_turned(np.array([-lever[1], lever[0]]), angle.position[0]))
         path = replace(
             _widened(path, across * angle.position_sd),

@@ -475,7 +475,7 @@ class Body:
         return float(tables["drag"][:, 2].sum() + tables["foil"][:, 2] @ tables["foil"][:, 4])
 
     def fin(self, tables: dict[str, Any]) -> tuple[float, float, Point]:
-        """Return two coefficients of the normal force on the last link, and its point of action.
+        """Return the coefficients of the normal force on the last link, and the point at which it acts.
 
         The coefficients multiply ``|w| w`` and ``|u| w``, in N s2/m2, with the velocity u along and w across
         the link. The point is in the axes of the link, m.
