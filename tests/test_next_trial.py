@@ -239,6 +239,7 @@ def test_no_trial_is_proposed_for_exact_twins(tmp_path: Path) -> None:
     assert "leaves no rival causes" in " ".join(ran.err.split())
 
 
+@pytest.mark.slow
 def test_a_rival_that_the_trials_exclude_needs_no_trial(tmp_path: Path) -> None:
     trials, params = SAMPLES / "rig" / "trials.yaml", tmp_path / "ideal.yaml"
     assert command("fit-drag", trials, "--fix", "pulley_friction=0", "-o", params).status == 0
@@ -252,6 +253,7 @@ def test_a_rival_that_the_trials_exclude_needs_no_trial(tmp_path: Path) -> None:
     assert "leaves no rival causes" in " ".join(ran.err.split())
 
 
+@pytest.mark.slow
 def test_python_gives_the_proposed_trial_without_a_file(drops: Path) -> None:
     gap = package.diagnose(
         drops / "trials.yaml", params=drops / "params.yaml", effects=["pulley-friction", "drag-reynolds"]
@@ -312,6 +314,7 @@ def fish(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, GapFile]:
     return folder, diagnosed(folder, "next", "--effects", ",".join(RIVALS))[0]
 
 
+@pytest.mark.slow
 def test_a_command_file_has_the_joint_commands_and_its_entry(fish: tuple[Path, GapFile]) -> None:
     folder, file = fish
     log = log_format.read(folder / "next.csv")

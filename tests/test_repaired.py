@@ -349,6 +349,7 @@ def test_diagnose_writes_the_model_with_the_cause(swimid: Run, friction: Path) -
     assert "pulley-friction/friction_N" in (friction / "r.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_repaired_model_has_no_gap(swimid: Run, friction: Path) -> None:
     """The cause is part of the model now, and no hypothesis; an earlier file stays, with a warning."""
     folder, trials = friction / "next", friction / "trials.yaml"
