@@ -121,3 +121,8 @@ def test_invalid_files_are_refused(tmp_path: Path, change: tuple[str, str], plac
     assert str(path) in str(caught.value)
     assert place in str(caught.value)
     assert text in str(caught.value)
+
+
+def test_a_changed_parameter_keeps_the_value_in_the_parameter_file(tmp_path: Path) -> None:
+    (cause,) = GapFile.read(cases.written(tmp_path, "changed")).causes
+    assert cause.parameters["k_t"] == cases.SOFTER.parameters["k_t"]

@@ -87,6 +87,17 @@ def test_the_closed_share_is_that_of_the_squared_error_beyond_the_noise() -> Non
     assert closed_share(facts("waves", held_out=held_out(90.0, before=100.0))).share is None
 
 
+def test_errors_that_grow_in_a_clear_gap_contradict_the_distances() -> None:
+    """If held-out errors are little more than noise, the distances decide alone."""
+    alike = gains(400.0, 390.0, 405.0)
+    worse = facts("waves", held_out=held_out(560.0, 540.0, 590.0), gains=alike)
+    assert probability_of_decrease(worse) == 0.0
+    quiet = facts("waves", held_out=held_out(130.0, 140.0, 125.0, before=120.0), gains=alike)
+    assert probability_of_decrease(quiet) == 1.0
+    better = facts("waves", held_out=held_out(110.0, 90.0, 105.0), gains=gains(3.0, -4.0, -5.0))
+    assert probability_of_decrease(better) == 1.0
+
+
 def test_one_trial_that_gains_little_does_not_outweigh_two_that_lose() -> None:
-    assert probability_of_decrease(facts("waves", gains=gains(400.0, 390.0, 405.0))) == 1.0
-    assert probability_of_decrease(facts("waves", gains=gains(20.0, -40.0, -60.0))) < 0.2
+    for each, low, high in (((400.0, 390.0, 405.0), 1.0, 1.0), ((20.0, -40.0, -60.0), 0.0, 0.2)):
+        assert low <= probability_of_decrease(facts("waves", held_out={}, gains=gains(*each))) <= high

@@ -418,13 +418,13 @@ def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside:
 
 def sizes(
     base: Fit, cause: Named, sd: Mapping[str, float], given: Mapping[str, Estimate]
-) -> dict[str, Value | ChangedValue]:
+) -> dict[str, ChangedValue | Value]:
     """Return the estimated parameters of a cause, by name.
 
     A parameter with a separate value for each trial is reported as the root mean square of these values.
     """
     effect = cause.best.tried.effect
-    found: dict[str, Value | ChangedValue] = {}
+    found: dict[str, ChangedValue | Value] = {}
     for p in cause.best.tried.parameters:
         name = f"{effect.name}/{p.name}"
         if effect.adds_to is not None:

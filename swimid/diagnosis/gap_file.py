@@ -235,7 +235,7 @@ class Cause(yamlio.Document):
     equivalent: list[str] = []
     #: Estimated parameters of the effect. Another interpretation of the robot's source
     #: (``reading:NAME=OPTION``) has none.
-    parameters: dict[str, Value | ChangedValue]
+    parameters: dict[str, ChangedValue | Value]
     shrinkage: list[Shrinkage] = []
     stage: Stage | None = None
     meaning: str = ""
