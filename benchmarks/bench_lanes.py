@@ -88,7 +88,7 @@ def kernels_of(name: str) -> Swimmer:
 
 def together(kernel: Kernel, runs: Sequence[Any]) -> Any:
     """Runs at once."""
-    return kernel.run([(r.start, r.grid.step_s, r.drive.table, r.tables) for r in runs])
+    return list(kernel.run([(r.start, r.grid.step_s, r.drive.table, r.tables) for r in runs]))
 
 
 def operations_in(kernel: Kernel, run: Any) -> float:
