@@ -451,9 +451,8 @@ def test_errors_within_the_uncertainty_of_coefficients_refute_no_model(
         context = FitContext(Toy(lambda v, t: {"y": v[0] * t}, slope, ("y",)), slope, known, {})
         noise_model = NoiseModel([[np.ones(50)]] * len(known))
         fit = context.fit((), noise_model, [np.array([1.0])])
-        if held == "validation":
-            return shrinkage.total(shrinkage.of_validation(context, fit, noise_model, [last])).distance
-        return shrinkage.total(shrinkage.of_folds(context, fit, noise_model)).distance
+        folds, validation = shrinkage.predictions(context, fit, noise_model, [last])
+        return shrinkage.total(validation if held == "validation" else folds).distance
 
     samples = 50 if held == "validation" else 250
     # five standard deviations of chance
@@ -480,7 +479,7 @@ def test_per_trial_values_say_nothing_about_a_held_out_trial() -> None:
         context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, [first, second], {})
         noise_model = NoiseModel([[np.full(200, 0.1)]] * 2)
         fit = context.fit((Apart("ring", ring),), noise_model, [np.array([1.0, 1.0, -2.0])])
-        return shrinkage.of_validation(context, fit, noise_model, [last])["t3"].distance
+        return shrinkage.predictions(context, fit, noise_model, [last])[1]["t3"].distance
 
     assert distance(0.0) == pytest.approx(200.0, abs=5.0 * np.sqrt(400.0))
     assert distance(1.0) > 200.0 + 0.5 * 200.0 * 0.5 / 0.1**2
@@ -504,7 +503,7 @@ def test_a_validation_trial_beyond_the_noise_is_not_predicted(
     noise_model = NoiseModel([[np.full(200, 0.1)]] * 4)
     fit = context.fit((), noise_model, [np.array([1.0])])
     held = [trial("as-ever", 0.1, 0.0), trial("other", 0.1 * noise, more)]
-    found = shrinkage.unpredicted(shrinkage.of_validation(context, fit, noise_model, held))
+    found = shrinkage.unpredicted(shrinkage.predictions(context, fit, noise_model, held)[1])
     assert list(found) == (["other"] if off else [])
     if off:
         # root mean square of a sine of amplitude 0.3 and of the noise, divided by the noise
@@ -937,7 +936,7 @@ def test_random_effects_of_a_validation_trial_are_estimated_from_it(
     context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, known, {})
     noise_model = NoiseModel([[np.full(200, 0.1)]] * 4, random_effects=(kind,))
     fit = context.fit((), noise_model, [np.array([1.0, *[0.0] * 4])])
-    found = shrinkage.of_validation(context, fit, noise_model, [trial("last", size)])["last"].chance["y"]
+    found = shrinkage.predictions(context, fit, noise_model, [trial("last", size)])[1]["last"].chance["y"]
     square = float(np.mean(ring(time) ** 2))
     likely = min(size**2, chi2.ppf(0.975, 1) * 0.1**2) * square
     # standard error: noise divided by the root of the summed squares; the same for the mean of four

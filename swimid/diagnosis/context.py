@@ -25,10 +25,10 @@ EFFECT_PRIOR = 5.0
 START_PRIOR = 30.0
 #: Relative tolerance of the cost (sum of squared residuals and prior terms).
 TOLERANCE = 1e-5
-#: Constants of the multistart search: number of starting points (FEW) up to which each halving is preceded by
-#: HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS), relative
-#: tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
-FEW, HEAT, STEPS, ROUGH, FINE = 4, 4, 80, 1e-3, 1e-4
+#: Constants of the multistart search: number of starting points (HEATED) up to which each halving is preceded
+#: by HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS),
+#: relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
+HEATED, HEAT, STEPS, ROUGH, FINE = 4, 4, 80, 1e-3, 1e-4
 #: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
 #: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1
@@ -511,7 +511,7 @@ class FitContext:
         problem.hold_derivatives(warm.problem, warm.derivatives)
         while len(starts) > 1 or (rough and best is None):
             steps = 1
-            if len(starts) <= FEW:
+            if len(starts) <= HEATED:
                 steps = HEAT
             found = ranked(starts, ROUGH, steps)[: max(len(starts) // 2, 1)]
             best, starts = found[0], [one.x for one in found]

@@ -119,10 +119,12 @@ class Predictions:
     @classmethod
     def of(cls, state: State, validation: Sequence[Trial]) -> Predictions:
         """Return the distances for the models of a search."""
-        fits, noise_model = (state.nominal, state.base), state.noise_model
-        folds = [shrinkage.of_folds(state.context, fit, noise_model) for fit in fits]
-        held = [shrinkage.of_validation(state.context, fit, noise_model, validation) for fit in fits]
-        return cls(tuple(folds), tuple(held))
+        fits = [state.nominal]
+        if state.base.effects:
+            fits.append(state.base)
+        found = [shrinkage.predictions(state.context, fit, state.noise_model, validation) for fit in fits]
+        folds, held = zip(*(found[0], found[-1]), strict=True)
+        return cls(folds, held)
 
     @property
     def total(self) -> list[Misfit]:

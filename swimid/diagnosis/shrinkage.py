@@ -490,19 +490,21 @@ def unpredicted(found: Mapping[str, Misfit]) -> dict[str, float]:
     return dict(sorted(off.items(), key=lambda item: -item[1]))
 
 
-def of_folds(context: FitContext, fit: Fit, noise_model: NoiseModel) -> dict[str, Misfit]:
-    """Return the distance of each cross-validation fold from its prediction by a fit to the other folds."""
+def predictions(
+    context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
+) -> tuple[dict[str, Misfit], dict[str, Misfit]]:
+    """Return the distances of held-out data from their predictions by a fit.
+
+    Returns
+    -------
+    folds, validation : dict of str to Misfit
+        Distance of each cross-validation fold from its prediction by a fit to the other folds, and of each
+        validation trial from its prediction by the fit.
+    """
     inner = crossval.normal_equations(context, fit, noise_model)
     parts = zip(crossval.predictive(inner), inner.samples, strict=True)
-    return {f"fold {f}": Misfit(float(distance), int(n)) for f, (distance, n) in enumerate(parts, 1)}
-
-
-def of_validation(
-    context: FitContext, fit: Fit, noise_model: NoiseModel, validation: Sequence[Trial]
-) -> dict[str, Misfit]:
-    """Return the distance of each validation trial from its prediction by a fit."""
-    inner = crossval.normal_equations(context, fit, noise_model)
-    return {t.id: _of_trial(context, fit, noise_model, inner, t) for t in validation}
+    folds = {f"fold {f}": Misfit(float(distance), int(n)) for f, (distance, n) in enumerate(parts, 1)}
+    return folds, {t.id: _of_trial(context, fit, noise_model, inner, t) for t in validation}
 
 
 def total(found: Mapping[str, Misfit]) -> Misfit:

@@ -123,7 +123,7 @@ def _of_no_cause(facts: Facts) -> Iterator[Row]:
 def _of_causes(facts: Facts) -> Iterator[Row]:
     """Yield the rows of a model to which the fits add causes."""
     names = listed(list(facts.proposed))
-    first = next(iter(facts.proposed.values()))
+    name, first = next(iter(facts.proposed.items()))
     inside, outside = facts.catalogue or 0.0, facts.outside or 0.0
     share = inside / max(inside + outside, 1e-300)
     verdict: Verdict = "ambiguous"
@@ -134,10 +134,9 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     reason = f"a cause outside the catalogue has {percent(1.0 - share, 2)} of the probability of a gap"
     yield Row("cause in the catalogue", found, f"≥ {percent(SURE)}", share >= SURE, verdict, kept, reason)
     rivals = listed(first.equivalent, "or")
-    reason = f"these trials cannot tell {names} from {rivals or 'other effects'}"
-    alone = first.alone or 0.0
-    passed = alone > 0.5 and not first.crowded
-    found = f"{probability_text(alone)} of it and its rivals"
+    reason = f"these trials cannot tell {name} from {rivals or 'other effects'}"
+    passed = first.alone > 0.5 and not first.crowded
+    found = f"{probability_text(first.alone)} of it and its rivals"
     yield Row("cause against its rivals", found, "> 50 %", passed, "ambiguous", "all", reason)
     if facts.imitated:
         reason = f"the refitted parameters of the file imitate {names} on held-out data"
@@ -223,8 +222,8 @@ def closed_share(facts: Facts) -> Closed:
     lowered = np.array([t.before - t.after for t in trials])
     gap = np.array([t.before - t.samples for t in trials])
     weights = _weights(len(trials))
-    known = (weights @ lowered)[weights @ gap > 0.0] / (weights @ gap)[weights @ gap > 0.0]
-    drawn = np.minimum(known, 1.0).tolist() if len(trials) > 1 else []
+    closing, whole = weights @ lowered, weights @ gap
+    drawn = np.minimum(closing[whole > 0.0] / whole[whole > 0.0], 1.0).tolist()
     return Closed(before=before, after=after, share=share, ci95=interval(share, drawn, len(trials)))
 
 

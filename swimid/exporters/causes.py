@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from swimid.effects.base import Effect, Parameters
-from swimid.effects.catalogue import catalogue, restored
-from swimid.errors import InputError, suggestion
+from swimid.effects.base import Effect
+from swimid.errors import InputError
 from swimid.exporters import filters
 from swimid.exporters.filters import Filter
 from swimid.fitting.drives import Beat
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.results.parameters import ParameterFile
+from swimid.simulation.catalogue import constants_of, form_of, named_effects
 from swimid.swimmer.planar.model import MultilinkModel
 from swimid.swimmer.tree import Axis
 
@@ -88,22 +88,16 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
         If swimid has no such effect, or if the effect has other parameters, or one is negative that must not
         be.
     """
-    known = {effect.name: effect for effect in catalogue()}
     causes = []
-    for name in file.effects:
-        if name not in known:
-            hint = suggestion(name, list(known))
-            raise InputError(f"swimid has no effect '{name}'", file=path, column="effects", hint=hint)
-        effect, start = known[name], f"{name}/"
-        own = {
-            key.removeprefix(start): e.value for key, e in file.parameters.items() if key.startswith(start)
-        }
-        constants = (file.settings.get("effects") or {}).get(name, {})
+    for effect in named_effects(file, path):
+        name = effect.name
+        own = {parameter: e.value for parameter, e in file.of_effect(name).items()}
         contained, reason = OF_TRIALS.get(name, (None, ""))
-        if effect.stage == "sensing" or (contained and not contained(constants)):
+        if effect.stage == "sensing" or (contained and not contained(constants_of(file, name))):
             causes.append(Cause(name, own, effect, reason=reason))
             continue
-        effect, needed = _form(effect, own, constants, model, path)
+        effect = form_of(effect, file, path, model, [NEUTRAL])
+        needed = effect.parameters(model, [NEUTRAL])
         for p in needed:
             if p.lower == 0.0 and own[p.name] < 0.0:
                 column = f"parameters.{name}/{p.name}"
@@ -113,31 +107,6 @@ def read_causes(file: ParameterFile, model: MultilinkModel, path: Path) -> list[
             hooks = effect.hooks(np.array([own[p.name] for p in needed]), NEUTRAL, model)
         causes.append(Cause(name, own, effect, hooks))
     return causes
-
-
-def _form(
-    effect: Effect,
-    own: Mapping[str, float],
-    constants: Mapping[str, Any],
-    model: MultilinkModel,
-    path: Path,
-) -> tuple[Effect, Parameters]:
-    """Find the variant of an effect whose parameters have the given names.
-
-    Return the variant and its parameters in their order. ``own`` has the values of the parameters by name.
-    ``constants`` are attributes of the variant that its parameters do not state, such as a reference speed.
-    """
-    form = restored(effect, own, constants, model, [NEUTRAL])
-    if form is not None:
-        return form, form.parameters(model, [NEUTRAL])
-    first = next(iter(effect.variants(model, [NEUTRAL])), effect)
-    names = (f"{effect.name}/{p.name}" for p in first.parameters(model, [NEUTRAL]))
-    raise InputError(
-        f"the effect '{effect.name}' has other parameters on this robot than {', '.join(own) or 'none'}",
-        file=path,
-        column="parameters",
-        hint=f"it has: {', '.join(names)}",
-    )
 
 
 def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: bool) -> list[str]:

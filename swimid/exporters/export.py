@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -244,11 +243,7 @@ def _bounded(p: Parameter, estimate: Estimate | None) -> Parameter:
     """Return a copy of a parameter with the bounds of its estimate, or fixed if it has no estimate."""
     if estimate is None:
         return replace(p, free=False)
-    lower, upper = estimate.bounds
-    if lower is None:
-        lower = -math.inf
-    if upper is None:
-        upper = math.inf
+    lower, upper = estimate.limits
     return replace(p, lower=lower, upper=upper)
 
 

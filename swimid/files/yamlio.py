@@ -383,3 +383,13 @@ def parse_scalar(text: str) -> Any:
         return plain(YAML(typ="safe", pure=True).load(text.strip()))
     except Exception as error:
         raise ValueError(first_line(error)) from error
+
+
+def limits(bounds: tuple[float | None, float | None]) -> tuple[float, float]:
+    """Return lower and upper bound. A bound that a file omits is infinite."""
+    low, high = bounds
+    if low is None:
+        low = -math.inf
+    if high is None:
+        high = math.inf
+    return low, high

@@ -39,6 +39,11 @@ class Estimate(yamlio.Document):
     #: Meaning of the parameter in words.
     meaning: str = ""
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lower and upper bound of the parameter. A bound that the file omits is infinite."""
+        return yamlio.limits(self.bounds)
+
 
 def spoken(name: str, meaning: str) -> str:
     """Return the text that names a parameter in a sentence.
@@ -122,6 +127,11 @@ class ParameterFile(yamlio.ResultFile):
         optional = ("effects", "identifiability", "derived", "settings")
         kept = {k: value for k, value in data.items() if value is not None and (value or k not in optional)}
         yamlio.write(path, kept)
+
+    def of_effect(self, name: str) -> dict[str, Estimate]:
+        """Return the estimates of an effect's parameters, by the name of the parameter."""
+        start = f"{name}/"
+        return {n.removeprefix(start): e for n, e in self.parameters.items() if n.startswith(start)}
 
     def value(self, name: str) -> float:
         """Return the value of the parameter with the given name."""

@@ -83,8 +83,7 @@ class Coefficient(yamlio.Document):
     @property
     def limits(self) -> tuple[float, float]:
         """Lower and upper bound of the coefficient. A bound that the file omits is infinite."""
-        low, high = self.bounds
-        return -math.inf if low is None else low, math.inf if high is None else high
+        return yamlio.limits(self.bounds)
 
     @model_validator(mode="after")
     def _in_bounds(self) -> Coefficient:

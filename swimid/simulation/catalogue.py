@@ -12,7 +12,7 @@ import numpy as np
 
 from swimid.blackbox import model as arma
 from swimid.effects import catalogue as effect_catalogue
-from swimid.effects.base import Affected
+from swimid.effects.base import Affected, Effect
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
@@ -267,25 +267,12 @@ def with_effects(
         constants of the effect that only measured trials show.
     """
     own = [e for place in own_effects for e in effect_catalogue.from_file(place)]
-    known = {e.name: e for e in (*effect_catalogue.catalogue(), *own)}
     acting = []
-    for name in file.effects:
-        if name not in known:
-            hint = suggestion(name, list(known))
-            raise InputError(f"there is no effect '{name}'", file=path, column="effects", hint=hint)
-        names = [n.partition("/")[2] for n in file.parameters if n.startswith(f"{name}/")]
-        given = (file.settings.get("effects") or {}).get(name, {})
-        form = effect_catalogue.restored(known[name], names, given, model, trials)
-        if form is None or file.effects.count(name) > 1:
-            raise InputError(
-                f"no form of the effect '{name}' has these parameters in the model '{model.name}': "
-                f"{', '.join(names) or 'none'}",
-                file=path,
-                column="effects",
-                hint="name each effect once, and give all of its parameters as 'effect/parameter'",
-            )
+    for effect in named_effects(file, path, own):
+        form = form_of(effect, file, path, model, trials)
+        name = effect.name
         sizes = [n for n, v in effect_catalogue.constants(form).items() if isinstance(v, float)]
-        lacking = [n for n in sizes if n not in given]
+        lacking = [n for n in sizes if n not in constants_of(file, name)]
         if lacking and not any(trial.measured for trial in trials):
             raise InputError(
                 f"the effect '{name}' needs {', '.join(lacking)} of the trials of its diagnosis",
@@ -299,11 +286,64 @@ def with_effects(
     return affected
 
 
+def named_effects(file: ParameterFile, path: Path | None, own: Sequence[Effect] = ()) -> list[Effect]:
+    """Return the effects that a parameter file names, in the order in which they act.
+
+    Parameters
+    ----------
+    own : sequence of Effect
+        Effects of the user, which the file may name.
+
+    Raises
+    ------
+    InputError
+        If there is no such effect.
+    """
+    known = {e.name: e for e in (*effect_catalogue.catalogue(), *own)}
+    for name in file.effects:
+        if name not in known:
+            hint = suggestion(name, list(known))
+            raise InputError(f"there is no effect '{name}'", file=path, column="effects", hint=hint)
+    return [known[name] for name in file.effects]
+
+
+def constants_of(file: ParameterFile, name: str) -> dict[str, Any]:
+    """Return the constants of an effect that a parameter file contains."""
+    return dict((file.settings.get("effects") or {}).get(name, {}))
+
+
+def form_of(
+    effect: Effect, file: ParameterFile, path: Path | None, model: Model, trials: Sequence[Trial]
+) -> Effect:
+    """Return the form of an effect that has the parameters and the constants of a parameter file.
+
+    Raises
+    ------
+    InputError
+        If no form of the effect has these parameters in the model, or if the file names the effect twice.
+    """
+    name = effect.name
+    names = list(file.of_effect(name))
+    form = effect_catalogue.restored(effect, names, constants_of(file, name), model, trials)
+    if form is None or file.effects.count(name) > 1:
+        hint = "name each effect once, and give all of its parameters as 'effect/parameter'"
+        first = next(iter(effect.variants(model, trials)), None)
+        if first is not None:
+            hint += f": {', '.join(f'{name}/{p.name}' for p in first.parameters(model, trials))}"
+        raise InputError(
+            f"no form of the effect '{name}' has these parameters in the model '{model.name}': "
+            f"{', '.join(names) or 'none'}",
+            file=path,
+            column="effects",
+            hint=hint,
+        )
+    return form
+
+
 def _stated(p: Parameter, file: ParameterFile) -> Parameter:
     """Return the parameter of an effect with its value and bounds in a parameter file."""
     estimate = file.parameters[p.name]
-    lower, upper = estimate.bounds
-    lower, upper = -math.inf if lower is None else lower, math.inf if upper is None else upper
+    lower, upper = estimate.limits
     return replace(p, start=estimate.value, lower=lower, upper=upper)
 
 
