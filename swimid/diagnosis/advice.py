@@ -122,7 +122,7 @@ def _nothing(first: str, left: Sequence[str], count: int, length_m: float, least
             f"limits (a path of at most {length_m:.3g} m), so that none separates {rivals}"
         )
     return (
-        f"none: of {count} possible trials none separates {rivals} by more than noise may "
+        f"none: of {count} possible trials none separates {rivals} by more than noise alone could "
         f"({least:.2g} standard deviations)"
     )
 

@@ -136,7 +136,7 @@ def _of_causes(facts: Facts) -> Iterator[Row]:
     rivals = listed(first.equivalent, "or")
     reason = f"these trials cannot tell {name} from {rivals or 'other effects'}"
     passed = first.alone > 0.5 and not first.crowded
-    found = f"{probability_text(first.alone)} of it and its rivals"
+    found = f"{probability_text(first.alone)} of the probability of cause and rivals"
     yield Row("cause against its rivals", found, "> 50 %", passed, "ambiguous", "all", reason)
     if facts.imitated:
         reason = f"the refitted parameters of the file imitate {names} on held-out data"
