@@ -28,7 +28,7 @@ TOLERANCE = 1e-5
 #: Constants of the multistart search: number of starting points (HEATED) up to which each halving is preceded
 #: by HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS),
 #: relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
-HEATED, HEAT, STEPS, ROUGH, FINE = 4, 4, 80, 1e-3, 1e-4
+HEATED, HEAT, STEPS, ROUGH, FINE = 2, 2, 80, 1e-3, 1e-4
 #: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
 #: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1
@@ -565,11 +565,9 @@ class FitContext:
             problem = self.problem(fit.effects, fit.problem.random_effects, jobs=1)
             noise_model.install(problem)
             kept = [owner != f for owner in self.folds.owner]
-            # The search begins with the derivatives of the fit to all data, which saves simulations.
+            # The search uses the derivatives of the fit to all data, which saves simulations.
             problem.hold_derivatives(fit.problem, fit.derivatives)
-            begun = self.search(problem, noise_model, [fit.theta], ROUGH, STEPS, kept=kept)
-            problem.release_derivatives()
-            return self.search(problem, noise_model, [begun.x], FINE, STEPS, kept=kept).x
+            return self.search(problem, noise_model, [fit.theta], FINE, STEPS, kept=kept).x
 
         for known, through, found in self._without:
             if known is fit and through is noise_model:

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from swimid.diagnosis import candidates, crossval, posterior, remainder
 from swimid.diagnosis.candidates import Refitted, Screen, Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext
+from swimid.diagnosis.context import FINE, ROUGH, STEPS, Fit, FitContext
 from swimid.diagnosis.dropouts import Dropouts, look
 from swimid.diagnosis.floor import nuisance_residuals
 from swimid.diagnosis.noise_model import NoiseModel
@@ -398,7 +398,7 @@ class Search:
             self.pool[h.key] = h
             self.hopeless.add(h.key)
             self.step(tried.effect.name)
-        self.finish(ROUGHLY)
+        self.finish(ROUGHLY, ROUGH)
 
     def _name(self, effects: Sequence[Effect]) -> str:
         """Return the name under which the optimum of a set of effects is cached.
@@ -420,7 +420,11 @@ class Search:
         names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
         problem = context.problem(effects, noise_model.random_effects)
         starts = []
-        for point in (tried.point, *tried.starts) if names else (tried.point,):
+        points = [tried.point]
+        # The trials are nearly linear in a changed parameter, so that its predicted optimum is enough.
+        if names and tried.effect.adds_to is None:
+            points += tried.starts
+        for point in points:
             own = dict(zip(names, point, strict=True))
             starts += context.begins(problem, context.start(effects, noise_model, parent.fit, own))
         kept = self.checkpoint.get(self._name(effects))
@@ -544,24 +548,21 @@ class Search:
             effects = h.fit.effects
             problem = context.problem(effects, noise_model.random_effects)
             sizes = {n: v for n, v in zip(h.fit.labels, h.fit.theta, strict=True) if _belongs(n, effects)}
+            begun = context.start(effects, noise_model, self.null.fit, sizes)
+            null = context.start(effects, noise_model, self.null.fit)
+            if h.names in far:
+                fit = context.fit(effects, noise_model, [begun], iterations=FEW, warm=self.null.fit)
+                # An effect cannot increase the cost, because its null value gives the model without the
+                # effect.
+                if sizes and not fit.cost <= self.null.fit.cost:
+                    fit = context.at(effects, noise_model, null, self.null.fit.cost)
+                return self.outcome(fit)
             # Start at the previous optimum, and at the optimum of the model without effects. The second start
             # is needed because the previous per-trial values depend on the previous noise model.
-            starts = [
-                *context.begins(problem, context.start(effects, noise_model, h.fit)),
-                context.start(effects, noise_model, self.null.fit, sizes),
-            ]
-
-            def settled(starts: list[Array]) -> Fit:
-                if h.names not in far:
-                    return context.multistart(effects, noise_model, starts, warm=self.null.fit)
-                ends = [starts[0], *starts[1:][-1:]]
-                return context.fit(effects, noise_model, ends, iterations=FEW, warm=self.null.fit)
-
-            fit = settled(starts)
+            starts = [*context.begins(problem, context.start(effects, noise_model, h.fit)), begun]
+            fit = context.multistart(effects, noise_model, starts, warm=self.null.fit)
             if sizes and not fit.cost <= self.null.fit.cost:
-                # An effect cannot increase the cost, because its null value gives the model without the
-                # effect. If the cost is larger, start again at the null value.
-                fit = settled([context.start(effects, noise_model, self.null.fit)])
+                fit = context.multistart(effects, noise_model, [null], warm=self.null.fit)
             return self.outcome(fit)
 
         # Fit parents before the hypotheses that are evaluated relative to them.
@@ -572,19 +573,21 @@ class Search:
                 self.step(h.tried.effect.name)
             self._refitted(h, refit)
 
-    def finish(self, improbable: float = HOPELESS) -> None:
+    def finish(self, improbable: float = HOPELESS, tolerance: float = FINE) -> None:
         """Complete the early-stopped fits of hypotheses that are not improbable.
 
         Parameters
         ----------
         improbable : float
             Maximum posterior probability of an improbable hypothesis, divided by the largest one.
+        tolerance : float
+            Relative tolerance of the cost.
         """
         context, noise_model = self.context, self.noise_model
 
         def one(h: Hypothesis) -> Outcome:
             starts = [h.fit.theta]
-            fit = context.fit(h.fit.effects, noise_model, starts, tolerance=FINE, iterations=STEPS)
+            fit = context.fit(h.fit.effects, noise_model, starts, tolerance=tolerance, iterations=STEPS)
             return self.outcome(fit)
 
         while True:
