@@ -89,6 +89,7 @@ def read(folders: Iterable[Path]) -> list[Truth]:
                     h["numbers"],
                     h.get("slow"),
                     h.get("alike", {}),
+                    bool(h["effects"]) and all(name.startswith(PREFIX) for name in h["effects"]),
                 )
                 for h in gap["hypotheses"]
             ]

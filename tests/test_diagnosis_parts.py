@@ -1254,6 +1254,18 @@ class TestPosterior:
         found_best = posterior.posterior(null, found, record=record, calibration=known).best
         assert found_best == frozenset(named)
 
+    @pytest.mark.parametrize("exact, left, named", [(True, 0.0, True), (False, 0.0, False), (True, 40.0, False)])
+    def test_a_changed_parameter_has_no_error_of_form(self, exact: bool, left: float, named: bool) -> None:
+        """It takes up a gap of less than a tenth of the noise, and must leave nothing of it."""
+
+        def made(names: str, score: float, exact: bool) -> posterior.Candidate:
+            counts = np.full(6, score / 6)
+            return posterior.Candidate(frozenset(names), score, counts, len(names), exact=exact)
+
+        null, *found = made("", 8045.0, False), made("a", 8000.0 + left, exact), made("b", 8000.0, False)
+        known = posterior.posterior(null, found, record=posterior.Record(8000.0, 6, 45))
+        assert (known.closing("a") > 0.9) == named
+
     def test_a_gain_in_one_fold_is_uncertain(self) -> None:
         null = posterior.Candidate(frozenset(), 1060.0, np.full(6, 1060.0 / 6), 0)
         even = posterior.Candidate(frozenset("a"), 1000.0, np.full(6, 1000.0 / 6), 1)

@@ -100,6 +100,8 @@ class Candidate:
         by another effect of the set. The model's parameters are projected out.
     slow : float, optional
         The score with long-memory noise. None if there are enough trials to estimate the noise.
+    exact : bool
+        Whether the form of the hypothesis is exact. It is, if only parameters of the model change.
     """
 
     names: frozenset[str]
@@ -108,6 +110,7 @@ class Candidate:
     numbers: int
     slow: float | None = None
     alike: Mapping[str, float] = field(default_factory=dict)
+    exact: bool = False
 
 
 def are_twins(first: Candidate, second: Candidate) -> bool:
@@ -374,6 +377,8 @@ def posterior(
     known = np.concatenate(([0.0], known))
     closes = known[:, None] + 0.5 * calibration.directions * record.parts * (size[0] - size)
     closes[0] = 0.0
+    exact = np.array([c.exact for c in every])
+    closes[exact] += _exact_form(drawn[exact], drawn[0], size[exact], record, calibration)
     small = np.log1p(drawn / unit(record, 0.0, calibration))
     _further([c.names for c in every], candidates, known, closes, small, calibration.further)
     pooled = _pooled(every, record, calibration)
@@ -394,6 +399,25 @@ def posterior(
         calibration.acts,
         unit(record, 0.0, calibration),
     )
+
+
+def _exact_form(left: Array, gap: Array, size: Array, record: Record, known: Calibration) -> Array:
+    """Return the log-evidence that hypotheses gain because their form is exact, shape (c, m).
+
+    Nothing but noise may remain with such a hypothesis. In return it is compared as exactly with the model
+    without effects, up to the gap that refutes no hypothesis (:func:`unit`).
+
+    Parameters
+    ----------
+    left, gap : ndarray, shapes (c, m) and (m,)
+        Excess of the hypotheses, and of the model without effects, for each sample of the fold weights.
+    size : ndarray, shape (c, m)
+        ``log(1 + excess / unit)`` of the hypotheses, where the unit contains the form error.
+    """
+    noise, most = known.directions * record.parts, unit(record, 0.0, known)
+    shown = np.minimum(gap, most)
+    gained = np.log1p(shown / noise) - np.log1p(shown / unit(record, most, known))
+    return np.asarray(0.5 * noise * (gained - np.log1p(left / noise) + size))
 
 
 def _pooled(every: Sequence[Candidate], record: Record, known: Calibration) -> Array | None:

@@ -635,7 +635,8 @@ class Search:
         slow = None
         if h.slow is not None:
             slow = h.slow + self.penalty(h.fit)
-        return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h))
+        exact = bool(h.names) and all(e.adds_to is not None for e in h.fit.effects)
+        return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h), exact)
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:
         """Return for each effect of a hypothesis its largest similarity to another effect of the hypothesis.
