@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from swimid.errors import InputError
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
 from swimid.robots.file import RobotFile
-from swimid.swimmer.model import Swimmer
+
+if TYPE_CHECKING:
+    from swimid.swimmer.model import Swimmer
 
 #: Difference between two simulations, divided by the range of the channel, below which two interpretations of
 #: the robot's source are equivalent.

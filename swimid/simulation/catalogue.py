@@ -6,11 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from swimid.blackbox import model as arma
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Affected, Effect
 from swimid.errors import InputError, UsageError, suggestion
@@ -19,13 +18,12 @@ from swimid.fitting.model import NONE, Array, Hooks, Model, Parameter, Trial
 from swimid.logs import trials as trials_format
 from swimid.logs.trials import TrialSet
 from swimid.notices import warn
-from swimid.propulsion import trials as propulsion
-from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.results import parameters as parameters_format
 from swimid.results.parameters import Estimate, Fit, ParameterFile
-from swimid.rig import trials as rig
 from swimid.robots import file as robot_format
-from swimid.swimmer import trials as swimmer
+
+if TYPE_CHECKING:
+    from swimid.propulsion.model import SurgeModel
 
 #: Step of a finite difference as a fraction of the standard error of the parameter, and maximum step as a
 #: fraction of the absolute value or the typical scale of the parameter, whichever is larger.
@@ -347,15 +345,15 @@ def _stated(p: Parameter, file: ParameterFile) -> Parameter:
     return replace(p, start=estimate.value, lower=lower, upper=upper)
 
 
-#: Experiments whose trials each model can simulate.
+#: Experiments whose trials each model can simulate, by the name of the model.
 EXPERIMENTS = {
     "multilink": ("free-swim", "multibody"),
     "multibody": ("free-swim", "multibody"),
     "falling-weight": ("falling-weight",),
     "towed": ("towed",),
     "free-decay": ("free-decay",),
-    RecoilModel.name: ("cruise",),
-    SurgeModel.name: ("free-swim",),
+    "propulsion": ("cruise",),
+    "surge-propulsion": ("free-swim",),
     "arma": ("arma",),
 }
 
@@ -419,10 +417,12 @@ def load(trials: str | Path | TrialSet, options: Any) -> Loaded:
         start = getattr(options, "start_state", "auto")
         if start == "auto":
             start = file.settings.get("start_state", "auto")
-        experiment = swimmer.load(trials, readings=readings, start_state=start, max_step=max_step)
+        experiment = _swimmer(trials, readings=readings, start_state=start, max_step=max_step)
     elif file.model in ("falling-weight", "towed", "free-decay"):
         experiment = _rig(trials, file)
     elif file.model == "arma":
+        from swimid.blackbox import model as arma
+
         experiment = arma.load(trials, file, path)
     else:
         experiment = _propulsion(trials, file, path)
@@ -446,10 +446,10 @@ def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step
     if entries.experiment == "multibody" or (
         entries.experiment == "free-swim" and (robot.multilink is not None or robot.multibody is not None)
     ):
-        return swimmer.load(trials, readings=readings, max_step=max_step)
+        return _swimmer(trials, readings=readings, max_step=max_step)
     if entries.experiment in ("cruise", "free-swim"):
-        return propulsion.load(trials)
-    return rig.load(trials)
+        return _propulsion(trials)
+    return _rig(trials)
 
 
 def load_robot(options: Any, file: ParameterFile | None) -> Applied:
@@ -478,7 +478,9 @@ def load_robot(options: Any, file: ParameterFile | None) -> Applied:
         raise UsageError("name a parameter file (--params) or a robot (--robot)")
     else:
         name = str(options.robot)
-    _, model = swimmer.robot_model(name, folder, readings=readings, max_step=options.dt)
+    from swimid.swimmer.trials import robot_model
+
+    _, model = robot_model(name, folder, readings=readings, max_step=options.dt)
     applied = Applied(model, file, path, options.chosen, own_effects=options.own_effects)
     try:
         model.check(applied.values())
@@ -530,7 +532,17 @@ def _check_robot(name: str, trials_path: Path, file: ParameterFile, path: Path) 
         )
 
 
-def _rig(trials: str | Path | TrialSet, file: ParameterFile) -> Experiment:
+def _swimmer(trials: str | Path | TrialSet, **options: Any) -> Experiment:
+    from swimid.swimmer import trials as swimmer
+
+    return swimmer.load(trials, **options)
+
+
+def _rig(trials: str | Path | TrialSet, file: ParameterFile | None = None) -> Experiment:
+    from swimid.rig import trials as rig
+
+    if file is None:
+        return rig.load(trials)
     coordinate = None
     if file.model == "free-decay" and file.fit is not None and len(file.fit.channels) == 1:
         coordinate = next(iter(file.fit.channels))
@@ -575,7 +587,14 @@ def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
         setattr(model, key, float(file.settings[key]))
 
 
-def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) -> Experiment:
+def _propulsion(
+    trials: str | Path | TrialSet, file: ParameterFile | None = None, path: Path = Path()
+) -> Experiment:
+    from swimid.propulsion import trials as propulsion
+    from swimid.propulsion.model import RecoilModel, SurgeModel
+
+    if file is None:
+        return propulsion.load(trials)
     if file.model == RecoilModel.name:
         # if the parameter file names no drag file, use the drag file of the trials file
         named = file.settings.get("drag_file") is not None
