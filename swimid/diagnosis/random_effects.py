@@ -23,6 +23,7 @@ from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
 #: fraction of it that is the typical scale of the random effect. None stands for the parameter's own scale.
 OWN: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
+    "drag_deviation": None,
     "start_offset": None,
     "initial_speed": None,
 }

@@ -188,8 +188,8 @@ class RigModel(Model):
             friction = self._value(values, "pulley_friction") + self._value(values, "friction_deviation")
         return {
             "inertia": known.inertia + self._value(values, "added_mass", "added_inertia"),
-            "quadratic": drag * known.area_factor
-            + self._value(values, "quadratic_drag", "quadratic_damping"),
+            "quadratic": (1.0 + self._value(values, "drag_deviation"))
+            * (drag * known.area_factor + self._value(values, "quadratic_drag", "quadratic_damping")),
             "linear": self._value(values, "linear_drag", "linear_damping"),
             "dry": friction + self._value(values, "dry_friction"),
             "stiffness": self._value(values, "stiffness"),
@@ -335,6 +335,11 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
     )
 
 
+def _drag_deviation() -> Parameter:
+    meaning = "drag of a trial against the common one, as a fraction"
+    return _signed("drag_deviation", "1", 0.05, meaning, free=False, per_trial=True)
+
+
 def falling_weight(
     *, mass_kg: float, force_N: float, area_known: bool, pulley: bool, speed_m_s: float = 0.3
 ) -> RigModel:
@@ -360,6 +365,7 @@ def falling_weight(
         ),
         _parameter("linear_drag", "N s/m", 0.0, 0.1 * force_N / speed_m_s, "linear drag", free=False),
         _signed("friction_deviation", "N", 0.05 * force_N, common, free=False, per_trial=True),
+        _drag_deviation(),
         *_start("x_m", length=0.01, speed=0.05, free=False),
     )
     return RigModel("falling-weight", parameters, "x_m")
@@ -375,6 +381,7 @@ def towed(*, mass_kg: float, force_N: float, area_known: bool, speed_m_s: float 
         _parameter("dry_friction", "N", 0.0, 0.2 * force_N, "dry friction", free=False, kinked=True),
         _signed("force_offset", "N", 0.1 * force_N, "force added to the measured one", free=False),
         _signed("force_drift", "N/s", 0.01 * force_N, "rate of the force added to it", free=False),
+        _drag_deviation(),
         *_start("x_m", length=0.01, speed=0.05, free=True),
     )
     return RigModel("towed", parameters, "x_m")
