@@ -11,11 +11,13 @@ import pytest
 
 from swimid.diagnosis.gap_file import ChangedValue, GapFile
 from tests.conftest import Ran
-from tests.generators.rig import click_log, write_falls
+from tests.generators.rig import click_log, fall, write_falls
 
 Run = Callable[..., Ran]
 #: The drag coefficient of the first day, and of the second.
 FIRST, SECOND = 0.705, 0.7755
+#: Length of the track of the rig, m.
+LENGTH_M = 1.15
 
 
 @pytest.fixture
@@ -90,3 +92,26 @@ def test_settings_that_differ_more_than_their_repeats_are_a_gap(swimid: Run, tmp
     assert file.repeats
     assert (file.verdict, file.causes) == ("unexplained", [])
     assert "without repeats" not in said
+
+
+@pytest.mark.slow
+def test_a_drag_that_differs_between_repeats_is_chance(swimid: Run, tmp_path: Path) -> None:
+    """Four weights fall three times each, with a drag coefficient that scatters by 4 %."""
+    rng = np.random.default_rng(5)
+    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
+    for weight in (10.0, 20.0, 30.0, 40.0):
+        for drop in "abc":
+            time = np.arange(0.0, 30.0, 0.02)
+            x = fall(time, weight, drag_coefficient=FIRST * (1.0 + 0.04 * rng.standard_normal()))
+            keep = x <= LENGTH_M
+            rows = np.column_stack((time[keep], x[keep] + rng.normal(0.0, 5e-4, int(keep.sum()))))
+            name = f"w{weight:g}{drop}"
+            header = {"delimiter": ",", "header": "t_s,x_m", "comments": "", "fmt": "%.6f"}
+            np.savetxt(tmp_path / f"{name}.csv", rows, **header)
+            lines.append(f"  - {{log: {name}.csv, id: {name}, pulling_mass_kg: {weight / 1000:g}}}")
+    trials = tmp_path / "trials.yaml"
+    trials.write_text("\n".join(lines) + "\n")
+    file, said = diagnosed(swimid, trials)
+    assert file.repeats
+    assert (file.verdict, file.causes) == ("none", [])
+    assert "drag_deviation" in said

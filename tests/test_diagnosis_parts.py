@@ -1254,7 +1254,9 @@ class TestPosterior:
         found_best = posterior.posterior(null, found, record=record, calibration=known).best
         assert found_best == frozenset(named)
 
-    @pytest.mark.parametrize("exact, left, named", [(True, 0.0, True), (False, 0.0, False), (True, 40.0, False)])
+    @pytest.mark.parametrize(
+        "exact, left, named", [(True, 0.0, True), (False, 0.0, False), (True, 40.0, False)]
+    )
     def test_a_changed_parameter_has_no_error_of_form(self, exact: bool, left: float, named: bool) -> None:
         """It takes up a gap of less than a tenth of the noise, and must leave nothing of it."""
 

@@ -27,6 +27,9 @@ OWN: dict[str, tuple[str, float] | None] = {
     "start_offset": None,
     "initial_speed": None,
 }
+#: Those of them that are random effects only if settings are repeated. Between single trials of different
+#: settings, they would absorb any drag that the model lacks.
+OF_REPEATS = {"drag_deviation"}
 #: Estimation of a between-trial standard deviation: minimum number of trials (FEWEST), and minimum ratio of
 #: the variance of the per-trial estimates to their sampling variance (CLEAR).
 FEWEST, CLEAR = 3, 2.0
@@ -125,6 +128,8 @@ def kinds(
     trials: Sequence[Trial],
     effects: Sequence[Effect],
     value: Mapping[str, float],
+    *,
+    repeated: bool = False,
 ) -> list[RandomEffect]:
     """Return the possible random effects of a model.
 
@@ -137,6 +142,8 @@ def kinds(
         Parameters of the model.
     value : mapping of name to float
         Present values of the shared parameters.
+    repeated : bool
+        Whether settings are repeated.
     """
     found = []
     for effect in effects:
@@ -149,7 +156,7 @@ def kinds(
                 label = f"{TrialEffect.name}/{effect.name} {p.name}"
                 found.append(RandomEffect(effect.name, label, p.scale, effect, j, null))
     for index, p in enumerate(parameters):
-        if p.per_trial and not p.free and p.name in OWN:
+        if p.per_trial and not p.free and p.name in OWN and (repeated or p.name not in OF_REPEATS):
             share = OWN[p.name]
             size = share[1] * abs(float(value.get(share[0], 0.0))) if share else 0.0
             found.append(RandomEffect(p.name, p.name, size or p.scale, None, index))

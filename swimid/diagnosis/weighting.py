@@ -62,7 +62,10 @@ def random_effect_columns(
     columns: list[list[Array]] = []
     found: list[RandomEffect] = []
     value = {p.name: p.start for p in context.parameters} | dict(zip(fit.labels, fit.theta, strict=True))
-    for kind in random_effects.kinds(context.model, context.parameters, context.trials, effects, value):
+    possible = random_effects.kinds(
+        context.model, context.parameters, context.trials, effects, value, repeated=bool(repeats(context))
+    )
+    for kind in possible:
         if kind.effect is None:
             change = ParameterChange(context.parameters[kind.place])
             half = context.changes(fit, change, [np.array([0.5 * kind.size])])[0]
