@@ -18,6 +18,7 @@ from ruamel.yaml import YAML
 from scipy.optimize import minimize
 
 from swimid.diagnosis import posterior
+from swimid.diagnosis.nominal import PREFIX
 from swimid.diagnosis.posterior import Calibration, Candidate, Posterior, Record
 from tests.blind import runner
 
