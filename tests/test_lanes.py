@@ -301,6 +301,18 @@ def test_memory_is_reused_after_its_results_are_released(
     assert dict(fish.kernels.own.run(runs))[0][0].ctypes.data == place
 
 
+def test_a_cached_run_outlives_later_batches(fish: MultilinkModel) -> None:
+    """The offset of the start pose needs no new simulation. The cached one must be unchanged."""
+    own = trials()
+    start = np.array([fish.stated().get(p.name, p.start) for p in fish.parameters])
+    fish.forget(own)
+    before = fish.simulate(start, own[0])
+    fish.simulate_many([(start * (1 + 0.01 * k), own[1 + k % 2]) for k in range(24)])
+    start[fish.index("start_x")] += 0.1
+    after = fish.simulate(start, own[0])
+    np.testing.assert_allclose(after["x_m"], before["x_m"] + 0.1, rtol=0, atol=1e-12)
+
+
 def test_equal_effects_share_their_runs() -> None:
     """The key of a kept trajectory is the effect, not the object that represents it."""
     names = {e.name: e for e in effect_catalogue.catalogue()}

@@ -214,8 +214,8 @@ class Affected(Model):
         self._trials = tuple(trials)
         self.own = [effect.parameters(model, trials) for effect in self.effects]
         self._contents = [effect.content() for effect in self.effects]
-        self._null = [np.array([p.start for p in parameters]) for parameters in self.own]
-        self._latest: dict[str, tuple[Trial, bytes, Hooks]] = {}
+        self._null = [[p.start for p in parameters] for parameters in self.own]
+        self._latest: dict[tuple[str, int], tuple[Trial, list[float], Hooks]] = {}
         renamed: list[Parameter] = []
         self._added = []
         for effect, parameters in zip(self.effects, self.own, strict=True):
@@ -290,26 +290,27 @@ class Affected(Model):
 
     def hooks(self, values: Array, trial: Trial) -> Hooks:
         """Return the combined hooks of all effects for one trial at the given parameter values."""
-        at = len(self.model.parameters)
-        point = values[at:].tobytes()
-        known = self._latest.get(trial.id)
-        if known is not None and known[0] is trial and known[1] == point:
-            return known[2]
-        hooks = NONE
-        for effect, null, content in zip(self.effects, self._null, self._contents, strict=True):
+        hooks, at = NONE, len(self.model.parameters)
+        for number, (effect, null) in enumerate(zip(self.effects, self._null, strict=True)):
             own = values[at : at + len(null)]
             at += len(null)
-            if effect.adds_to is not None or np.array_equal(own, null):
-                continue
-            acting = effect.hooks(own, trial, self.model)
-            if acting.moves:
-                key = content + own.tobytes()
-                acting = replace(acting, key=key, command_key=key if acting.command else b"")
-            hooks = acting if hooks is NONE else hooks + acting
+            if effect.adds_to is None and own.tolist() != null:
+                hooks = joined(hooks, self._hooks_of(number, own, trial))
+        return hooks
+
+    def _hooks_of(self, number: int, own: Array, trial: Trial) -> Hooks:
+        """Return the hooks of one effect at its parameter values. The latest result is cached."""
+        known, point = self._latest.get((trial.id, number)), own.tolist()
+        if known is not None and known[0] is trial and known[1] == point:
+            return known[2]
+        hooks = self.effects[number].hooks(own, trial, self.model)
+        if hooks.moves:
+            key = self._contents[number] + own.tobytes()
+            hooks = replace(hooks, key=key, command_key=key if hooks.command else b"")
         # Hooks that change model coefficients may store the values that they read. Create them anew for each
         # simulation.
         if not (hooks.tables or hooks.coefficients):
-            self._latest[trial.id] = trial, point, hooks
+            self._latest[trial.id, number] = trial, point, hooks
         return hooks
 
     def shifted(self, values: Array) -> Array:
@@ -397,8 +398,8 @@ class Affected(Model):
 
     def forget(self, trials: Sequence[Trial]) -> None:
         """Remove the cached results of trials that will not be simulated again."""
-        for trial in trials:
-            self._latest.pop(trial.id, None)
+        gone = {trial.id for trial in trials}
+        self._latest = {key: known for key, known in self._latest.items() if key[0] not in gone}
         self.model.swimmer.forget(trials)
 
     def prepare(
@@ -621,7 +622,7 @@ class Actuation(Effect, ABC):
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
         hooks = follow_commands(model, trial, partial(self.follow, value))
-        return replace(hooks, stroke=(beaten,) * ("stroke" in self.needs))
+        return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
 
 
 def on_command(model: Model, trial: Trial, change: Command) -> Hooks:

@@ -474,7 +474,7 @@ class LoadFriction(Friction):
             return (parameter("share", "1", size, words, 0.0, 0.9),)
         yields = []
         for trial in trials:
-            for load, (time, told, _) in zip(_loads(model), model.commands(trial), strict=True):
+            for load, (time, told, _) in zip(model.body.loads, model.commands(trial), strict=True):
                 torque = float(np.max(_torque(load, time, told), initial=0.0))
                 if torque > 0.0:
                     yields.append(0.5 * float(np.ptp(told)) / torque)
@@ -486,7 +486,7 @@ class LoadFriction(Friction):
         """Return hooks that add dry friction to a rig, or let the joints of a robot stick under load."""
         share = float(values[0])
         if model.rig is None:
-            loads = _loads(model)
+            loads = model.body.loads
 
             def command(time_s: Array, angle: Array, joint: int) -> Array:
                 def stuck(time: Array, told: Array) -> Array:
@@ -505,13 +505,6 @@ class LoadFriction(Friction):
         if measured is not None:
             constants = np.concatenate([constants, trial.time_s, measured])
         return base.force_on_rig(loaded, constants, stiffness=2, rest=3)
-
-
-def _loads(model: Model) -> list[tuple[float, float]]:
-    """Return inertia and quadratic drag of the links that each driven joint moves."""
-    body = model.body
-    tables = body.tables()
-    return [body.carried(tables, k) for k in range(len(body.driven))]
 
 
 def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:

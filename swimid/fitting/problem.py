@@ -392,6 +392,7 @@ class Problem:
                 found.setdefault(channel, []).append(series)
         return found
 
+    @np.errstate(over="ignore", invalid="ignore")
     def _derivatives(self, theta: Array, central: bool) -> list[Array]:
         """Return the derivatives of each trial's simulated samples with respect to its unknowns.
 
@@ -419,14 +420,13 @@ class Problem:
         slopes = []
         for k, (_, numbers) in enumerate(self.taken):
             columns = np.empty((len(numbers), len(here[k])))
-            with np.errstate(over="ignore", invalid="ignore"):
-                for column, j in zip(columns, numbers, strict=True):
-                    if self.labels[j] in self._held[k]:
-                        column[:] = self._held[k][self.labels[j]]
-                        continue
-                    column[:] = self.stacked(k, next(moves))
-                    column -= self.stacked(k, next(moves)) if both[j] else here[k]
-                    column /= width[j]
+            for column, j in zip(columns, numbers, strict=True):
+                if self.labels[j] in self._held[k]:
+                    column[:] = self._held[k][self.labels[j]]
+                    continue
+                column[:] = self.stacked(k, next(moves))
+                column -= self.stacked(k, next(moves)) if both[j] else here[k]
+                column /= width[j]
             columns[~np.isfinite(columns)] = 0.0
             slopes.append(np.ascontiguousarray(columns.T))
         self._slopes = (theta.copy(), central, slopes)

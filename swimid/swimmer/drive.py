@@ -92,27 +92,24 @@ class DrivenMotion:
     ----------
     table : ndarray, shape (2 steps + 1, driven joints, 5)
         Input array for the integration, at every half step (see :func:`table`).
-    angles, rates : ndarray, shape (steps + 1, driven joints)
-        Angles (rad) and rates (rad/s) at every step, for the channels.
     """
 
     table: Array
-    angles: Array
-    rates: Array
     _kept: dict[bytes, Array] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def sampled(self, time_s: Array, grid: Grid) -> Array:
-        """Return the joint angles interpolated at given times, shape (n, driven joints).
+        """Return the joint angles interpolated at given times, shape (driven joints, n).
 
         The latest result is cached.
         """
         key = time_s.tobytes()
         found = self._kept.get(key)
         if found is None:
-            found = sampled(time_s, grid.begin_s, grid.step_s, self.angles, self.rates)
+            angles, rates = self.table[::2, :, 0], self.table[::2, :, 1]
+            found = sampled(time_s, grid.begin_s, grid.step_s, angles, rates).T
             self._kept.clear()
             self._kept[key] = found
-        return found
+        return found.copy()
 
 
 class DrivenJoints:
@@ -134,7 +131,7 @@ class DrivenJoints:
         self._names = coefficients
         self._servos = [_servo(axis) for axis in axes]
         self._motions: TrialCache[DrivenMotion] = TrialCache(MAX_MOTIONS)
-        self._commands: TrialCache[list[Motion]] = TrialCache(MAX_COMMANDS)
+        self._commands: TrialCache[tuple[Array, list[Motion]]] = TrialCache(MAX_COMMANDS)
         self._read: dict[str, tuple[SwimInput, Array, list[tuple[Array, Array, float]]]] = {}
 
     def forget(self, trials: Collection[str]) -> None:
@@ -188,9 +185,11 @@ class DrivenJoints:
             named = dict(zip(self._names, values, strict=False))
         servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
         key = (grid, phase_rad, servos, hooks.command_key)
-        found = self._motions.get(trial.id, key) or self._moved(trial, grid, phase_rad, servos, hooks)
-        if cached:
-            self._motions.put(trial.id, key, found)
+        found = self._motions.get(trial.id, key)
+        if found is None:
+            found = self._moved(trial, grid, phase_rad, servos, hooks)
+            if cached:
+                self._motions.put(trial.id, key, found)
         return found
 
     def _moved(
@@ -204,13 +203,12 @@ class DrivenJoints:
         before = math.ceil(lead_s / grid.step_s)
         early = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
         whole = self._actuated(trial, early, phase_rad, servos, hooks)
-        return DrivenMotion(whole.table[2 * before :], whole.angles[before:], whole.rates[before:])
+        return DrivenMotion(whole.table[2 * before :])
 
     def _actuated(
         self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks
     ) -> DrivenMotion:
-        half = grid.times(2)
-        commands = self._commanded(trial, grid, phase_rad)
+        half, commands = self._commanded(trial, grid, phase_rad)
         motions: list[Motion] = []
         actual: list[Array] = []
         for k, (motion, servo) in enumerate(zip(commands, servos, strict=True)):
@@ -220,20 +218,18 @@ class DrivenJoints:
                 motions.append((answer[:, 0], answer[:, 1], answer[:, 2]))
             elif hooks.command:
                 actual.append(hooks.actuated(half, motion[0], k))
-                # reuse the motion object of the last joint if the motions are equal, so that their columns in
-                # the array are computed once
-                if k and motion is commands[k - 1] and np.array_equal(actual[-2], actual[-1]):
+                # reuse the motion object of the last joint if both joints move alike, so that their columns
+                # in the array are computed once
+                if len(actual) > 1 and motion is commands[k - 1] and actual[-2] is actual[-1]:
                     motions.append(motions[-1])
                 else:
                     motions.append(deviated(motion, actual[-1], 0.5 * grid.step_s))
             else:
                 motions.append(motion)
-        found = table(len(half), motions, self.mounts_rad)
-        angles, rates = (np.ascontiguousarray(found[::2, :, k]) for k in range(2))
-        return DrivenMotion(found, angles, rates)
+        return DrivenMotion(table(len(half), motions, self.mounts_rad))
 
-    def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> list[Motion]:
-        """Return the commanded motion of each joint.
+    def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> tuple[Array, list[Motion]]:
+        """Return the times of the half steps of the grid, and the commanded motion of each joint.
 
         It is sampled at half steps of the grid, or at quarter steps for a joint with a servo.
         """
@@ -247,7 +243,7 @@ class DrivenJoints:
                 continue
             parts = 2 if servo is None else 4
             found.append(joint_motion(axis, k, trial.swim, grid.times(parts), phase_rad))
-        return self._commands.put(trial.id, (grid, phase_rad), found)
+        return self._commands.put(trial.id, (grid, phase_rad), (grid.times(2), found))
 
     def _is_like_last(self, k: int, swim: SwimInput) -> bool:
         """Return whether a beat moves driven joint ``k`` in the same way as driven joint ``k - 1``."""
@@ -472,8 +468,9 @@ def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:
         return motion
     bells = _bells(step_s)
     reach = len(bells[0]) // 2
-    mirrored = np.pad(deviation, (0, reach), mode="reflect", reflect_type="odd")
-    padded = np.concatenate((np.full(reach, deviation[0]), mirrored))
+    before_last = np.maximum(len(deviation) - 2 - np.arange(reach), 0)
+    mirrored = 2.0 * deviation[-1] - deviation[before_last]
+    padded = np.concatenate((np.full(reach, deviation[0]), deviation, mirrored))
     parts = [np.convolve(padded, bell, mode="valid") for bell in bells]
     return motion[0] + parts[0], motion[1] + parts[1], motion[2] + parts[2]
 

@@ -652,7 +652,8 @@ class Kernel:
             self.fixed[name][:, columns] = np.nan
         entries = self._entries(self.fixed)
         self._taken, self._known = np.flatnonzero(np.isnan(entries)), np.flatnonzero(~np.isnan(entries))
-        self._structure = entries[self._known]
+        self._structure, self._links = entries[self._known], self._integers(self._example)
+        self._shapes = [np.shape(table) for table in self._example.values()]
         self._lock = threading.RLock()
         self._buffers: list[Array] = []
         self.module: ModuleType | None = None
@@ -688,13 +689,10 @@ class Kernel:
 
         The result is False if an effect has changed an entry that is constant in the kernel.
         """
-        for name, example in self._example.items():
-            given = tables[name]
-            if np.shape(given) != np.shape(example):
-                return False
-            if name not in self.fixed and given is not example and not np.array_equal(given, example):
-                return False
-        return bool((self._entries(tables)[self._known] == self._structure).all())
+        if [np.shape(tables[name]) for name in self._example] != self._shapes:
+            return False
+        alike = (self._integers(tables) == self._links).all()
+        return bool(alike and (self._entries(tables)[self._known] == self._structure).all())
 
     @cached_property
     def traced(self) -> Traced:
@@ -840,7 +838,7 @@ class Kernel:
         ------
         index, (states, rates)
             States and rates, shape (steps + 1, size), as ``engine.integrate`` returns them. They are parts of
-            the results of a batch. Copy them before they are kept, so that they do not keep the whole batch.
+            the results of a batch, whose memory is reused when no part of them is referred to any more.
         """
         module, traced = self.compiled(), self.traced
         # put simulations of similar length into the same batch
@@ -856,7 +854,7 @@ class Kernel:
             module.integrate(
                 np.stack(starts, axis=-1).reshape(-1),
                 np.array(steps_s, dtype=float),
-                *(np.ascontiguousarray(drive).reshape(len(drive), -1) for drive in drives),
+                *(drive.reshape(len(drive), -1) for drive in drives),
                 all(drive is drives[0] for drive in drives),
                 max(steps),
                 np.stack([numbers[id(t)] for t in tables], axis=-1).reshape(-1),
@@ -875,8 +873,9 @@ class Kernel:
         """
         need = math.prod(shape)
         with self._lock:
-            counts = _references(self._buffers)
-            idle = [k for k, n in enumerate(counts) if n == IDLE and len(self._buffers[k]) >= need]
+            counts, sizes = _references(self._buffers), map(len, self._buffers)
+            # leave much longer arrays alone, because a cached part of a result keeps its whole array
+            idle = [k for k, n in enumerate(sizes) if need <= n <= 2 * need and counts[k] == IDLE]
             if not idle:
                 self._buffers = [np.empty(need), *self._buffers[: N_BUFFERS - 1]]
                 idle = [0]
@@ -887,8 +886,13 @@ class Kernel:
         return self._entries(tables)[self._taken]
 
     def _entries(self, tables: Mapping[str, Any]) -> Array:
-        """Return all entries of the input arrays of the engine in one array, in a fixed order."""
-        return np.concatenate([np.reshape(tables[name], -1) for name in self.fixed])
+        """Return all real entries of the input arrays of the engine in one array, in a fixed order."""
+        return np.concatenate([tables[name] for name in self.fixed], axis=None)
+
+    def _integers(self, tables: Mapping[str, Any]) -> NDArray[np.int64]:
+        """Return all integer entries of the input arrays, such as links, in one array, in a fixed order."""
+        others = [tables[name] for name in self._example if name not in self.fixed]
+        return np.concatenate(others, axis=None)
 
 
 def _references(arrays: Sequence[Array]) -> list[int]:

@@ -6,9 +6,9 @@ import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, Self
+from dataclasses import dataclass
+from types import MappingProxyType, ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,10 @@ MAX_TRAJECTORIES = 2
 
 
 #: Placeholder for the joint motion of a simulation whose trajectory is cached.
-NO_MOTION = DrivenMotion(np.empty((0, 0, 5)), np.empty((0, 0)), np.empty((0, 0)))
+NO_MOTION = DrivenMotion(np.empty((0, 0, 5)))
 
 
-@dataclass(frozen=True)
-class Trajectory:
+class Trajectory(NamedTuple):
     """Simulated trajectory at the integration steps.
 
     Attributes
@@ -54,8 +53,7 @@ class Trajectory:
     drive: DrivenMotion
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """Request for a simulation: its cached trajectory, or else the input of the integration.
 
     Attributes
@@ -82,9 +80,9 @@ class Run:
     key: Hashable
     grid: Grid
     kept: Trajectory | None
-    start: Array = field(default_factory=lambda: np.empty(0))
+    start: Array = np.empty(0)
     drive: DrivenMotion = NO_MOTION
-    tables: Mapping[str, Any] = field(default_factory=dict)
+    tables: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -169,6 +167,14 @@ class Swimmer(Model):
         self._angles, self._speeds = (
             np.array([self._at[f"initial_{word}_{axis.name}"] for axis in self.passive], dtype=int)
             for word in ("angle", "rate")
+        )
+        first = self.coordinates + len(self.passive)
+        self._joint_columns = {a.column: self.coordinates + k for k, a in enumerate(self.passive)}
+        self._joint_columns |= {a.rate: first + self.speeds + k for k, a in enumerate(self.passive)}
+        velocities = [f"initial_{name}" for name in self.rates]
+        self._velocities, self._offset = (
+            np.array([self._at[name] for name in names if self.free_base], dtype=int)
+            for names in (velocities, self.starts)
         )
         self.joints = DrivenJoints(self.driven, self.tree.names, self._mounts())
         self.kernels = Kernels(self.engine, self.tree.tables, len(self.coefficients), self._room)
@@ -350,9 +356,11 @@ class Swimmer(Model):
 
     def hooked_many(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> list[dict[str, Array]]:
         """Simulate several trials, in batches if the kernel is compiled (see :meth:`Model.hooked_many`)."""
-        channels: dict[int, dict[str, Array] | None] = {}
-        for k, _, trajectory in self._simulated(runs):
-            (channels[k],) = unless_broken(self._at_samples, [(*runs[k], trajectory)])
+
+        def observe(k: int, run: Run, trajectory: Trajectory) -> tuple[int, dict[str, Array]]:
+            return k, self._at_samples(*runs[k], trajectory)
+
+        channels = dict(filter(None, unless_broken(observe, self._simulated(runs))))
         return [channels.get(k) or self.broken_down(trial) for k, (_, trial, _) in enumerate(runs)]
 
     def with_energetics(
@@ -437,7 +445,7 @@ class Swimmer(Model):
         start[len(start) - passives :] = values[self._speeds]
         tables = self._tables(values, hooks)
         run = Run(values, trial, hooks, key, grid, None, start, motion, tables)
-        return replace(run, start=self.steady.initial_state(run)) if trial.swim.steady else run
+        return run._replace(start=self.steady.initial_state(run)) if trial.swim.steady else run
 
     def _tables(self, values: Array, hooks: Hooks) -> dict[str, Any]:
         """Return the input arrays of the equations of motion, as effects change them, by name."""
@@ -487,8 +495,8 @@ class Swimmer(Model):
     def _trajectories_of(self, runs: Sequence[tuple[int, Run]]) -> Iterator[tuple[int, Run, Trajectory]]:
         """Yield number, request and trajectory of each requested simulation.
 
-        A trajectory is yielded as soon as it is known, so that a large batch needs little memory. It is valid
-        until the next one. Requests with equal keys are simulated once.
+        A trajectory is yielded as soon as it is known, so that a large batch needs little memory. Requests
+        with equal keys are simulated once.
         """
         missing: dict[tuple[str, Hashable], Run] = {}
         equal: dict[tuple[str, Hashable], list[int]] = {}
@@ -505,7 +513,6 @@ class Swimmer(Model):
             run = missing[at]
             trajectory = Trajectory(run.grid, states, rates, run.drive)
             if run.trial.id in lasting:
-                trajectory = replace(trajectory, states=states.copy(), rates=rates.copy())
                 self._trajectories.put(run.trial.id, run.key, trajectory)
             yield from ((k, run, trajectory) for k in equal[at])
 
@@ -543,14 +550,11 @@ class Swimmer(Model):
             found.update(self.observed(values, trial, states))
             if hooks.flow:
                 self._carried(found, hooks, run.grid.begin_s, time)
-        rates = self.coordinates + len(self.passive) + self.speeds
-        for k, axis in enumerate(self.passive):
-            found[axis.column] = states[:, self.coordinates + k]
-            found[axis.rate] = states[:, rates + k]
+        for name, column in self._joint_columns.items():
+            found[name] = states[:, column]
         if self.driven:
-            driven = run.drive.sampled(time, run.grid)
-            for k, axis in enumerate(self.driven):
-                found[axis.column] = driven[:, k].copy()  # the sampled array is cached
+            columns = (axis.column for axis in self.driven)
+            found.update(zip(columns, run.drive.sampled(time, run.grid), strict=True))
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
 

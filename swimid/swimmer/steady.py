@@ -253,7 +253,7 @@ class SteadySwimming:
         motion = self.model.joints.motion(run.values, run.trial, grid, phase, run.hooks, cached=False)
         start = run.start.copy()
         start[self._memory] = state
-        return self.model.integrate(replace(run, grid=grid, start=start, drive=motion))[0]
+        return self.model.integrate(run._replace(grid=grid, start=start, drive=motion))[0]
 
     def _since_phase_zero(self, run: Run) -> float:
         """Return the time from the last phase zero of the drive to the beginning of the simulation, s."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -538,6 +539,12 @@ class Body:
             drag += flat @ np.hypot(along - fin[:, 1], across + fin[:, 0]) ** 3
         return float(inertia), float(drag)
 
+    @cached_property
+    def loads(self) -> list[tuple[float, float]]:
+        """Inertia and quadratic drag of the links that each driven joint moves, as :meth:`carried` states."""
+        tables = self.tables()
+        return [self.carried(tables, k) for k in range(len(self.driven))]
+
     def normal_drag(self, tables: dict[str, Any]) -> tuple[NDArray[np.int64], Array]:
         """Return the points at which drag across links acts.
 
@@ -686,7 +693,7 @@ class MultilinkModel(Swimmer):
         assert self.robot.multilink is not None
         return self.robot.multilink
 
-    @property
+    @cached_property
     def reference_m(self) -> tuple[float, float]:
         """Position of the reference point in the axes of the base, m."""
         return -self.links.reference.station_m, self.links.reference.offset_m
@@ -779,7 +786,7 @@ class MultilinkModel(Swimmer):
         if not self.free_base:
             start[2] = math.radians(self.links.heading_deg)
             return
-        u, v, r = (values[self._at[f"initial_{name}"]] for name in self.rates)
+        u, v, r = values[self._velocities]
         x, y = self.reference_m
         start[n : n + 3] = u + r * y, v - r * x, r
         if hooks.flow:
@@ -814,7 +821,7 @@ class MultilinkModel(Swimmer):
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point, in the axes of the camera."""
         pose = trial.swim.posed()
-        x, y, turned = (self.value(values, name) for name in self.starts)
+        x, y, turned = values[self._offset].tolist()
         # a simulation starts at the origin, and along x unless forces with a fixed direction in the world act
         heading = 0.0 if self._heading_matters() else float(pose[2]) + turned
         spin = heading + self.value(values, "camera_rotation")

@@ -366,7 +366,7 @@ class MultibodyModel(Swimmer):
     def _posed(self, values: Array, trial: Trial) -> Array:
         """Return the pose of the reference point at the first sample, with estimated offsets, shape (6,)."""
         pose = np.array(trial.swim.posed(6), dtype=float)
-        return pose + [self.value(values, name) for name in self.starts]
+        return pose + values[self._offset]
 
     def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
         start[3] = 1.0
@@ -378,7 +378,7 @@ class MultibodyModel(Swimmer):
         place = -turn.apply(self.tree.reference)
         start[2] = z + place[2]
         start[3:7] = np.roll(turn.as_quat(), 1)
-        speed = np.array([self.value(values, f"initial_{name}") for name in self.rates])
+        speed = values[self._velocities]
         spin = speed[3:] * SIGNS
         start[7 + passives : 10 + passives] = speed[:3] - np.cross(spin, self.tree.reference)
         start[10 + passives : 13 + passives] = spin
