@@ -1,9 +1,9 @@
 """A peer: sparse identification of the residual force (SINDy).
 
 Sequentially thresholded least squares (S. L. Brunton et al., PNAS 113(15), 2016) on what the nominal terms
-leave (K. Kaheman et al., arXiv 1909.08574). The BIC selects the threshold (N. M. Mangan et
-al., Proc. R. Soc. A 473, 2017). Equations and library are those of :mod:`benchmarks.gapbench.regression`.
-The terms of one effect are thresholded together. It cannot say that something else is missing.
+leave (K. Kaheman et al., arXiv 1909.08574). The BIC selects the threshold (N. M. Mangan et al., Proc. R. Soc.
+A 473, 2017). Equations and library are those of :mod:`benchmarks.gapbench.regression`. The terms of one
+effect are thresholded together. It cannot say that something else is missing.
 """
 
 from __future__ import annotations
