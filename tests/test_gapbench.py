@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from benchmarks.gapbench import __main__ as gapbench
-from benchmarks.gapbench import answers, labels, make, peers, regression, scoring, table, tools
+from benchmarks.gapbench import answers, labels, lisdd, make, peers, regression, scoring, sindy, table, tools
+from benchmarks.gapbench.regression import Rows
 from benchmarks.gapbench.tools import Tool
 from tests.conftest import ROOT
 
@@ -241,6 +242,41 @@ def test_the_regression_finds_a_force_in_a_motion() -> None:
     plain = regression.compute_bic(base, left)
     assert regression.compute_bic(np.concatenate([base, v[:, None, None]], axis=2), left) < plain - 100.0
     assert regression.compute_bic(np.concatenate([base, np.ones((300, 1, 1))], axis=2), left) > plain - 6.0
+
+
+def motion(coefficient: float, where: float = 0.0) -> Rows:
+    """``y'' = -3 y' |y'| + coefficient y'`` at speeds above ``where``, with a library of two terms."""
+    rng = np.random.default_rng(4)
+    v = rng.uniform(-1.0, 1.0, 600)
+    square = v * np.abs(v)
+    left = -3.0 * square + coefficient * v * (np.abs(v) > where) + 0.05 * rng.normal(size=600)
+    effects = {"linear-drag": v, "pulley-viscous": v, "tether": rng.normal(size=600)}
+    terms = {name: term[:, None, None] for name, term in effects.items()}
+    return Rows(left[:, None], square[:, None, None], terms, np.abs(v))
+
+
+@pytest.mark.parametrize("discover, where", [(sindy.discover, 0.0), (lisdd.discover, 0.5)])
+def test_a_discovery_names_the_force_of_a_motion(discover: Any, where: float) -> None:
+    found = discover(motion(-0.4, where))
+    assert found["verdict"] == "ambiguous"
+    assert found["causes"] == [{"effect": "linear-drag", "equivalent": ["pulley-viscous"]}]
+    assert discover(motion(0.0))["verdict"] == "none"
+
+
+def test_a_discrepancy_without_a_term_is_unexplained() -> None:
+    rows = motion(0.0)
+    disturbed = rows.left + 0.5 * np.cos(40.0 * rows.speed)[:, None] * (rows.speed > 0.5)[:, None]
+    found = lisdd.discover(rows._replace(left=disturbed))
+    assert (found["verdict"], found["causes"]) == ("unexplained", [])
+
+
+@pytest.mark.parametrize("name", tools.PEERS)
+def test_every_peer_answers_a_case(made: Path, tmp_path: Path, name: str) -> None:
+    case, path = made / "cases" / "0001", tmp_path / "gap.yaml"
+    words = [str(case / "trials.yaml"), "--params", str(case / "params_prior.yaml"), "-o", str(path)]
+    peers.main([name, "diagnose", *words])
+    found = answers.of_gap("0001", json.loads(path.read_text()), 1.0)
+    assert answers.Answer.model_validate_json(found.line()).verdict != "failed"
 
 
 # ------------------------------------------------------------ score

@@ -10,11 +10,12 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.gapbench.peers import Case
+from benchmarks.gapbench.peers import Case, verdict
 from swimid.diagnosis.context import FINE, Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects import catalogue
@@ -23,6 +24,11 @@ from swimid.fitting import uncertainty as sample_noise
 
 #: Effects together at most; so many times the noise is read off the residuals before.
 MOST, WEIGHTINGS = 2, 2
+
+
+def diagnose(case: Case) -> dict[str, Any]:
+    """Return the part of a gap file that the BIC of refits gives."""
+    return verdict(rounds(case))
 
 
 def rounds(case: Case) -> list[dict[str, float]]:

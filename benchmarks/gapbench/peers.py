@@ -70,8 +70,15 @@ def verdict(rounds: Sequence[Mapping[str, float]]) -> dict[str, Any]:
         near = [n for n in sorted(bic, key=bic.__getitem__) if n and bic[n] - bic[best] < STRONG]
         probability = sum(weights[n] for n in near) / sum(weights.values())
         causes.append({"effect": near[0], "equivalent": near[1:], "probability": probability})
-    told = "none" if not causes else "ambiguous" if causes[0]["equivalent"] else "explained"
-    return {"verdict": told, "causes": causes, "where": {"channels": []}}
+    return gap(causes)
+
+
+def gap(causes: Sequence[Mapping[str, Any]], *, otherwise: str = "none") -> dict[str, Any]:
+    """Return the part of a gap file that states causes, or the verdict ``otherwise`` without any."""
+    told = otherwise
+    if causes:
+        told = "ambiguous" if causes[0]["equivalent"] else "explained"
+    return {"verdict": told, "causes": list(causes), "where": {"channels": []}}
 
 
 def main(argv: Sequence[str]) -> None:
@@ -90,7 +97,7 @@ def main(argv: Sequence[str]) -> None:
     parser.add_argument("--no-progress", action="store_true")
     chosen = parser.parse_args(words)
     peer = import_module(f"benchmarks.gapbench.{name}")
-    found = verdict(peer.rounds(case(chosen.trials, chosen.params)))
+    found = peer.diagnose(case(chosen.trials, chosen.params))
     chosen.output.write_text(json.dumps(found, indent=1) + "\n")
 
 

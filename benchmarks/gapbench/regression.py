@@ -9,12 +9,12 @@ seen, and coefficients known from elsewhere are not used.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
 
-from benchmarks.gapbench.peers import Case
+from benchmarks.gapbench.peers import Case, verdict
 from swimid.effects import catalogue
 from swimid.fitting.model import Trial
 
@@ -26,34 +26,39 @@ ORDER, LEAST, OF_BEAT, OF_RECORD = 3, 7, 0.25, 0.1
 STRIBECK = 0.2
 #: Effects together at most.
 MOST = 2
+#: Share of a term's norm that the nominal terms leave, below which the term counts as one of them.
+NOMINAL = 1e-6
 
 
 class Rows(NamedTuple):
-    """Equations of one trial at independent samples: left side, nominal terms, terms of effects."""
+    """Equations at independent samples.
+
+    Attributes
+    ----------
+    left : ndarray, shape (n, equations)
+        Left side.
+    nominal : ndarray, shape (n, equations, k)
+        Terms of the nominal model, each of which has a coefficient of its own.
+    effects : dict of name to ndarray of shape (n, equations, k)
+        Terms of effects.
+    speed : ndarray, shape (n,)
+        Speed along the body, m/s (rad/s of a rig that swings).
+    """
 
     left: Array
     nominal: Array
     effects: dict[str, Array]
+    speed: Array
+
+
+def diagnose(case: Case) -> dict[str, Any]:
+    """Return the part of a gap file that the BIC of terms gives."""
+    return verdict(rounds(case))
 
 
 def rounds(case: Case) -> list[dict[str, float]]:
     """BIC of the nominal equation, under ``""``, and with the terms of each effect; then beside the best."""
-    if getattr(case.model, "pose", None) and case.model.axes:
-        rows = [_planar(case, trial) for trial in case.trials]
-    elif getattr(case.model, "rig", None) is not None:
-        rows = [_rig(case, trial) for trial in case.trials]
-    else:
-        raise SystemExit(f"no equation of forces for the model '{case.model.name}'")
-    known = {e.name for e in catalogue.applicable(catalogue.catalogue(), case.model, case.trials)}
-    left = np.concatenate([r.left for r in rows])
-    base = np.concatenate([r.nominal for r in rows])
-    terms = {
-        name: np.concatenate([r.effects[name] for r in rows]) for name in rows[0].effects if name in known
-    }
-    # each equation in units of what the nominal terms leave of it
-    size = np.sqrt(np.mean(_left(base, left) ** 2, axis=0))
-    left, base = left / size, base / size[:, None]
-    terms = {name: term / size[:, None] for name, term in terms.items()}
+    left, base, terms, _ = equations(case)
     found: list[dict[str, float]] = []
     while len(found) < MOST:
         bic = {"": compute_bic(base, left)}
@@ -66,21 +71,65 @@ def rounds(case: Case) -> list[dict[str, float]]:
     return found
 
 
-def _left(terms: Array, left: Array) -> Array:
-    """What least squares leaves; terms (n, equations, k), each equation with its own non-zero columns."""
-    n, equations, k = terms.shape
-    flat = terms.reshape(n * equations, k)
+def equations(case: Case) -> Rows:
+    """Return the equations of all trials, in units of the residuals that the nominal terms leave of each.
+
+    Terms of effects that the nominal terms can express are left out.
+    """
+    if getattr(case.model, "pose", None) and case.model.axes:
+        rows = [_planar(case, trial) for trial in case.trials]
+    elif getattr(case.model, "rig", None) is not None:
+        rows = [_rig(case, trial) for trial in case.trials]
+    else:
+        raise SystemExit(f"no equation of forces for the model '{case.model.name}'")
+    known = {e.name for e in catalogue.applicable(catalogue.catalogue(), case.model, case.trials)}
+    left = np.concatenate([r.left for r in rows])
+    base = np.concatenate([r.nominal for r in rows])
+    terms = {
+        name: np.concatenate([r.effects[name] for r in rows]) for name in rows[0].effects if name in known
+    }
+    terms = {name: term for name, term in terms.items() if _is_new(term, base)}
+    size = np.sqrt(np.mean(residuals(base, left) ** 2, axis=0))
+    terms = {name: term / size[:, None] for name, term in terms.items()}
+    return Rows(left / size, base / size[:, None], terms, np.concatenate([r.speed for r in rows]))
+
+
+def library(rows: Rows) -> dict[tuple[str, ...], Array]:
+    """Return the terms of effects by the names of all effects that have them."""
+    found: dict[tuple[str, ...], Array] = {}
+    for name, term in rows.effects.items():
+        same = next((names for names, other in found.items() if np.array_equal(other, term)), ())
+        found.pop(same, None)
+        found[*same, name] = term
+    return found
+
+
+def _is_new(term: Array, nominal: Array) -> bool:
+    return bool(np.linalg.norm(residuals(nominal, term)) > NOMINAL * np.linalg.norm(term))
+
+
+def residuals(terms: Array, left: Array) -> Array:
+    """Return the residuals of least squares.
+
+    Parameters
+    ----------
+    terms : ndarray, shape (n, equations, k)
+        Each equation has its own non-zero columns.
+    left : ndarray, shape (n, equations) or (n, equations, m)
+        One left side, or several.
+    """
+    flat = terms.reshape(-1, terms.shape[2])
     scale = np.linalg.norm(flat, axis=0)
     flat = flat / np.where(scale > 0, scale, 1.0)
-    weights = np.linalg.lstsq(flat, left.ravel(), rcond=1e-8)[0]
-    return left - (flat @ weights).reshape(n, equations)
+    weights = np.linalg.lstsq(flat, left.reshape(len(flat), -1), rcond=1e-8)[0]
+    return left - (flat @ weights).reshape(left.shape)
 
 
 def compute_bic(terms: Array, left: Array) -> float:
     """``m log(rss / m) + rank log m`` with ``m`` samples in all."""
     m = left.size
     rank = np.linalg.matrix_rank(terms.reshape(m, -1))
-    return m * float(np.log(np.mean(_left(terms, left) ** 2))) + rank * float(np.log(m))
+    return m * float(np.log(np.mean(residuals(terms, left) ** 2))) + rank * float(np.log(m))
 
 
 def _derivatives(time: Array, series: Array, window_s: float) -> tuple[list[Array], Array]:
@@ -138,6 +187,7 @@ def _rig(case: Case, trial: Trial) -> Rows:
         left[at, None],
         np.stack(nominal or [none], axis=1)[at, None, :],
         {name: term[at, None, None] for name, term in effects.items()},
+        np.abs(v)[at],
     )
 
 
@@ -185,6 +235,7 @@ def _planar(case: Case, trial: Trial) -> Rows:
         np.stack([along, across, dr], axis=1)[at],
         _columns(nominal, at),
         {name: _columns(terms, at) for name, terms in effects.items()},
+        np.abs(u)[at],
     )
 
 

@@ -18,7 +18,7 @@ from benchmarks.gapbench.answers import Answer
 from tests.blind import runner
 
 ROOT = Path(__file__).parents[2]
-PEERS = ("bic", "regression")
+PEERS = ("bic", "regression", "lisdd", "sindy")
 
 
 @dataclass(frozen=True)
