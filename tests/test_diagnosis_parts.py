@@ -31,7 +31,7 @@ from swimid.diagnosis.candidates import own_gains
 from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
 from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
-from swimid.diagnosis.floor import disagreement, floors, nuisance_residuals, repeats, split
+from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
 from swimid.diagnosis.gap_file import Facts, HeldOutTrial, Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
@@ -908,6 +908,13 @@ def test_the_floor_includes_noise_that_parameters_absorb(rng: np.random.Generato
     error = 3.0 * np.sqrt(2.0 / (count * n - numbers) / draws)
     assert np.mean(left) == pytest.approx(1.0 - numbers / (count * n), abs=error)
     assert np.mean(told) == pytest.approx(1.0, abs=error + 0.1 * numbers / (count * n))
+
+
+def test_the_noise_of_each_trial_is_relative_to_that_of_its_channels() -> None:
+    squares = {"x": {"a": (2.0, 10), "b": (6.0, 10)}, "y": {"a": (30.0, 5), "b": (10.0, 5)}}
+    noise = Floor({}, {}, {}, squares, "")
+    assert noise.of_trials(["x"]) == pytest.approx({"a": 0.5, "b": 1.5})
+    assert noise.of_trials(["x", "y", "z"]) == pytest.approx({"a": 12.5 / 15.0, "b": 17.5 / 15.0})
 
 
 def test_noise_is_no_more_than_held_out_errors_with_the_causes() -> None:

@@ -18,6 +18,7 @@ from scipy import special
 
 from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Shrinkage, Verdict
 from swimid.fitting.model import Array
+from swimid.results import numbers
 from swimid.results.numbers import listed, number, percent, probability_text
 
 #: Model whose squared error is the reference of a closed share: with the parameters as given, or refitted
@@ -307,4 +308,4 @@ def interval_text(s: Closed | Shrinkage) -> str:
     low, high = s.ci95
     if low is None or high is None:
         return ""
-    return f"({number(100.0 * low, 2)} … {percent(high, 2)})"
+    return f"({numbers.interval(100.0 * low, 100.0 * high, 100.0 * (high - low), '%')})"
