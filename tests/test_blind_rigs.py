@@ -217,7 +217,7 @@ closed: {share: 0.9, ci95: [0.8, 0.95]}
 where: {channels: [{channel: x_m, nrmse: 0.1, floor: 0.02, share: 1.0, rmse: 0.115}]}
 causes:
 - {effect: wall, probability: 0.97, equivalent: [tether], parameters: {}, shrinkage: [
-    {channel: x_m, before: 0.1, after: 0.03, floor: 0.02, closed: 0.875, ci95: [0.8, 0.9]}]}
+    {channel: x_m, shipped: 0.1, after: 0.03, floor: 0.02, closed: 0.875, ci95: [0.8, 0.9]}]}
 ''')
 elif verb == "compare":
     assert "1.15," in Path("speeds.csv").read_text()
@@ -310,7 +310,7 @@ def test_closed_is_recomputed_with_the_labels_floor() -> None:
                 "effect": "wall",
                 "probability": 1.0,
                 "shrinkage": [
-                    {"channel": "x_m", "before": 0.1, "after": 0.05, "floor": 0.01, "closed": 0.556}
+                    {"channel": "x_m", "shipped": 0.1, "after": 0.05, "floor": 0.01, "closed": 0.556}
                 ],
             }
         ],
@@ -339,8 +339,16 @@ def test_noise_free_logs_are_those_of_the_held_out_trials(tmp_path: Path) -> Non
     (tmp_path / "case" / "trials.yaml").write_text(lines)
     noise_free.write(tmp_path / "case", tmp_path / "label", {"a.csv": "one", "b.csv": "two"})
     trials = YAML(typ="safe").load(tmp_path / "label" / "trials.yaml")["trials"]
-    assert trials == [{"log": "b.csv", "id": "b"}]
+    assert trials == [{"log": "b.csv", "id": "b_noise_free"}]
     assert (tmp_path / "label" / "b.csv").read_text() == "two"
+
+
+def test_estimates_of_a_fitted_trial_do_not_apply_to_its_noise_free_motion(tmp_path: Path) -> None:
+    (tmp_path / "case").mkdir()
+    (tmp_path / "case" / "trials.yaml").write_text("trials:\n  - {log: a.csv, id: a}\n")
+    noise_free.write(tmp_path / "case", tmp_path / "label", {"a.csv": "one"})
+    trials = YAML(typ="safe").load(tmp_path / "label" / "trials.yaml")["trials"]
+    assert [trial["id"] for trial in trials] == ["a_noise_free"]
 
 
 def _changed(value: float, effect: str = "parameter:K_s") -> dict:

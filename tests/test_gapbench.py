@@ -149,8 +149,8 @@ def test_a_gap_file_becomes_an_answer() -> None:
             {
                 "effect": "wall", "probability": 0.6, "equivalent": ["tether", "reading:drag_point=strips"],
                 "shrinkage": [
-                    {"channel": "x_m", "before": 0.1, "after": 0.04, "closed": 0.7, "ci95": [0.6, 0.8]},
-                    {"channel": "y_m", "before": 0.1, "after": 0.04, "closed": None, "ci95": None},
+                    {"channel": "x_m", "shipped": 0.1, "after": 0.04, "closed": 0.7, "ci95": [0.6, 0.8]},
+                    {"channel": "y_m", "shipped": 0.1, "after": 0.04, "closed": None, "ci95": None},
                 ],
             }
         ],

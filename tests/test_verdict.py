@@ -81,10 +81,23 @@ def test_trials_that_differ_more_than_by_chance_have_a_gap() -> None:
 
 
 def test_the_closed_share_is_that_of_the_squared_error_beyond_the_noise() -> None:
-    closed = closed_share(facts("waves", held_out=held_out(200.0, 200.0, 200.0)))
+    """Without variation of the noise the interval is the share; two fitted trials do not show a variation."""
+    known = facts("waves", held_out=held_out(200.0, 200.0, 200.0), noise={"a": 1.0, "b": 1.0, "c": 1.0})
+    closed = closed_share(known)
     assert (closed.before, closed.after, closed.share) == (5.0, 2.0, pytest.approx(0.75))
     assert closed.ci95 == pytest.approx((0.75, 0.75))
+    del known.noise["c"]
+    assert closed_share(known).ci95 == (None, None)
     assert closed_share(facts("waves", held_out=held_out(90.0, before=100.0))).share is None
+
+
+def test_the_answer_states_the_share_of_the_gap_as_given_and_the_verdict_that_after_a_refit() -> None:
+    """The refit leaves a quarter of the squared gap, and the cause closes a third of that."""
+    trials = {str(k): HeldOutTrial(samples=100, as_given=1300.0, before=400.0, after=300.0) for k in range(3)}
+    known = facts("waves", held_out=trials)
+    assert closed_share(known).share == pytest.approx(10.0 / 12.0)
+    assert closed_share(known, "before").share == pytest.approx(1.0 / 3.0)
+    assert decide(known).verdict == "ambiguous"
 
 
 def test_errors_that_grow_in_a_clear_gap_contradict_the_distances() -> None:

@@ -36,7 +36,7 @@ class Cause(_Strict):
     )
     errors: dict[str, tuple[Positive, Positive]] = Field(
         default_factory=dict,
-        description="by channel, root-mean-square error without and with the causes, in the channel's unit: "
+        description="by channel, root-mean-square error as given and with the causes, in the channel's unit: "
         "what the share is of. Without it the share is not scored",
     )
 
@@ -133,7 +133,7 @@ def _cause(cause: Mapping[str, Any], gap: Mapping[str, Any]) -> Cause:
     closed, errors = {}, {}
     for row in cause.get("shrinkage") or []:
         name, of = row["channel"], channels.get(row["channel"], {})
-        if row.get("closed") is None or not row.get("before"):
+        if row.get("closed") is None or not row.get("shipped"):
             continue
         interval = row.get("ci95")
         known = interval is not None and None not in interval
@@ -141,6 +141,6 @@ def _cause(cause: Mapping[str, Any], gap: Mapping[str, Any]) -> Cause:
         if of.get("rmse") and of.get("nrmse"):
             # the file has errors over the range of the channel
             width = of["rmse"] / of["nrmse"]
-            errors[name] = (row["before"] * width, row["after"] * width)
+            errors[name] = (row["shipped"] * width, row["after"] * width)
     effects = list(dict.fromkeys([cause["effect"], *(cause.get("equivalent") or [])]))
     return Cause(set=effects, probability=cause.get("probability"), closed=closed, errors=errors)

@@ -77,7 +77,6 @@ def answer(
     begun: Begun,
     raw: Sequence[Trial],
     *,
-    seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[GapFile, list[Piece]]:
     """Return the gap file of a diagnosis, and the held-out trial with the largest errors.
@@ -145,8 +144,7 @@ def answer(
     if state.left is not None and state.left.found:
         reached = floor
     outside = shrinkage.capped(reached, held)
-    rng = np.random.default_rng(seed)
-    closing = shrinkage.shrinkages(held, outside, noise.squares, ranges, rng=rng)
+    closing = shrinkage.shrinkages(held, outside, noise.of_trials, ranges)
     found = facts.find(state, held, noise, outside, predictions, imitated=imitated, dropout=failed > 0)
     told = Told.of(state, found, noise.inside)
     closed: Closed | None = verdict.closed_share(found.facts)

@@ -259,9 +259,7 @@ def diagnose(
             math.radians(options.max_amplitude_deg or math.inf),
         )
         with threadpool_limits(limits=1, user_api="blas"):
-            file, worst = answer.answer(
-                state, validation, begun, fitted, seed=options.seed, progress=progress
-            )
+            file, worst = answer.answer(state, validation, begun, fitted, progress=progress)
         folder = trials_format.place(trials).parent
         if place is not None:
             folder = place.parent

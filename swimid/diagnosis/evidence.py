@@ -242,7 +242,8 @@ def _errors(file: GapFile) -> ev.Table:
         caption = (
             f"Root-mean-square errors over the measured range, {HELD_OUT[file.held_out]}: the parameters as "
             "given, the model refitted without and with the causes, and noise alone. Closed is the share of "
-            "the squared error above the squared noise floor that the causes take away."
+            "the squared error as given, above the squared noise floor, that the model with the causes does "
+            "not have. The interval is for these held-out data."
         )
         return _table("errors", title, columns, rows, caption, folded=False)
     for c in file.where.channels:
@@ -423,10 +424,8 @@ def answer_text(file: GapFile) -> str:
     closed, held_out = file.closed, HELD_OUT[file.held_out]
     if closed is not None and closed.share is not None:
         before, after = number(closed.before, 3), number(closed.after, 3)
-        said += (
-            f" {held_out[0].upper()}{held_out[1:]} the squared error goes from {before} to {after} times the"
-        )
-        said += " noise"
+        said += f" {held_out[0].upper()}{held_out[1:]} the squared error goes from {before} as given to"
+        said += f" {after} times the noise"
         if closed.share > 0.0:
             said += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
         said += "."

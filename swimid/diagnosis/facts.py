@@ -195,6 +195,7 @@ def find(
         outside=posterior.outside,
         proposed={c.name: c.proposed for c in causes},
         held_out=shrinkage.by_trial(held, outside),
+        noise=noise.of_trials(outside),
         gains=predictions.gains,
         imitated=imitated,
         diverged=not shrinkage.sound(held),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,6 +142,19 @@ class Floor:
             for kind in (self.levels, self.inside, self.within)
         )
         return replace(self, levels=levels, inside=inside, within=within)
+
+    def of_trials(self, channels: Collection[str]) -> dict[str, float]:
+        """Return the mean squared noise of each fitted trial, divided by that of all fitted trials.
+
+        It is the mean over the samples of the channels, each in units of its own noise variance.
+        """
+        sums: dict[str, Array] = {}
+        for each in (self.squares[c] for c in channels if c in self.squares):
+            total, count = np.sum(list(each.values()), axis=0)
+            for trial, (squared, samples) in each.items():
+                own = np.array([squared * count / max(total, 1e-300), samples])
+                sums[trial] = sums.get(trial, 0.0) + own
+        return {trial: float(squared / samples) for trial, (squared, samples) in sums.items() if samples}
 
     def of_held_out(self, chance: Mapping[str, float]) -> dict[str, float]:
         """Return the noise floor of held-out trials, by channel.

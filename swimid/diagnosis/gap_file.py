@@ -120,11 +120,11 @@ class Shrinkage(yamlio.Document):
     """
 
     channel: str
-    #: Root-mean-square errors of the model without the causes of the gap, and with them.
+    #: Root-mean-square errors of the refitted model without the causes of the gap, and with them.
     before: Number
     after: Number
     floor: Number
-    #: Closed share of the squared gap: (before**2 - after**2) / (before**2 - floor**2), at most 1.
+    #: Closed share of the squared gap: (shipped**2 - after**2) / (shipped**2 - floor**2), at most 1.
     closed: Number
     ci95: Pair = (None, None)
     #: Error of the model with the parameters as given.
@@ -132,10 +132,11 @@ class Shrinkage(yamlio.Document):
 
 
 class Closed(yamlio.Document):
-    """Squared error over all channels on held-out data without and with the causes, and its closed share.
+    """Squared error over all channels on held-out data as given and with the causes, and its closed share.
 
-    The squared errors ``before`` and ``after`` are means in units of the noise variance. The closed share of
-    the squared gap is (before - after) / (before - 1), at most 1.
+    The squared errors are means in units of the noise variance: ``before`` with the parameters as given, and
+    ``after`` with the causes and the refitted coefficients. The closed share of the squared gap is
+    (before - after) / (before - 1), at most 1.
     """
 
     before: Number
@@ -192,6 +193,9 @@ class Facts(yamlio.Document):
     #: errors as given if a changed parameter is among the causes, or if the refitted coefficients imitate
     #: the causes.
     held_out: dict[str, HeldOutTrial] = {}
+    #: Mean squared noise of each fitted trial, divided by that of all fitted trials. Its variation gives the
+    #: interval of the closed share.
+    noise: dict[str, float] = {}
     #: Decrease by all proposed causes of the squared distance of each cross-validation fold and of each
     #: validation trial from its prediction. The unit is the variance of the prediction error.
     gains: dict[str, Number] = {}

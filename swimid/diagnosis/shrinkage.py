@@ -21,14 +21,12 @@ from swimid.diagnosis import crossval, remainder
 from swimid.diagnosis.context import Fit, FitContext, Mixed, beyond, held_at
 from swimid.diagnosis.gap_file import HeldOutTrial, Shrinkage, Step
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.verdict import MOST, interval, share_closed
+from swimid.diagnosis.verdict import MOST, closed_gap
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Trial
 
 #: Relative tolerance of the cost when the initial state of a held-out trial is fitted.
 TOLERANCE = 1e-4
-#: Number of bootstrap resamples of trials for the interval of the closed fraction of the gap.
-RESAMPLES = 1000
 
 #: Error of a held-out sample whose simulation diverged. Its unit is that of the errors with which it is
 #: summed: the unit of the channel, or the noise standard deviation.
@@ -226,62 +224,33 @@ def _stretch(
 def shrinkages(
     found: Sequence[Piece],
     floors: Mapping[str, float],
-    noise: Mapping[str, Mapping[str, tuple[float, int]]],
+    noise: Callable[[Collection[str]], Mapping[str, float]],
     ranges: Mapping[str, float],
-    *,
-    rng: np.random.Generator,
 ) -> list[Shrinkage]:
     """Return the held-out errors, the noise floor and the closed share of the squared gap of each channel.
-
-    The closed share has a bootstrap interval over trials [1]_.
 
     Parameters
     ----------
     floors : mapping of channel to float
         Noise floor in the unit of the channel; unknown for a channel that no fitted trial has.
-    noise : mapping of channel to mapping of trial to (float, int)
-        Contribution of each fitted trial to the squared noise, up to a common factor, and its number of
-        samples. The noise is resampled separately, because a few trials do not determine it well.
+    noise : callable
+        Relative squared noise of each fitted trial in given channels
+        (:meth:`swimid.diagnosis.floor.Floor.of_trials`).
     ranges : mapping of channel to float
         Measured range of each channel in the fitted trials, in the unit of the channel, for relative errors.
-
-    References
-    ----------
-    .. [1] T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69(4),
-       2015, section 5.2: with few trials the bootstrap interval is too narrow, like a normal interval in
-       place of Student's.
     """
     result = []
     for channel, mine in by_channel(found).items():
-        trials = list(dict.fromkeys(p.trial.id for p in mine))
-        squares = np.zeros((len(trials), 4))
-        for p in mine:
-            sums = [float(np.sum(p.squares(y))) for y in (p.shipped, p.before, p.after)]
-            squares[trials.index(p.trial.id)] += [*sums, np.isfinite(p.measured).sum()]
         own_range = float(np.ptp(np.concatenate([p.seen(p.measured) for p in mine])))
         size = ranges.get(channel) or own_range or 1.0
-        shipped, before, after = np.sqrt(squares[:, :3].sum(axis=0) / squares[:, 3].sum()) / size
+        errors = {}
+        for which in ("shipped", "before", "after"):
+            squares = np.concatenate([p.squares(getattr(p, which)) for p in mine])
+            errors[which] = float(np.sqrt(np.mean(squares))) / size
+        closed = closed_gap(by_trial(mine, floors), noise([channel]))
         floor = floors.get(channel, math.nan) / size
-        picks = rng.integers(0, len(trials), (RESAMPLES, len(trials)))
-        drawn = squares[picks].sum(axis=1)
-        roots = np.sqrt(drawn[:, 1:3] / drawn[:, 3:]) / size
-        known_noise = noise.get(channel, {})
-        levels = floor * _resampled(known_noise, len(picks), len(known_noise), rng)
-        # Resample the noise of the held-out trials as well. It is estimated by that of the fitted trials.
-        levels *= _resampled(known_noise, len(picks), sum(t not in known_noise for t in trials), rng)
-        shares = [share_closed(b, a, f) for (b, a), f in zip(roots, levels, strict=True)]
-        known = [s for s in shares if math.isfinite(s) and len(trials) > 1]
-        share = share_closed(before, after, floor)
         result.append(
-            Shrinkage(
-                channel=channel,
-                before=before,
-                after=after,
-                shipped=shipped,
-                floor=floor,
-                closed=share,
-                ci95=interval(share, known, len(trials)),
-            )
+            Shrinkage(channel=channel, **errors, floor=floor, closed=closed.share, ci95=closed.ci95)
         )
     return result
 
@@ -309,18 +278,6 @@ def waterfall(found: Sequence[Piece], floors: Mapping[str, float], labels: Seque
         steps.append(Step(label=label, squared=squared / max(count, 1), rmse=channels))
     noise = {channel: floors.get(channel) for channel in by_channel(found)}
     return [*steps, Step(label="noise alone", squared=1.0, rmse=noise)]
-
-
-def _resampled(
-    noise: Mapping[str, tuple[float, int]], count: int, trials: int, rng: np.random.Generator
-) -> Array:
-    """Return the noise of bootstrap resamples of the trials, relative to all trials, shape (count,)."""
-    if len(noise) < 2 or not trials:
-        return np.ones(count)
-    each = np.array(list(noise.values()))
-    drawn = each[rng.integers(0, len(each), (count, trials))].sum(axis=1)
-    whole = each.sum(axis=0)
-    return np.asarray(np.sqrt(drawn[:, 0] / drawn[:, 1] * whole[1] / max(whole[0], 1e-300)))
 
 
 def sound(found: Sequence[Piece]) -> bool:

@@ -9,17 +9,21 @@ the file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy import special
 
-from swimid.diagnosis.gap_file import Closed, Facts, Shrinkage, Verdict
+from swimid.diagnosis.gap_file import Closed, Facts, HeldOutTrial, Shrinkage, Verdict
 from swimid.fitting.model import Array
+from swimid.results import numbers
 from swimid.results.numbers import listed, number, percent, probability_text
 
+#: Model whose squared error is the reference of a closed share: with the parameters as given, or refitted
+#: without the causes.
+Reference = Literal["as_given", "before"]
 #: Verdicts from the strongest to the weakest.
 ORDER: tuple[Verdict, ...] = ("none", "explained", "ambiguous", "unexplained")
 #: Minimum probability of causes in the catalogue, divided by that of all causes, for the verdict "explained".
@@ -165,12 +169,12 @@ def _held_out(facts: Facts, names: str) -> Iterator[Row]:
         yield Row("held-out simulation", "diverges", "finite", False, "unexplained", "none", reason)
     if not facts.gains:
         return
-    lower, closed = probability_of_decrease(facts), closed_share(facts)
+    lower, closed = probability_of_decrease(facts), closed_share(facts, "before")
     needed, found = f"probability ≥ {percent(CLEAR)}", f"probability {probability_text(lower)}"
     reason = f"held-out errors do not clearly fall with {names} ({found})"
     yield Row("held-out errors fall", found, needed, lower >= CLEAR, "unexplained", "none", reason)
     passed, found = closes_most(closed)
-    reason = f"less than half of the squared gap closes on held-out data: {found}"
+    reason = f"less than half of the squared gap after a refit closes on held-out data: {found}"
     yield Row("squared gap closed", found, f"≥ {percent(MOST)}", passed, "ambiguous", "all", reason)
 
 
@@ -191,7 +195,7 @@ def probability_of_decrease(facts: Facts) -> float:
     The folds and trials get random weights (Bayesian bootstrap).
     """
     of_distances = _probability(list(facts.gains.values()))
-    closed = closed_share(facts)
+    closed = closed_share(facts, "before")
     if closed.before is None or closed.before <= 1.0 / (1.0 - MOST):
         return of_distances
     of_errors = _probability([t.before - t.after for t in facts.held_out.values()])
@@ -206,25 +210,12 @@ def _probability(lowered: Sequence[float | None]) -> float:
     return float(np.mean(_weights(len(values)) @ values > 0.0))
 
 
-def closed_share(facts: Facts) -> Closed:
-    """Return the closed share of the squared gap over all channels, with its interval over held-out trials.
+def closed_share(facts: Facts, reference: Reference = "as_given") -> Closed:
+    """Return the closed share of the squared gap over all channels, with its interval.
 
-    Squared errors are in units of the noise variance of their channel.
+    See :func:`closed_gap` for the reference.
     """
-    trials = list(facts.held_out.values())
-    count = sum(t.samples for t in trials)
-    if not count:
-        return Closed(before=None, after=None, share=None)
-    before, after = (
-        sum(values) / count for values in zip(*((t.before, t.after) for t in trials), strict=True)
-    )
-    share = share_closed(math.sqrt(before), math.sqrt(after), 1.0)
-    lowered = np.array([t.before - t.after for t in trials])
-    gap = np.array([t.before - t.samples for t in trials])
-    weights = _weights(len(trials))
-    closing, whole = weights @ lowered, weights @ gap
-    drawn = np.minimum(closing[whole > 0.0] / whole[whole > 0.0], 1.0).tolist()
-    return Closed(before=before, after=after, share=share, ci95=interval(share, drawn, len(trials)))
+    return closed_gap(facts.held_out, facts.noise, reference)
 
 
 def _weights(count: int) -> Array:
@@ -246,38 +237,68 @@ def share_closed(before: float, after: float, floor: float) -> float:
     return float(min((before**2 - after**2) / gap, 1.0))
 
 
-def widened(count: int) -> float:
-    """Return the factor by which a bootstrap interval over ``count`` trials is too narrow.
-
-    It is the 97.5 % quantile of Student's distribution times ``sqrt(count / (count - 1))``, divided by the
-    normal quantile.
-    """
-    return float(math.sqrt(count / (count - 1)) * special.stdtrit(count - 1, 0.975) / special.ndtri(0.975))
-
-
-def interval(share: float, drawn: Sequence[float], count: int) -> tuple[float | None, float | None]:
-    """Return the 95 % interval of a closed share from bootstrap resamples.
-
-    It is unknown from too few resamples, and from fewer than three trials, whose interval would have no limit
-    of practical use.
+def closed_gap(
+    trials: Mapping[str, HeldOutTrial], noise: Mapping[str, float], reference: Reference = "as_given"
+) -> Closed:
+    """Return the closed share of the squared gap of held-out trials, with its 95 % interval.
 
     Parameters
     ----------
-    count : int
-        Number of trials.
+    trials : mapping of trial to HeldOutTrial
+        Squared errors, in units of the noise variance.
+    noise : mapping of trial to float
+        Mean squared noise of each fitted trial, divided by that of all fitted trials.
+    reference : {"as_given", "before"}
+        Model whose gap closes: the model with the parameters as given, or the refitted model without causes.
     """
-    if len(drawn) <= 20 or count < 3 or not math.isfinite(share):
+    count = sum(t.samples for t in trials.values())
+    if not count:
+        return Closed(before=None, after=None, share=None)
+    before = sum(getattr(t, reference) for t in trials.values()) / count
+    after = sum(t.after for t in trials.values()) / count
+    share = share_closed(math.sqrt(before), math.sqrt(after), 1.0)
+    return Closed(before=before, after=after, share=share, ci95=interval(share, before, trials, noise))
+
+
+def interval(
+    share: float, before: float, trials: Collection[str], noise: Mapping[str, float]
+) -> tuple[float | None, float | None]:
+    """Return the 95 % interval of the closed share of these held-out trials; unknown without a gap.
+
+    The share is uncertain because the errors contain the noise of the held-out trials, and because the floor
+    is estimated. The mean squared noise of a trial has a variance v, which is estimated from the fitted
+    trials. The variance of a mean squared error 1 + e is then v (1 + 2 e), as that of a noncentral
+    chi-squared variable. The interval uses Student's distribution. It is unknown from fewer than three fitted
+    trials.
+
+    Parameters
+    ----------
+    before : float
+        Mean squared error without the causes, in units of the noise variance.
+    trials : collection of str
+        Names of the held-out trials.
+    noise : mapping of trial to float
+        Mean squared noise of each fitted trial, divided by that of all fitted trials.
+    """
+    fitted = len(noise)
+    if fitted < 3 or not math.isfinite(share):
         return None, None
-    low, high = (share + widened(count) * (float(end) - share) for end in np.quantile(drawn, (0.025, 0.975)))
-    return low, min(high, 1.0)
+    gap, left = before - 1.0, max(1.0 - share, 0.0)
+    # Both errors contain the same noise, so that the part that the closed share multiplies is common to them.
+    variance = (share**2 + 2.0 * left * (1.0 + left) * gap) / len(trials)
+    if not noise.keys() & set(trials):
+        variance += share**2 / fitted
+    variance *= float(np.var(list(noise.values()), ddof=1))
+    half = float(special.stdtrit(fitted - 1, 0.975)) * math.sqrt(variance) / gap
+    return share - half, min(share + half, 1.0)
 
 
 def over_channels(found: Sequence[Shrinkage]) -> Closed:
     """Return the closed share of the squared gap over channels from their errors, with equal weights."""
-    known = [s for s in found if s.floor and s.before is not None and s.after is not None]
+    known = [s for s in found if s.floor and s.shipped is not None and s.after is not None]
     if not known:
         return Closed(before=None, after=None, share=None)
-    errors = np.array([[s.before, s.after] for s in known]) / np.array([[s.floor] for s in known])
+    errors = np.array([[s.shipped, s.after] for s in known]) / np.array([[s.floor] for s in known])
     before, after = np.mean(errors**2, axis=0).tolist()
     return Closed(before=before, after=after, share=share_closed(math.sqrt(before), math.sqrt(after), 1.0))
 
@@ -287,4 +308,4 @@ def interval_text(s: Closed | Shrinkage) -> str:
     low, high = s.ci95
     if low is None or high is None:
         return ""
-    return f"({number(100.0 * low, 2)} … {percent(high, 2)})"
+    return f"({numbers.interval(100.0 * low, 100.0 * high, 100.0 * (high - low), '%')})"

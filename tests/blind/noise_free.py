@@ -21,6 +21,8 @@ from ruamel.yaml import YAML
 KEPT_VARIABLES = ("PATH", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH", "NUMBA_CACHE_DIR", "SYSTEMROOT")
 #: Name of the parameter file of the model with the causes, which a diagnosis writes.
 REPAIRED = "repaired.yaml"
+#: End of the name of a noise-free motion.
+MOTION = "_noise_free"
 #: Name of the file with the errors of both models against the noise-free motions.
 FOUND = "noise_free.json"
 
@@ -56,10 +58,13 @@ def write(folder: Path, place: Path, logs: Mapping[str, str]) -> None:
         (place / name).write_text(text)
     yaml = YAML()
     trials = yaml.load(place / "trials.yaml")
-    held_out = [trial for trial in trials.get("trials", []) if trial.get("role") == "validate"]
+    listed = trials.get("trials", [])
+    held_out = [trial for trial in listed if trial.get("role") == "validate"] or listed
     if held_out:
         for trial in held_out:
-            del trial["role"]
+            trial.pop("role", None)
+            # A parameter file has estimates of the scatter of a fitted trial, under the name of the trial.
+            trial["id"] = f"{trial['id']}{MOTION}"
         trials["trials"] = held_out
         yaml.dump(trials, place / "trials.yaml")
 

@@ -151,10 +151,10 @@ def _shrinkage(
     """Share of the gap closed as claimed, and with the label's floor, and the interval stated for it: of the
     channel with the largest gap.
     """
-    known = [s for s in cause.get("shrinkage") or [] if s.get("closed") is not None and s.get("before")]
+    known = [s for s in cause.get("shrinkage") or [] if s.get("closed") is not None and s.get("shipped")]
     if not known:
         return None, None, None
-    best = max(known, key=lambda s: s["before"] / s["floor"] if s.get("floor") else 0.0)
+    best = max(known, key=lambda s: s["shipped"] / s["floor"] if s.get("floor") else 0.0)
     name = best["channel"]
     channel = next((c for c in gap["where"]["channels"] if c["channel"] == name), {})
     width = channel["rmse"] / channel["nrmse"] if channel.get("rmse") and channel.get("nrmse") else None
@@ -162,7 +162,7 @@ def _shrinkage(
     floor = (label.get("floor") or label.get("noise_sd") or {}).get(name)
     if not width or not floor:
         return best["closed"], None, None
-    true = closed_share(best["before"], best["after"], floor / width)
+    true = closed_share(best["shipped"], best["after"], floor / width)
     return best["closed"], true, _interval(best.get("ci95"))
 
 
