@@ -12,7 +12,6 @@ from scipy import special
 
 from swimid.diagnosis import (
     advice,
-    crossval,
     dropouts,
     evidence,
     facts,
@@ -48,7 +47,7 @@ from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.search import State
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.shrinkage import Misfit, Piece
+from swimid.diagnosis.shrinkage import Piece
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
@@ -488,11 +487,10 @@ def _extrapolations(state: State) -> dict[str, Distance]:
             parts = zip(labels, context.folds.owner, strict=True)
             cut = copy.copy(context)
             cut.folds = Folds(True, [np.full(len(rows), int(own == label)) for own, rows in parts], 2)
-            times = []
-            for fit in (state.nominal, state.base):
-                inner = crossval.normal_equations(cut, fit, state.noise_model)
-                times.append(Misfit(float(crossval.predictive(inner)[1]), int(inner.samples[1])).times)
-            found[f"{kind} {label}"] = Distance(before=times[0], after=times[1])
+            fits = (state.nominal, state.base)
+            folds = [shrinkage.predictions(cut, fit, state.noise_model, ())[0] for fit in fits]
+            before, after = (each["fold 2"].times for each in folds)
+            found[f"{kind} {label}"] = Distance(before=before, after=after)
     return found
 
 
