@@ -324,10 +324,11 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
         return []
     places = np.arange(len(steps) - 1)
     noise = steps[-1].rmse
-    curves = {"all channels": [step.squared for step in steps[:-1]]}
+    curves: dict[str, Any] = {"all channels": [step.squared for step in steps[:-1]]}
     for channel, floor in noise.items():
         if floor and len(noise) > 1:
-            curves[numbers.quantity(channel)] = [_squared(s.rmse.get(channel), floor) for s in steps[:-1]]
+            errors = np.array([step.rmse.get(channel) for step in steps[:-1]], dtype=float)
+            curves[numbers.quantity(channel)] = (errors / floor) ** 2
     traces = []
     for k, (label, values) in enumerate(curves.items()):
         x = places + 0.1 * (k - (len(curves) - 1) / 2)
@@ -348,13 +349,6 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
         x_categories=[step.label for step in steps[:-1]],
     )
     return [figure]
-
-
-def _squared(error: float | None, floor: float) -> float | None:
-    """Return a squared error in units of the noise variance."""
-    if error is None:
-        return None
-    return (error / floor) ** 2
 
 
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:

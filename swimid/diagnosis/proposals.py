@@ -224,11 +224,11 @@ class Swim:
         self.unit = 1.0
         if self.beat is not None:
             self.unit = math.radians(1.0)
-        #: Frequency of a beat in recorded commands, Hz; NaN if it is unknown.
-        self.recorded_hz = math.nan
-        found = settings.quantities(self.template).get("frequency")
-        if not drives and isinstance(found, settings.Quantity):
-            self.recorded_hz = found.value
+        #: Unit of the frequencies: 1 Hz, or the frequency of a beat in recorded commands (NaN if unknown).
+        self.beat_hz = 1.0
+        if not drives:
+            found = settings.quantities(self.template).get("frequency")
+            self.beat_hz = found.value if isinstance(found, settings.Quantity) else math.nan
 
     def __call__(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
         """Return a trial of these segments; its amplitude is lowered to the limits of the joints."""
@@ -254,8 +254,8 @@ class Swim:
         most_hz, most = limits.max_frequency_hz, math.inf
         if usual is not None:
             hz, size = float(usual.frequency_hz), _size(usual)
-        elif math.isfinite(self.recorded_hz):
-            most_hz /= self.recorded_hz
+        elif math.isfinite(self.beat_hz):
+            most_hz /= self.beat_hz
         if self.beat is not None:
             most = math.degrees(limits.max_amplitude_rad)
         f = [level(s.frequency, self.frequencies, hz, most_hz) for s in segments]
@@ -266,10 +266,12 @@ class Swim:
         if self.swim.joints is not None and usual is None:
             # A record that is played faster ends earlier.
             duration_s = min(duration_s, _duration(self.template) * len(f) / sum(f))
-        ramp_s = getattr(usual, "ramp_s", 0.0)
-        beats = self._beats(f, a, duration_s / len(f), ramp_s)
+        # The number of beats in each segment is NaN if the frequency of recorded commands is unknown.
+        lengths = np.full(len(f), duration_s / len(f))
+        lengths[0] -= getattr(usual, "ramp_s", 0.0)
+        beats = (lengths * f * self.beat_hz)[np.array(a) != 0.0]
         sampled = _cut(self.template.time_s, duration_s)
-        if min(beats, default=math.inf) < MIN_BEATS - 1e-3 or len(sampled) < MIN_SAMPLES:
+        if np.any(beats < MIN_BEATS - 1e-3) or len(sampled) < MIN_SAMPLES:
             return None, 0.0
         time = np.arange(round(duration_s * COMMAND_RATE_HZ) + 1) / COMMAND_RATE_HZ
         if usual is not None and len(f) == 1:
@@ -290,14 +292,6 @@ class Swim:
         text = f"{self._words(f, a, b)}, from rest, for {_duration(trial):.3g} s"
         columns = {"t_s": time, **dict(zip(names, angles, strict=True))}
         return Proposal(text, trial, entry, columns), self._excess(angles)
-
-    def _beats(self, f: Sequence[float], a: Sequence[float], each_s: float, ramp_s: float) -> list[float]:
-        """Return the number of beats in each segment with a beat. It is unknown for recorded commands."""
-        if self.swim.drive is None:
-            f = [one * self.recorded_hz for one in f]
-        lengths = [each_s - ramp_s, *[each_s] * (len(f) - 1)]
-        parts = zip(lengths, f, a, strict=True)
-        return [length * hz for length, hz, size in parts if size and math.isfinite(hz)]
 
     def _sized(self, hz: float, size: float, bias_rad: float, *, steady: bool) -> SwimInput:
         """Return the input with a single drive: a beat (size in rad), a stroke, or recorded commands.
