@@ -115,8 +115,9 @@ def answer(
     alike = _alone(state, nominal), _alone(state, state.base)
     drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
     structured = _structured_share(state)
-    noise = floors(context, state.base, state.nuisance_residuals, structured, alike[1], state.noise_model)
-    noise = noise.less(drifts)
+    noise = floors(
+        context, state.base, state.nuisance_residuals, structured, alike[1], state.noise_model, drifts
+    )
     floor = noise.inside
     failed = dropouts.misfit(state, raw, floor)
     every = _predictions(state, alike, floor, validation, progress)

@@ -2,8 +2,8 @@
 
 A proposed trial is a sequence of segments of equal duration. :data:`PROPOSALS` lists all of them. A protocol
 turns the segments into the command of one kind of experiment: a beat or joint commands, a pulling force, an
-input column, a cruise, or a release. It is a function of the segments and of the maximum duration, s. It
-returns None if this experiment cannot run the segments within its limits.
+input column, a cruise, or a release. A protocol is a function of the segments and of the maximum duration, s.
+It returns None if the experiment cannot run the segments within its limits.
 """
 
 from __future__ import annotations
