@@ -105,7 +105,8 @@ def answer(
         # If a changed parameter is among the causes, measure the gap with the parameter values as given.
         state.nominal = _as_given(state)
     nominal = state.nominal
-    ranges = _ranges(context, nominal)
+    # A measured range of zero is replaced by 1.
+    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in measured(context, nominal).items()}
     errors = by_channel(nominal, nominal.residuals)
     if all(rms(left) > shrinkage.ASTRAY * ranges[c] for c, left in errors.items()):
         raise NoTrustworthyResult(
@@ -314,14 +315,6 @@ def _reasons(state: State) -> list[str]:
     if not differing:
         return []
     return [f"trials differ in {listed(differing)}, which is part of the noise"]
-
-
-def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
-    """Return the measured range of each channel over the fitted trials, in the channel's unit.
-
-    A range of zero is replaced by 1.
-    """
-    return {c: float(np.ptp(values)) or 1.0 for c, values in measured(context, nominal).items()}
 
 
 def _channels(
