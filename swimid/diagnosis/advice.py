@@ -75,7 +75,7 @@ def advise(
         apart = {name: size for name, size in zip(others, sizes, strict=True) if size > least}
         if apart:
             advice.separates, advice.difference = [first, *apart], min(apart.values())
-            advice.command = _log(found, advice, limits)
+            advice._command = _log(found, advice, limits)
         return advice
 
     made = map_in_processes(compared, proposals.PROPOSALS, context.jobs)

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, InstanceOf, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from swimid.effects.base import Stage
 from swimid.files import yamlio
@@ -270,9 +270,13 @@ class Advice(yamlio.Document):
     difference: Number = None
     noise: Number = None
     now: Number = None
-    #: Command file of the proposed trial, in memory; None without one, and if the gap file was read. The gap
-    #: file does not contain it.
-    command: InstanceOf[Log] | None = Field(default=None, exclude=True)
+    #: Command file of the proposed trial, in memory. The gap file does not contain it.
+    _command: Log | None = None
+
+    @property
+    def command(self) -> Log | None:
+        """Return the command file of the proposed trial; None if there is none, or if a file was read."""
+        return self._command
 
 
 class Score(yamlio.Document):
