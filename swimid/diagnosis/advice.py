@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -17,7 +16,7 @@ from swimid.diagnosis.candidates import within
 from swimid.diagnosis.context import Fit, FitContext, Mixed
 from swimid.diagnosis.gap_file import Advice
 from swimid.diagnosis.noise_model import NoiseModel
-from swimid.diagnosis.proposals import Limits, Segment
+from swimid.diagnosis.proposals import Limits, Proposal, Segment
 from swimid.fitting.model import Array, Trial
 from swimid.fitting.problem import map_in_processes
 from swimid.logs.log import Log
@@ -28,23 +27,6 @@ MOST = 4
 LEVEL = 0.95
 #: Name of the command file of a proposed trial if the user gives none.
 COMMAND_FILE = "next.csv"
-
-
-class Command(NamedTuple):
-    """Proposed trial in which the simulations of the rivals have been compared.
-
-    Attributes
-    ----------
-    text, entry, columns
-        As in :class:`~swimid.diagnosis.proposals.Proposal`.
-    differences : list of float
-        Difference between the first rival and each other one, in noise standard deviations.
-    """
-
-    text: str
-    entry: Mapping[str, Any]
-    columns: dict[str, Array]
-    differences: list[float]
 
 
 def threshold(rivals: Sequence[Fit]) -> float:
@@ -77,39 +59,33 @@ def advise(
     protocol = proposals.protocol_of(context.model, context.trials, limits)
     if protocol is None:
         return []
-    models = [Rival.of(context, fit, noise_model) for fit in rivals]
+    models = [Rival(context, fit, noise_model) for fit in rivals]
     length_m = proposals.tank_length(context.trials, limits)
+    first, *others = [fit.effects[-1].name for fit in rivals]
+    least = threshold(rivals)
 
-    def compared(segments: Sequence[Segment]) -> Command | None:
+    def compared(segments: Sequence[Segment]) -> Advice | None:
         found = proposals.shortened(
             protocol, segments, length_m, lambda trial: [one.simulated(trial) for one in models]
         )
         if found is None:
             return None
+        advice = Advice(text=found.text, noise=least, now=now)
         sizes = [difference(models[0], other, found.trial) for other in models[1:]]
-        return Command(found.text, found.entry, dict(found.columns), sizes)
+        apart = {name: size for name, size in zip(others, sizes, strict=True) if size > least}
+        if apart:
+            advice.separates, advice.difference = [first, *apart], min(apart.values())
+            advice._command = _log(found, advice, limits)
+        return advice
 
     made = map_in_processes(compared, proposals.PROPOSALS, context.jobs)
-    commands = {c.text: c for c in made if c is not None}
-    first, *others = [fit.effects[-1].name for fit in rivals]
-    least, found = threshold(rivals), []
-    for command in commands.values():
-        apart = {n: d for n, d in zip(others, command.differences, strict=True) if d > least}
-        if apart:
-            advice = Advice(
-                text=command.text,
-                separates=[first, *apart],
-                difference=min(apart.values()),
-                noise=least,
-                now=now,
-            )
-            advice.hold(_log(command, advice, limits))
-            found.append(advice)
+    possible = {a.text: a for a in made if a is not None}
+    found = [a for a in possible.values() if a.separates]
     found.sort(key=lambda a: (-len(a.separates), -(a.difference or 0.0)))
-    left = [name for name in others if not any(name in advice.separates for advice in found)]
+    left = [name for name in others if not any(name in a.separates for a in found)]
     found = found[:MOST]
     if left:
-        found.append(Advice(text=_nothing(first, left, len(commands), length_m, least), noise=least))
+        found.append(Advice(text=_nothing(first, left, len(possible), length_m, least), noise=least))
     return found
 
 
@@ -127,27 +103,25 @@ def _nothing(first: str, left: Sequence[str], count: int, length_m: float, least
     )
 
 
-def _log(command: Command, advice: Advice, limits: Limits) -> Log:
+def _log(proposal: Proposal, advice: Advice, limits: Limits) -> Log:
     """Return the command file of a proposed trial."""
+    sizes = {"difference": advice.difference, "noise": advice.noise, "now": advice.now}
     metadata = {
         "made_by": "swimid diagnose",
         "version": swimid.__version__,
         "robot": limits.experiment.robot.name,
         "experiment": limits.experiment.name,
-        "run": command.text,
+        "run": advice.text,
         "separates": advice.separates,
-        "difference": float(f"{advice.difference:.3g}"),
-        "noise": float(f"{advice.noise:.3g}"),
-        "now": float(f"{advice.now:.3g}"),
-        "trial": {"id": Path(COMMAND_FILE).stem, "log": COMMAND_FILE, **command.entry},
+        **{name: float(f"{size:.3g}") for name, size in sizes.items()},
+        "trial": {"id": Path(COMMAND_FILE).stem, "log": COMMAND_FILE, **proposal.entry},
     }
-    return Log(Path(COMMAND_FILE), metadata, command.columns, None)
+    return Log(Path(COMMAND_FILE), metadata, dict(proposal.columns), None)
 
 
 # ---------------------------------------------------------------- difference between rivals
 
 
-@dataclass(frozen=True)
 class Rival:
     """Fitted model with a rival cause, which predicts proposed trials.
 
@@ -160,44 +134,28 @@ class Rival:
     shared : list of str
         Names of the parameters that all trials share.
     precision : ndarray, shape (shared, shared)
-        Precision matrix of these parameters from the present trials and the priors.
+        Precision matrix of these parameters from the present trials and the priors. The parameters of single
+        trials are projected out.
     """
 
-    context: FitContext
-    fit: Fit
-    noise_model: NoiseModel
-    values: Mapping[str, float]
-    sd: Mapping[str, float]
-    shared: list[str]
-    precision: Array
-
-    @classmethod
-    def of(cls, context: FitContext, fit: Fit, noise_model: NoiseModel) -> Rival:
-        """Return the rival of a fit. The parameters of single trials are projected out of the precision."""
+    def __init__(self, context: FitContext, fit: Fit, noise_model: NoiseModel) -> None:
+        self.context, self.fit, self.noise_model = context, fit, noise_model
         problem = fit.problem
-        values: dict[str, list[float]] = {}
-        for (index, _), value in zip(problem.slots, fit.theta, strict=True):
-            values.setdefault(problem.parameters[index].name, []).append(float(value))
+        names = np.array([problem.parameters[index].name for index, _ in problem.slots])
+        self.values = {str(name): float(np.mean(fit.theta[names == name])) for name in names}
         sd: dict[str, list[Array]] = {}
         for channels, series in zip(problem.channels, problem.sd, strict=True):
             for channel, own in zip(channels, series, strict=True):
                 sd.setdefault(channel, []).append(own)
+        self.sd = {channel: float(np.median(np.concatenate(own))) for channel, own in sd.items()}
         shared = [j for j, (_, owner) in enumerate(problem.slots) if owner is None]
-        precision = context.precision(problem)[np.ix_(shared, shared)]
+        self.shared = [fit.labels[j] for j in shared]
+        self.precision = context.precision(problem)[np.ix_(shared, shared)]
         for k, residuals in enumerate(fit.residuals):
             # The function project_out() expects the residuals in the last column.
             block = np.column_stack((fit.columns(k, shared), residuals))
             seen = crossval.project_out(context, fit, noise_model, k, block)[:, :-1]
-            precision = precision + seen.T @ seen
-        return cls(
-            context,
-            fit,
-            noise_model,
-            {name: float(np.mean(own)) for name, own in values.items()},
-            {channel: float(np.median(np.concatenate(own))) for channel, own in sd.items()},
-            [fit.labels[j] for j in shared],
-            precision,
-        )
+            self.precision = self.precision + seen.T @ seen
 
     def problem(self, trial: Trial) -> tuple[Mixed, Array]:
         """Return the residual problem of a proposed trial, measured as zero, and its estimates."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
 
 from swimid.diagnosis import (
     advice,
-    crossval,
     dropouts,
     evidence,
     facts,
@@ -22,7 +21,7 @@ from swimid.diagnosis import (
     shrinkage,
     verdict,
 )
-from swimid.diagnosis.candidates import Refitted, Tried
+from swimid.diagnosis.candidates import Tried
 from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
 from swimid.diagnosis.facts import Found, Named, Predictions
 from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
@@ -32,9 +31,7 @@ from swimid.diagnosis.gap_file import (
     Cause,
     ChangedValue,
     ChannelGap,
-    Closed,
     Distance,
-    Facts,
     GapFile,
     HeldOut,
     Hypothesis,
@@ -50,11 +47,11 @@ from swimid.diagnosis.noise_model import NoiseModel, coloured
 from swimid.diagnosis.nominal import Begun
 from swimid.diagnosis.search import State
 from swimid.diagnosis.settings import Folds
-from swimid.diagnosis.shrinkage import Misfit, Piece
+from swimid.diagnosis.shrinkage import Piece
 from swimid.effects.base import STAGES, Stage
 from swimid.effects.sensing import MarkerDropout
 from swimid.errors import NoTrustworthyResult
-from swimid.fitting.model import Array, Parameter, Trial
+from swimid.fitting.model import Array, Trial
 from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Progress, silent
 from swimid.results.numbers import listed
@@ -107,18 +104,19 @@ def answer(
         # If a changed parameter is among the causes, measure the gap with the parameter values as given.
         state.nominal = _as_given(state)
     nominal = state.nominal
-    ranges = _ranges(context, nominal)
-    errors = {c: rms(left) for c, left in by_channel(nominal, nominal.residuals).items()}
-    if all(size > shrinkage.ASTRAY * ranges[c] for c, size in errors.items()):
+    # A measured range of zero is replaced by 1.
+    ranges = {c: float(np.ptp(values)) or 1.0 for c, values in measured(context, nominal).items()}
+    errors = by_channel(nominal, nominal.residuals)
+    if all(rms(left) > shrinkage.ASTRAY * ranges[c] for c, left in errors.items()):
         raise NoTrustworthyResult(
             f"the refitted model is off by more than {shrinkage.ASTRAY:g} times the range of every channel",
             hint="look at the units of the logs, at the drive, and at the coefficients it begins with",
         )
     alike = _alone(state, nominal), _alone(state, state.base)
-    share = _structured_share(state)
     drifts = {c: state.low_frequency[c].share for c in remainder.drifting(state.low_frequency)}
-    noise = floors(context, state.base, state.nuisance_residuals, share, alike[1], state.noise_model).less(
-        drifts
+    structured = _structured_share(state)
+    noise = floors(
+        context, state.base, state.nuisance_residuals, structured, alike[1], state.noise_model, drifts
     )
     floor = noise.inside
     failed = dropouts.misfit(state, raw, floor)
@@ -128,15 +126,12 @@ def answer(
     if state.changed or imitated:
         held = [replace(piece, before=piece.shipped) for piece in every]
     predictions = Predictions.of(state, validation)
-    distance = None
+    without, with_causes = predictions.total
     chance: Mapping[str, float] = {}
-    if state.base.effects:
-        without, with_causes = predictions.total
-        distance = Distance(before=without.times, after=with_causes.times)
+    if state.base.effects and not with_causes.shown:
         # The expected between-trial variation of the held-out trials is used only if the model with the
         # causes predicts these trials. Otherwise a gap could be taken for between-trial variation.
-        if not with_causes.shown:
-            chance = with_causes.chance
+        chance = with_causes.chance
     # The floor in ``noise.levels`` is increased for the noise that fitted parameters absorb. If the residuals
     # have structure, this increase would include absorbed structure, so the floor without it is used.
     levels = noise.of_held_out(chance)
@@ -146,45 +141,51 @@ def answer(
     outside = shrinkage.capped(reached, held)
     closing = shrinkage.shrinkages(held, outside, noise.of_trials, ranges)
     found = facts.find(state, held, noise, outside, predictions, imitated=imitated, dropout=failed > 0)
-    told = Told.of(state, found, noise.inside)
-    closed: Closed | None = verdict.closed_share(found.facts)
-    if not told.causes:
-        distance = closed = None
+    decided = verdict.decide(found.facts)
+    named = [c for c in found.causes if c.name in decided.causes]
+    base = state.base if named else nominal
+    gap = facts.gap_of(state, base)
+    left = facts.remaining(state, base, gap, floor)
+    if left.share is not None and left.share > verdict.MOST:
+        # The remaining gap shows that a cause outside the catalogue acts, so compute the probabilities of the
+        # causes under this condition.
+        named = [replace(c, probability=state.posterior.beside_outside(*c.alike)) for c in named]
+    closed, distance = None, None
+    if named:
+        closed = verdict.closed_share(found.facts)
+        distance = Distance(before=without.times, after=with_causes.times)
     how = noise.how
-    if told.verdict == "none":
+    if decided.verdict == "none":
         # The residuals are indistinguishable from noise and between-trial variation, so all of them count as
         # noise.
-        floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, told.gap).items()}
+        floor = {c: max(floor[c], rms(v)) for c, v in by_channel(nominal, gap).items()}
         how = "all that the model leaves: noise, and what differs from trial to trial"
-    rows = _scores(state)
-    stages = _stages(rows, gap=bool(told.causes))
-    causes = _causes(state, told, begun.given, closing)
+    sd = parameter_errors(state, base)
+    causes = _causes(state, named, sd, begun.given, closing)
     if failed:
         causes = dropouts.among(state, causes, raw, floor, failed, ranges)
         closed = verdict.over_channels(causes[0].shrinkage)
-        if causes[0].effect == MarkerDropout.name:
-            stages = {k: float(k == "sensing") for k in stages}
-    cells = places.Map(context, nominal, told.gap, floor)
+    scores = _scores(state)
+    cells = places.Map(context, nominal, gap, floor)
     where = Where(
-        channels=_channels(state, told.gap, floor, ranges),
-        stage=stages,
+        channels=_channels(state, gap, floor, ranges),
+        stage=_stages(scores, causes),
         regime=places.regimes(cells),
         time=places.times(cells),
     )
-    if told.verdict != "none":
+    if decided.verdict != "none":
         where.phase = places.phases(cells)
     file = GapFile(
-        verdict=told.verdict,
+        verdict=decided.verdict,
         where=where,
-        waterfall=_waterfall(state, told, every, outside),
+        waterfall=_waterfall(state, every, outside, caused=bool(named)),
         closed=closed,
         causes=causes,
-        remaining=told.left,
-        advice=_advice(state, told),
+        remaining=_remaining(decided.verdict, found, left),
         facts=found.facts,
         setting_count=settings.count([*context.trials, *validation]),
         at_bound=_at_bounds(nominal),
-        moved=_moved(state, told.base, begun.unweighed),
+        moved=_moved(state, base, sd, begun.unweighed),
         hypotheses=_hypotheses(state),
         samples=sum(len(r) for r in nominal.residuals) or None,
         tried=state.tried or None,
@@ -192,63 +193,24 @@ def answer(
         predicted=distance,
         floor_from=how,
         repeats=bool(repeats(context)),
-        scores=rows,
+        scores=scores,
         reasons=_reasons(state),
         left_out=dict(state.screen.left_out),
     )
-    if file.verdict == "none" and any(check.verdict == "warn" for check in evidence.checks(file)):
-        file.advice = [Advice(text=REPEAT)]
-        if file.setting_count == 1:
-            file.advice = [Advice(text=ANOTHER)]
+    file.advice = _advice(state, file, named)
     return file, shrinkage.worst(held, levels, with_causes=bool(causes))
 
 
-@dataclass(frozen=True)
-class Told:
-    """Answer of a diagnosis: its verdict, its causes, and the model with these causes.
-
-    Attributes
-    ----------
-    causes : tuple of Named
-        Causes that the answer states.
-    base : Fit
-        The model with these causes; without causes, the model without effects.
-    gap : list of ndarray, shape (n_k,)
-        The gap of each trial (:func:`swimid.diagnosis.facts.gap_of`).
-    left : Remaining
-        Part of the gap that the causes do not close.
-    """
-
-    verdict: Verdict
-    facts: Facts
-    causes: tuple[Named, ...]
-    base: Fit
-    gap: list[Array]
-    left: Remaining
-
-    @classmethod
-    def of(cls, state: State, found: Found, floor: Mapping[str, float]) -> Told:
-        """Return the answer that follows from the facts."""
-        decided = verdict.decide(found.facts)
-        causes = tuple(c for c in found.causes if c.name in decided.causes)
-        base = state.nominal
-        if causes:
-            base = state.base
-        gap = facts.gap_of(state, base)
-        left = facts.remaining(state, base, gap, floor)
-        if left.share is not None and left.share > verdict.MOST:
-            # The remaining gap shows that a cause outside the catalogue acts, so compute the probabilities of
-            # the causes under this condition.
-            beside = state.posterior.beside_outside
-            causes = tuple(replace(c, probability=beside(*c.alike)) for c in causes)
-        known = found.facts
-        if decided.verdict == "unexplained" and not found.causes and known.unpredicted:
-            where = f"validation trials {', '.join(known.unpredicted)}"
-            left = Remaining(share=1.0, where=where, white=False)
-        if known.unreproduced:
-            where = f"all of {', '.join(known.unreproduced)} but its mean"
-            left = Remaining(share=1.0, where=where, white=False)
-        return cls(decided.verdict, known, causes, base, gap, left)
+def _remaining(decided: Verdict, found: Found, left: Remaining) -> Remaining:
+    """Return the remaining gap. All of it remains if the model does not describe some data at all."""
+    where = ""
+    if decided == "unexplained" and not found.causes and found.facts.unpredicted:
+        where = f"validation trials {', '.join(found.facts.unpredicted)}"
+    if found.facts.unreproduced:
+        where = f"all of {', '.join(found.facts.unreproduced)} but its mean"
+    if where:
+        return Remaining(share=1.0, where=where, white=False)
+    return left
 
 
 def _predictions(
@@ -288,13 +250,16 @@ def _predictions(
     return best
 
 
-def _waterfall(state: State, told: Told, held: Sequence[Piece], floor: Mapping[str, float]) -> list[Step]:
-    """Return the held-out errors as given, refitted, after each cause in turn, and of the noise alone."""
-    causes = [found.ranked[0].tried.effect.name for found in state.rounds]
-    labels = ["as given", "refitted", *(f"+ {name}" for name in causes)]
-    if not told.causes or told.base is not state.base:
-        # The answer names no effect, or held-out data or an outlier trial contradict the effects.
-        labels = labels[:2]
+def _waterfall(
+    state: State, held: Sequence[Piece], floor: Mapping[str, float], *, caused: bool
+) -> list[Step]:
+    """Return the held-out errors as given, refitted, after each cause in turn, and of the noise alone.
+
+    There are no steps of causes if the answer names none (``caused``).
+    """
+    labels = ["as given", "refitted"]
+    if caused:
+        labels += [f"+ {found.ranked[0].tried.effect.name}" for found in state.rounds]
     steps = shrinkage.waterfall(held, floor, labels)
     if state.changed:
         # The other parameters are not refitted beside a changed parameter.
@@ -339,22 +304,15 @@ def _alone(state: State, fit: Fit) -> Fit:
 
 def _reasons(state: State) -> list[str]:
     differing = []
-    for kind in (kind for kind in state.random_effects if kind.sd > 0.02):
+    for kind in state.random_effects:
         chance = ""
         if kind.sd > kind.most:
             chance = f", {kind.most:.2g} of it by chance"
-        differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
+        if kind.sd > 0.02:
+            differing.append(f"{kind.name} ({kind.sd:.2g} of its typical size{chance})")
     if not differing:
         return []
     return [f"trials differ in {listed(differing)}, which is part of the noise"]
-
-
-def _ranges(context: FitContext, nominal: Fit) -> dict[str, float]:
-    """Return the measured range of each channel over the fitted trials, in the channel's unit.
-
-    A range of zero is replaced by 1.
-    """
-    return {c: float(np.ptp(values)) or 1.0 for c, values in measured(context, nominal).items()}
 
 
 def _channels(
@@ -378,31 +336,34 @@ def _channels(
     ]
 
 
-def _causes(state: State, told: Told, given: Mapping[str, Estimate], closing: list[Shrinkage]) -> list[Cause]:
-    if not told.causes:
-        return []
-    sd = parameter_errors(state, told.base)
-    estimated = [sizes(told.base, c, sd, given) for c in told.causes]
-    causes = [
-        Cause(
-            effect=c.best.tried.effect.name,
+def _causes(
+    state: State,
+    named: Sequence[Named],
+    sd: Mapping[str, float],
+    given: Mapping[str, Estimate],
+    closing: list[Shrinkage],
+) -> list[Cause]:
+    """Return the causes of the answer. The first one has the held-out errors and the coefficients of all."""
+    causes = []
+    for c in named:
+        effect, parameters = c.best.tried.effect, sizes(state.base, c, sd, given)
+        cause = Cause(
+            effect=c.name,
             probability=float(np.clip(c.probability, 0.0, 1.0)),
             equivalent=list(c.equivalent),
             parameters=parameters,
-            stage=c.best.tried.effect.stage,
-            meaning=evidence.changes_text(parameters) or c.best.tried.effect.meaning,
-            sources=list(c.best.tried.effect.sources),
+            stage=effect.stage,
+            meaning=evidence.changes_text(parameters) or effect.meaning,
+            sources=list(effect.sources),
             gain=c.best.gain,
             gain_stderr=c.best.stderr,
         )
-        for c, parameters in zip(told.causes, estimated, strict=True)
-    ]
-    first = {
-        "shrinkage": closing,
-        "absorbed": _absorbed(state, told.base, given, sd),
-        "extrapolation": _extrapolations(state, told.base),
-    }
-    return [causes[0].model_copy(update=first), *causes[1:]]
+        causes.append(cause)
+    for cause in causes[:1]:
+        cause.shrinkage = closing
+        cause.absorbed = _absorbed(state, given, sd)
+        cause.extrapolation = _extrapolations(state)
+    return causes
 
 
 def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside: bool) -> ChangedValue:
@@ -412,6 +373,13 @@ def _changed(known: Estimate, value: float, stderr: float, unit: str, *, inside:
     if inside:
         changed.status, changed.stderr = "estimated", stderr
     return changed
+
+
+def _value(value: float, stderr: float | None, unit: str, *, inside: bool) -> Value:
+    """Return an estimate, which has no standard error if it is at a bound."""
+    if not inside:
+        return Value(value=value, unit=unit, status="at-bound")
+    return Value(value=value, stderr=stderr, unit=unit)
 
 
 def sizes(
@@ -426,11 +394,8 @@ def sizes(
     for p in cause.best.tried.parameters:
         name = f"{effect.name}/{p.name}"
         if effect.adds_to is not None:
-            value, inside = (
-                base.value(effect.adds_to) + base.value(name),
-                base.inside[base.labels.index(name)],
-            )
-            known = given[effect.adds_to]
+            inside = base.inside[base.labels.index(name)]
+            value, known = base.value(effect.adds_to) + base.value(name), given[effect.adds_to]
             found[effect.adds_to] = _changed(known, value, sd[effect.name], p.unit, inside=inside)
             continue
         labels = [n for n in base.labels if n.split("[")[0] == name]
@@ -443,19 +408,18 @@ def sizes(
         # An estimate that is less than its standard error away from a bound counts as at the bound. This does
         # not apply to a bound that equals the null value of the effect.
         near = sd.get(labels[0], 0.0)
-        if any(b != p.start and abs(values[0] - b) <= near for b in (p.lower, p.upper)):
-            found[p.name] = Value(value=values[0], unit=p.unit, status="at-bound")
-        else:
-            found[p.name] = Value(value=values[0], stderr=sd.get(labels[0]), unit=p.unit)
+        at_bound = any(b != p.start and abs(values[0] - b) <= near for b in (p.lower, p.upper))
+        found[p.name] = _value(values[0], sd.get(labels[0]), p.unit, inside=not at_bound)
     return found
 
 
-def _moved(state: State, base: Fit, given: Mapping[str, Estimate]) -> dict[str, ChangedValue]:
+def _moved(
+    state: State, base: Fit, sd: Mapping[str, float], given: Mapping[str, Estimate]
+) -> dict[str, ChangedValue]:
     """Return the parameters whose refitted values differ significantly from those of the parameter file.
 
     The significance level is 5 % (two-sided) for all parameters together (Bonferroni).
     """
-    sd = parameter_errors(state, base)
     inside = dict(zip(base.labels, base.inside, strict=True))
     names = [p for p in state.context.parameters if p.name in given and inside.get(p.name)]
     limit = -float(special.ndtri(0.5 * MOVED / max(len(names), 1)))
@@ -473,10 +437,9 @@ def _at_bounds(fit: Fit) -> dict[str, float]:
     return {label: float(value) for label, value, inside in ends if not inside and "[" not in label}
 
 
-def _absorbed(
-    state: State, base: Fit, given: Mapping[str, Estimate], sd: Mapping[str, float]
-) -> list[Absorbed]:
-    nominal = state.nominal
+def _absorbed(state: State, given: Mapping[str, Estimate], sd: Mapping[str, float]) -> list[Absorbed]:
+    """Return the values of the coefficients as given, and refitted without and with the causes."""
+    nominal, base = state.nominal, state.base
     plain = parameter_errors(state, nominal)
     # A changed parameter is a cause itself, so it is not listed as a coefficient that absorbed a cause.
     causes = {e.adds_to for e in base.effects}
@@ -484,7 +447,10 @@ def _absorbed(
     for p in state.context.parameters:
         if p.per_trial or p.name not in nominal.labels or p.name in causes:
             continue
-        values = [_estimate(fit, p, errors) for fit, errors in ((nominal, plain), (base, sd))]
+        values = [
+            _value(fit.value(p.name), errors.get(p.name), p.unit, inside=fit.inside[fit.labels.index(p.name)])
+            for fit, errors in ((nominal, plain), (base, sd))
+        ]
         one = Absorbed(coefficient=p.name, without=values[0], with_effect=values[1])
         if p.name in given:
             known = given[p.name]
@@ -493,14 +459,7 @@ def _absorbed(
     return found
 
 
-def _estimate(fit: Fit, p: Parameter, errors: Mapping[str, float]) -> Value:
-    value = fit.value(p.name)
-    if not fit.inside[fit.labels.index(p.name)]:
-        return Value(value=value, unit=p.unit, status="at-bound")
-    return Value(value=value, stderr=errors.get(p.name), unit=p.unit)
-
-
-def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
+def _extrapolations(state: State) -> dict[str, Distance]:
     """Return the errors in predicting the extreme settings, for the models without and with the causes.
 
     The extreme settings are the highest and the lowest frequency, amplitude and force. The trials at each of
@@ -520,38 +479,43 @@ def _extrapolations(state: State, base: Fit) -> dict[str, Distance]:
             parts = zip(labels, context.folds.owner, strict=True)
             cut = copy.copy(context)
             cut.folds = Folds(True, [np.full(len(rows), int(own == label)) for own, rows in parts], 2)
-            times = []
-            for fit in (state.nominal, base):
-                inner = crossval.normal_equations(cut, fit, state.noise_model)
-                times.append(Misfit(float(crossval.predictive(inner)[1]), int(inner.samples[1])).times)
-            found[f"{kind} {label}"] = Distance(before=times[0], after=times[1])
+            fits = (state.nominal, state.base)
+            folds = [shrinkage.predictions(cut, fit, state.noise_model, ())[0] for fit in fits]
+            before, after = (each["fold 2"].times for each in folds)
+            found[f"{kind} {label}"] = Distance(before=before, after=after)
     return found
 
 
-def _advice(state: State, told: Told) -> list[Advice]:
-    repeat = [Advice(text=f"{REPEAT} (now left: {told.left.where})")]
-    for trial in told.facts.odd_trial:
+def _advice(state: State, file: GapFile, named: Sequence[Named]) -> list[Advice]:
+    """Return the proposed next experiments of an answer with these causes."""
+    if file.verdict == "none":
+        if all(check.verdict != "warn" for check in evidence.checks(file)):
+            return []
+        text = ANOTHER if file.setting_count == 1 else REPEAT
+        return [Advice(text=text)]
+    repeat = [Advice(text=f"{REPEAT} (now left: {file.remaining.where})")]
+    for trial in file.facts.odd_trial:
         text = f"check the entry of {trial}; diagnose without it (role: validate)"
         return [Advice(text=text), *repeat]
-    if told.verdict == "unexplained" and told.facts.unpredicted:
-        trials = ", ".join(told.facts.unpredicted)
+    if file.verdict == "unexplained" and file.facts.unpredicted:
+        trials = ", ".join(file.facts.unpredicted)
         return [Advice(text=f"fit {trials}, too (role: fit): what acts there alone shows nowhere else")]
     rivals = []
-    if told.causes:
-        found = next(r for r in state.rounds if r.ranked[0] is told.causes[0].best)
+    if named:
+        found = next(r for r in state.rounds if r.ranked[0] is named[0].best)
         # No experiment distinguishes a changed parameter from an effect that changes the trials in the same
         # way.
         ranked = [r for r in found.ranked if r.tried.effect.name not in found.same]
-        rivals = [r for r in ranked if r.tried.effect.name in told.causes[0].alike]
+        rivals = [r for r in ranked if r.tried.effect.name in named[0].alike]
         if len(rivals) == 1:
             rivals = ranked[:2]
-    if len(rivals) < 2 and told.verdict == "unexplained":
+    if len(rivals) < 2 and file.verdict == "unexplained":
         return repeat
     if len(rivals) < 2 or state.limits is None:
         return []
     now = math.sqrt(max(rivals[0].gain - rivals[1].gain, 0.0))
     fits = [r.fit for r in rivals]
-    if len(told.causes[0].alike) == 1 and now > advice.threshold(fits):
+    if len(named[0].alike) == 1 and now > advice.threshold(fits):
         # The present trials already exclude the next best rival.
         return []
     try:
@@ -567,20 +531,18 @@ def _scores(state: State) -> list[Score]:
     screening.
     """
     rows: dict[str, Score] = {}
-    refitted: list[tuple[Tried, Refitted | None]] = [(r.tried, r) for r in state.singles]
-    for tried, found in [*refitted, *((t, None) for t in state.screen.tried)]:
-        name, gains = tried.effect.name, {}
-        if found is not None:
-            gains = {"gain": found.gain, "stderr": found.stderr, "probability": state.posterior.having(name)}
-        row = Score(
-            effect=name,
-            stage=tried.effect.stage,
-            variant=", ".join(p.name for p in tried.parameters),
-            absorbed=tried.absorbed,
-            **gains,
-        )
-        rows.setdefault(name, row)
+    for r in state.singles:
+        having = state.posterior.having(r.tried.effect.name)
+        row = _score(r.tried, gain=r.gain, stderr=r.stderr, probability=having)
+        rows.setdefault(row.effect, row)
+    for tried in state.screen.tried:
+        rows.setdefault(tried.effect.name, _score(tried))
     return list(rows.values())
+
+
+def _score(tried: Tried, **fitted: float) -> Score:
+    effect, variant = tried.effect, ", ".join(p.name for p in tried.parameters)
+    return Score(effect=effect.name, stage=effect.stage, variant=variant, absorbed=tried.absorbed, **fitted)
 
 
 def _hypotheses(state: State) -> list[Hypothesis]:
@@ -600,17 +562,20 @@ def _hypotheses(state: State) -> list[Hypothesis]:
     ]
 
 
-def _stages(rows: Sequence[Score], *, gap: bool) -> dict[Stage, float | None]:
+def _stages(rows: Sequence[Score], causes: Sequence[Cause]) -> dict[Stage, float | None]:
     """Return the probability that the cause of the gap acts in each simulation stage.
 
-    It is the sum of the probabilities of the effects of the stage, normalised over all stages. If there is no
-    gap, all of these probabilities are 0.
+    It is the sum of the probabilities of the effects of the stage, normalised over all stages. It is 1 for
+    the stage of failed samples, if they are the first cause. Without causes, all of these probabilities are
+    0.
     """
     applied = {row.stage for row in rows}
     stages = [stage for stage in STAGES if stage != "rig" or "rig" in applied]
     sums = {stage: sum(row.probability or 0.0 for row in rows if row.stage == stage) for stage in stages}
+    if causes and causes[0].effect == MarkerDropout.name:
+        sums = {stage: float(stage == MarkerDropout.stage) for stage in stages}
     total = sum(sums.values())
-    if not gap or total <= 0:
+    if not causes or total <= 0:
         return dict.fromkeys(stages, 0.0)
     return {stage: v / total for stage, v in sums.items()}
 
@@ -637,14 +602,10 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
     effect. If a few trials do not determine the memory of the noise, the standard errors are at least those
     of a sandwich estimate with correlated residuals.
     """
+    sums = {e.name: (e.adds_to, f"{e.name}/change") for e in fit.effects if e.adds_to is not None}
     # Each row of the matrix selects one parameter, or sums a model parameter and its change.
-    names, rows = list(fit.labels), list(np.eye(len(fit.labels)))
-    for effect in fit.effects:
-        if effect.adds_to is not None:
-            parts = (effect.adds_to, f"{effect.name}/change")
-            names.append(effect.name)
-            rows.append(np.isin(fit.labels, parts).astype(float))
-    combined = np.array(rows)
+    rows = [np.isin(fit.labels, parts) for parts in sums.values()]
+    combined = np.vstack((np.eye(len(fit.labels)), *rows))
 
     def errors(covariance: Array) -> Array:
         variance = np.einsum("ij,jk,ik->i", combined, covariance, combined)
@@ -657,4 +618,4 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
         derivatives = [r * scale for r in fit.rows]
         robust = sandwich(fit.problem, derivatives, list(fit.residuals), dict(colour)).covariance
         sd = np.fmax(sd, errors(scale[:, None] * robust * scale))
-    return dict(zip(names, sd, strict=True))
+    return dict(zip([*fit.labels, *sums], sd, strict=True))

@@ -94,7 +94,7 @@ def _checked_place(
         raise UsageError("--repaired has no place beside --power, which names no causes")
     place = options.repaired
     if place is None and output is not None and not (options.power or atomic.is_device(output)):
-        place = evidence.beside(output)
+        place = output.with_name(evidence.REPAIRED)
     if place is not None:
         hint = "name another file for the model with the causes: --repaired FILE"
         if output is not None and place.resolve() == output.resolve():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,17 +72,15 @@ class Dropouts:
 
     def confirmed(self, other: Dropouts) -> Dropouts:
         """Return the failed samples that a second detection, with a better model, finds as well."""
-        again = {s[:2] for s in other.stretches}
         kept = [
             s
             for s in self.stretches
             if any(o[:2] == s[:2] and o.begin <= s.end and o.end >= s.begin for o in other.stretches)
         ]
-        masks = {
-            trial: {c: m & other.masks.get(trial, {}).get(c, np.zeros_like(m)) for c, m in by.items()}
-            for trial, by in self.masks.items()
-            if any((trial, c) in again for c in by)
-        }
+        masks = {}
+        for trial, by in self.masks.items():
+            again = other.masks.get(trial, {})
+            masks[trial] = {c: m & again[c] for c, m in by.items() if c in again}
         return Dropouts(masks, kept)
 
     def without(self, trials: Sequence[Trial]) -> list[Trial]:
@@ -234,8 +232,10 @@ def among(
             continue
         own, span = sound[channel], ranges[channel]
         before = math.sqrt((float(np.sum(own**2)) + squares) / (len(own) + count)) / span
-        after = closing[channel].after if channel in closing else None
-        after = rms(own) / span if after is None else after
+        after = rms(own) / span
+        known = closing.get(channel)
+        if known is not None and known.after is not None:
+            after = known.after
         level = min(floor[channel] / span, before, after)
         closed = verdict.share_closed(before, after, level)
         closing[channel] = Shrinkage(
@@ -256,11 +256,11 @@ def among(
         sources=list(MarkerDropout.sources),
         gain=size,
     )
-    of_all = {
-        "shrinkage": list(closing.values()),
-        "absorbed": causes[0].absorbed if causes else [],
-        "extrapolation": causes[0].extrapolation if causes else {},
-    }
-    first, *rest = sorted([*causes, effect], key=lambda c: -(c.gain or 0.0))
-    bare: dict[str, Any] = {"shrinkage": [], "absorbed": [], "extrapolation": {}}
-    return [first.model_copy(update=of_all), *(c.model_copy(update=bare) for c in rest)]
+    found = sorted([*causes, effect], key=lambda c: -(c.gain or 0.0))
+    # The first cause has the errors and the coefficients of all causes.
+    for c in causes[:1]:
+        c.shrinkage = []
+        c.absorbed, found[0].absorbed = [], c.absorbed
+        c.extrapolation, found[0].extrapolation = {}, c.extrapolation
+    found[0].shrinkage = list(closing.values())
+    return found

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
+import numpy as np
+
 from swimid.diagnosis import verdict
 from swimid.diagnosis.gap_file import (
     HELD_OUT,
@@ -65,11 +67,6 @@ BOX = (
 REPAIRED = "repaired.yaml"
 
 
-def beside(path: Path) -> Path:
-    """Return the default path of the parameter file with the causes for a gap file."""
-    return path.with_name(REPAIRED)
-
-
 def evidence(
     file: GapFile,
     worst: Sequence[Piece] = (),
@@ -90,36 +87,38 @@ def evidence(
     against = "; ".join(notice.text for notice in notices if notice.code in CONTRADICTING)
     if against:
         tests.append(ev.check("logs agree with their metadata", "no", False, reason=against))
-    verdict = ev.judged(answer_text(file), tests)
+    said = answer_text(file)
+    verdict = ev.judged(said, tests)
     word = {"none": "No gap"}.get(file.verdict, file.verdict.capitalize())
     tables = [
         _waterfall(file), _errors(file), _causes(file), _coefficients(file), _scores(file), _parts(file),
     ]  # fmt: skip
+    about = {
+        "Trials": f"{len(file.trials)} against {file.params}",
+        "Model": file.model,
+        "Effects tried": str(len({s.effect for s in file.scores}) or ""),
+    }
+    if file.facts.no_gap is not None:
+        about["Probability"] = otherwise_text(file)
+    methods = _methods(file, said)
     cited = [*sources, *REFERENCES]
     if any(a.separates for a in file.advice):
+        methods.append("The next experiment separates the rivals' predictions most (Box and Hill 1967).")
         cited.append(BOX)
     return ev.Evidence(
         command="diagnose",
         title=f"Gap between trials and model: {file.robot}, {file.experiment}",
         verdict=verdict.model_copy(update={"word": word}),
-        facts=_facts(file),
+        facts={name: value for name, value in about.items() if value},
         notes=notes(file),
         checks=tests,
         tables=[table for table in tables if table.rows],
         figures=[*_steps(file.waterfall), *_residuals(worst, bool(file.causes))],
         notices=list(notices),
-        methods=methods(file),
+        methods=methods,
         references=list(dict.fromkeys([*cited, *(source for c in file.causes for source in c.sources)])),
         provenance=dict(file.provenance),
     )
-
-
-def _facts(file: GapFile) -> dict[str, str]:
-    facts = {"Trials": f"{len(file.trials)} against {file.params}", "Model": file.model}
-    facts["Effects tried"] = str(len({s.effect for s in file.scores}) or "")
-    if file.facts.no_gap is not None:
-        facts["Probability"] = otherwise_text(file)
-    return {name: value for name, value in facts.items() if value}
 
 
 # ---------------------------------------------------------------- checks
@@ -128,6 +127,7 @@ def _facts(file: GapFile) -> dict[str, str]:
 def checks(file: GapFile) -> Iterable[ev.Check]:
     """Yield the checks of a diagnosis, which decide whether its verdict is a pass, a caution or a failure."""
     grades: dict[bool, Literal["warn", "fail"]] = {False: "warn", True: "fail"}
+    passed: bool | None
     for row in verdict.rows(file.facts):
         otherwise = grades[row.otherwise == "unexplained"]
         yield ev.check(
@@ -140,20 +140,17 @@ def checks(file: GapFile) -> Iterable[ev.Check]:
     if file.at_bound:
         said = listed([f"{name} at {number(bound, 3)}" for name, bound in file.at_bound.items()])
         text = "a coefficient that the refit without effects takes to its bound may stand in for a cause"
-        hit: bool | None = None
-        if not file.causes:
-            hit = False
+        passed = None if file.causes else False
         reason = f"bounds are hit: {said}"
-        yield ev.check("bounds without effects", said, hit, "inside", text, reason=reason)
+        yield ev.check("bounds without effects", said, passed, "inside", text, reason=reason)
     if file.setting_count is not None and file.setting_count < 2:
         said = "all trials have one setting, and nothing is tested at another"
         yield ev.check("settings", "1", False, "≥ 2", reason=said)
     if file.verdict == "none":
         yield from _of_no_gap(file)
+    passed = file.remaining.white
     if file.causes:
         yield from _of_causes(file)
-    passed: bool | None = file.remaining.white
-    if file.causes:
         passed = passed or None
     said = remaining_text(file)
     text = "whether a description without any physics still gains on held-out trials"
@@ -174,16 +171,15 @@ def _of_no_gap(file: GapFile) -> Iterable[ev.Check]:
 
 def _of_causes(file: GapFile) -> Iterable[ev.Check]:
     first, *_ = file.causes
-    for c in (c for c in file.causes if c.gain is not None):
-        gain, passed = numbers.measured(c.gain, c.gain_stderr), (c.gain or 0.0) > 2.0 * (c.gain_stderr or 0.0)
-        reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
-        yield ev.check(f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason)
+    for c in file.causes:
+        if c.gain is not None:
+            gain, passed = numbers.measured(c.gain, c.gain_stderr), c.gain > 2.0 * (c.gain_stderr or 0.0)
+            reason = f"the held-out gain of {c.effect} is no more than two standard errors ({gain})"
+            yield ev.check(f"held-out gain of {c.effect}", gain, passed, "> 2 standard errors", reason=reason)
     ends = [f"{c.effect}/{n}" for c in file.causes for n, v in c.parameters.items() if v.status == "at-bound"]
     stuck = [a.coefficient for a in first.absorbed if a.with_effect.status == "at-bound"]
     for name, found in (("sizes of the causes", ends), ("coefficients with the causes", stuck)):
-        said = "inside"
-        if found:
-            said = f"{listed(found)} at a bound"
+        said = f"{listed(found)} at a bound" if found else "inside"
         yield ev.check(name, said, not found, "inside their bounds", reason=said)
     text = "distance from the prediction without and with the causes; 1 where the model is right"
     for name, distance in first.extrapolation.items():
@@ -327,55 +323,46 @@ def _steps(steps: Sequence[Step]) -> list[ev.Figure]:
     """Plot the squared errors on held-out data as given, after each cause in turn, and of the noise alone."""
     if not steps:
         return []
-    places = [float(n) for n in range(len(steps) - 1)]
+    places = np.arange(len(steps) - 1)
     noise = steps[-1].rmse
-    curves = {"all channels": [step.squared for step in steps[:-1]]}
+    curves: dict[str, Any] = {"all channels": [step.squared for step in steps[:-1]]}
     for channel, floor in noise.items():
         if floor and len(noise) > 1:
-            curves[numbers.quantity(channel)] = [_squared(s.rmse.get(channel), floor) for s in steps[:-1]]
-    panel = ev.Panel(
-        x_label="",
-        y_label="squared error over noise variance",
-        y_scale="log",
-        traces=[
-            ev.Trace(
-                x=[x + 0.1 * (k - (len(curves) - 1) / 2) for x in places],
-                y=values,
-                style="points",
-                label=label,
-                group=k,
-            )
-            for k, (label, values) in enumerate(curves.items())
-        ],
-        marks=[ev.Mark(at=1.0, label="noise alone")],
-        x_categories=[step.label for step in steps[:-1]],
-    )
+            errors = np.array([step.rmse.get(channel) for step in steps[:-1]], dtype=float)
+            curves[numbers.quantity(channel)] = (errors / floor) ** 2
+    traces = []
+    for k, (label, values) in enumerate(curves.items()):
+        x = places + 0.1 * (k - (len(curves) - 1) / 2)
+        traces.append(ev.Trace(x=x, y=values, style="points", label=label, group=k))
     caption = (
         "Mean squared error on held-out data in units of the noise variance: of the model as given, after a "
         "refit of its parameters, and after each cause in turn."
     )
-    return [ev.Figure(id="waterfall", title="The gap on held-out data", caption=caption, panels=[panel])]
-
-
-def _squared(error: float | None, floor: float) -> float | None:
-    """Return a squared error in units of the noise variance."""
-    if error is None:
-        return None
-    return (error / floor) ** 2
+    figure = ev.figure(
+        "waterfall",
+        "The gap on held-out data",
+        caption,
+        x_label="",
+        y_label="squared error over noise variance",
+        traces=traces,
+        y_scale="log",
+        marks=[ev.Mark(at=1.0, label="noise alone")],
+        x_categories=[step.label for step in steps[:-1]],
+    )
+    return [figure]
 
 
 def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
     panels = []
     for p in [p for p in worst if len(p.time_s) > 2][:MAX_PANELS]:
         factor, unit = numbers.in_degrees(numbers.split_unit(p.channel)[1])
+        runs = {"refitted": p.before, "with causes": p.after} if caused else {"refitted": p.before}
         traces: list[ev.Trace] = []
-        for label, simulated in {"refitted": p.before, "with causes": p.after}.items():
+        for label, simulated in runs.items():
             x, y = ev.thinned(p.time_s, factor * (p.measured - simulated), MAX_POINTS)
             traces.append(ev.Trace(x=x, y=y, label=label, group=len(traces), style="points"))
         y_label = f"residual of {numbers.quantity(p.channel)} ({numbers.unit_text(unit) or '1'})"
-        if not caused:
-            traces = traces[:1]
-        panels.append(ev.Panel(x_label="time (s)", y_label=y_label, traces=traces, marks=[ev.Mark(at=0.0)]))
+        panels.append(ev.panel("time (s)", y_label, traces, marks=[ev.Mark(at=0.0)]))
     if not panels:
         return []
     trial = worst[0].trial.id
@@ -385,7 +372,7 @@ def _residuals(worst: Sequence[Piece], caused: bool) -> list[ev.Figure]:
         "trial best."
     )
     title = f"Residuals of the worst held-out trial, {trial}"
-    return [ev.Figure(id="residuals", title=title, caption=caption, panels=panels)]
+    return [ev.panels("residuals", title, caption, panels)]
 
 
 #: Minimum change of a coefficient that is reported, in standard errors and as a fraction of its value. Both
@@ -404,14 +391,11 @@ def answer_text(file: GapFile) -> str:
     if file.verdict == "none":
         return _no_gap(file)
     if file.verdict == "explained":
-        said = f"{listed(names)} {plural('explains', 'together explain', names)} the gap"
-        if file.changed:
-            said += " of the parameters as given"
-        said += "."
+        of = " of the parameters as given" if file.changed else ""
+        said = f"{listed(names)} {plural('explains', 'together explain', names)} the gap{of}."
     elif file.verdict == "ambiguous":
-        said = (
-            f"The model has a gap whose likeliest {plural('cause is', 'causes are', names)} {listed(names)}."
-        )
+        cause = plural("cause is", "causes are", names)
+        said = f"The model has a gap whose likeliest {cause} {listed(names)}."
     elif file.facts.unreproduced:
         said = "The model does not describe these trials, so that their gap cannot be separated from noise."
     elif file.facts.unpredicted:
@@ -422,14 +406,14 @@ def answer_text(file: GapFile) -> str:
     else:
         said = "The model has a gap, and no effect of the catalogue closes it."
     closed, held_out = file.closed, HELD_OUT[file.held_out]
-    if closed is not None and closed.share is not None:
-        before, after = number(closed.before, 3), number(closed.after, 3)
-        said += f" {held_out[0].upper()}{held_out[1:]} the squared error goes from {before} as given to"
-        said += f" {after} times the noise"
-        if closed.share > 0.0:
-            said += f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
-        said += "."
-    return said
+    if closed is None or closed.share is None:
+        return said
+    share = ""
+    if closed.share > 0.0:
+        share = f": {percent(closed.share, 2)} of the gap closes {interval_text(closed)}".rstrip()
+    before, after = number(closed.before, 3), number(closed.after, 3)
+    errors = f"goes from {before} as given to {after} times the noise"
+    return f"{said} {held_out[0].upper()}{held_out[1:]} the squared error {errors}{share}."
 
 
 def _no_gap(file: GapFile) -> str:
@@ -444,32 +428,24 @@ def _no_gap(file: GapFile) -> str:
 
 def plural(one: str, several: str, things: Sequence[object]) -> str:
     """Return the text ``one`` if the list has one entry, otherwise the text ``several``."""
-    if len(things) == 1:
-        return one
-    return several
+    return one if len(things) == 1 else several
 
 
 def _named(cause: Cause) -> str:
     """Return text that names a cause, its parameter values and its equivalent effects."""
     sizes = [f"{name} {value_text(v)}" for name, v in list(cause.parameters.items())[:2]]
-    name = cause.effect
-    if changes_text(cause.parameters):
-        name = changes_text(cause.parameters)
-    elif sizes:
-        name = f"{name} ({', '.join(sizes)})"
-    return listed([name, *cause.equivalent], "or")
+    name = f"{cause.effect} ({', '.join(sizes)})" if sizes else cause.effect
+    return listed([changes_text(cause.parameters) or name, *cause.equivalent], "or")
 
 
 def changes_text(parameters: Mapping[str, Value]) -> str:
     """Return text for changed parameters: ``k_t 0.06 → 0.05520 ± 0.00003 N·m/rad (71 standard errors)``."""
-    changed = [(name, value) for name, value in parameters.items() if isinstance(value, ChangedValue)]
-    return listed(
-        [
-            f"{name} {numbers.number(v.given)} → {numbers.measured(v.value, v.stderr, v.unit)} "
-            f"({numbers.number(v.standard_errors, 2)} standard errors)"
-            for name, v in changed
-        ]
-    )
+    said = []
+    for name, v in parameters.items():
+        if isinstance(v, ChangedValue):
+            change = f"{number(v.given)} → {numbers.measured(v.value, v.stderr, v.unit)}"
+            said.append(f"{name} {change} ({number(v.standard_errors, 2)} standard errors)")
+    return listed(said)
 
 
 def value_text(value: Value) -> str:
@@ -490,32 +466,23 @@ def otherwise_text(file: GapFile) -> str:
 
 def remaining_text(file: GapFile) -> str:
     """Return text that says which fraction of the squared gap the causes do not close, and where."""
-    left, share = file.remaining, "an unknown share"
-    if left.share is not None:
-        share = numbers.percent(left.share, 2)
-    said = f"{share} of the squared gap remains"
-    if left.where:
-        said += f" ({left.where})"
-    return said
+    left = file.remaining
+    share = "an unknown share" if left.share is None else percent(left.share, 2)
+    where = f" ({left.where})" if left.where else ""
+    return f"{share} of the squared gap remains{where}"
 
 
 def moved(file: GapFile) -> list[Absorbed]:
     """Return the coefficients that compensated for missing causes, sorted from the largest change down."""
-    far = [(_shift(a), a) for c in file.causes for a in c.absorbed]
-    return [a for shift, a in sorted(far, key=lambda pair: -pair[0]) if shift > 0]
-
-
-def _shift(a: Absorbed) -> float:
-    """Return by how many standard errors the causes change a coefficient; 0 for a small change."""
-    before, after = a.without.value, a.with_effect.value
-    errors = [v.stderr for v in (a.without, a.with_effect) if v.stderr]
-    if before is None or after is None or not errors:
-        return 0.0
-    by = abs(before - after)
-    count = by / max(errors)
-    if count > MOVED_STDERR and by > MOVED_SHARE * abs(after):
-        return count
-    return 0.0
+    far = []
+    for a in (a for c in file.causes for a in c.absorbed):
+        before, after = a.without.value, a.with_effect.value
+        errors = [v.stderr for v in (a.without, a.with_effect) if v.stderr]
+        if before is not None and after is not None and errors:
+            by = abs(before - after)
+            if by > MOVED_STDERR * max(errors) and by > MOVED_SHARE * abs(after):
+                far.append((by / max(errors), a))
+    return [a for _, a in sorted(far, key=lambda pair: -pair[0])]
 
 
 def parts(file: GapFile) -> list[Cell]:
@@ -530,12 +497,10 @@ def notes(file: GapFile) -> list[str]:
     for cell in sorted(parts(file), key=lambda c: -(c.ratio or 0.0)):
         worst.setdefault(cell.kind, cell)
     if worst and file.verdict != "none" and not file.changed:
-        places = []
-        for c in list(worst.values())[:MAX_PARTS]:
-            name = c.label
-            if c.kind != "time":
-                name = f"{c.kind} {c.label}"
-            places.append(f"{name} ({numbers.number(c.ratio, 2)} times the noise)")
+        places = [
+            f"{c.kind} {c.label} ({number(c.ratio, 2)} times the noise)".removeprefix("time ")
+            for c in list(worst.values())[:MAX_PARTS]
+        ]
         said.append(f"the gap is largest at {listed(places)}")
     for a in moved(file)[:1]:
         values = " without the cause and ".join(value_text(v) for v in (a.without, a.with_effect))
@@ -549,26 +514,21 @@ def notes(file: GapFile) -> list[str]:
     return sentences[:MAX_NOTES]
 
 
-def methods(file: GapFile) -> list[str]:
+def _methods(file: GapFile, answer: str) -> list[str]:
     """Return sentences for a methods section that describe this diagnosis."""
     refitted = sum(s.gain is not None for s in file.scores)
-    count = f"{refitted} of {len(file.scores)}"
-    if refitted == len(file.scores):
-        count = str(refitted)
+    of = "" if refitted == len(file.scores) else f" of {len(file.scores)}"
     said = [
         f"The coefficients of {file.model} were refitted to {len(file.trials)} {file.experiment} trials of "
         f"{file.robot} by output error with coloured residuals (Klein and Morelli 2006), alone and with each "
-        f"of {count} candidate effects as part of the model (Kennedy and O'Hagan 2001).",
+        f"of {refitted}{of} candidate effects as part of the model (Kennedy and O'Hagan 2001).",
         "Sets of effects were compared by a Student likelihood of their excess over the noise, with folds "
         f"weighted by the Bayesian bootstrap (Yao et al. 2018): {otherwise_text(file)}. Held-out gains come "
         "from approximate cross-validation by one Gauss-Newton step (Rad and Maleki 2020).",
     ]
     if file.floor_from:
         said.append(f"The noise floor: {file.floor_from.rstrip('.')}.")
-    said.append(answer_text(file))
-    if any(a.separates for a in file.advice):
-        said.append("The next experiment separates the rivals' predictions most (Box and Hill 1967).")
-    return said
+    return [*said, answer]
 
 
 @dataclass(frozen=True, eq=False)
@@ -627,7 +587,7 @@ class Diagnosis(FileResult[GapFile]):
         with atomic.together():
             made = self
             if repaired is not None or not atomic.is_device(Path(path)):
-                made = self.with_repaired(repaired or beside(Path(path)))
+                made = self.with_repaired(repaired or Path(path).with_name(REPAIRED))
             saved = super(Diagnosis, replace(made, outputs=self.outputs)).save(path)
         return replace(saved, outputs=[*saved.outputs, *made.outputs[len(self.outputs) :]])
 
@@ -678,16 +638,14 @@ class Diagnosis(FileResult[GapFile]):
         """
         import pandas as pd
 
+        columns = ["effect", "probability", "parameter", "value", "stderr", "unit", "status"]
         none = {"": Value(value=None, unit="")}
-
         rows = [
-            (c.effect, c.probability, name, v.value, v.stderr, v.unit, v.status)
+            {"effect": c.effect, "probability": c.probability, "parameter": name, **vars(v)}
             for c in self.file.causes
             for name, v in (c.parameters or none).items()
         ]
-        return pd.DataFrame(
-            rows, columns=["effect", "probability", "parameter", "value", "stderr", "unit", "status"]
-        )
+        return pd.DataFrame(rows, columns=columns)
 
     @property
     def shrinkage(self) -> pd.DataFrame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -131,18 +131,6 @@ class Floor:
     how: str
     repeated: bool = False
 
-    def less(self, shares: Mapping[str, float]) -> Floor:
-        """Return a copy of the noise floor with a fraction of the noise variance removed.
-
-        The mapping ``shares`` has this fraction for each channel. Other channels are unchanged.
-        """
-        left = {c: float(np.sqrt(1.0 - share)) for c, share in shares.items()}
-        levels, inside, within = (
-            {c: v * left.get(c, 1.0) for c, v in kind.items()}
-            for kind in (self.levels, self.inside, self.within)
-        )
-        return replace(self, levels=levels, inside=inside, within=within)
-
     def of_trials(self, channels: Collection[str]) -> dict[str, float]:
         """Return the mean squared noise of each fitted trial, divided by that of all fitted trials.
 
@@ -210,6 +198,7 @@ def floors(
     share: float,
     alike: Fit,
     noise_model: NoiseModel,
+    drifting: Mapping[str, float] | None = None,
 ) -> Floor:
     """Return the noise floor of each channel, the smallest error that a model of these trials can have.
 
@@ -226,7 +215,10 @@ def floors(
         The model with all causes, refitted without random effects.
     noise_model : NoiseModel
         Noise model for refits of ``alike`` without each fold.
+    drifting : mapping of channel to float, optional
+        Fraction of the noise variance that is drift in these channels, and does not count as noise.
     """
+    drifting = drifting or {}
     rest = max(1.0 - share, 0.05)
     marginal_residuals = last.marginal_residuals()
     kinds = (residuals, last.residuals, marginal_residuals)
@@ -243,13 +235,15 @@ def floors(
     how = "the noise that the model with all that was found leaves, and what differs from trial to trial"
     lower, told = _between_repeats(context, last, marginal_residuals)
 
+    left = {c: float(np.sqrt(1.0 - drifting.get(c, 0.0))) for c in model}
+
     def level(c: str, times: float) -> float:
         if c not in lower:
-            return float(np.sqrt(times * model[c]))
-        return min(lower[c], float(np.sqrt(times * whole[c])))
+            return left[c] * float(np.sqrt(times * model[c]))
+        return left[c] * min(lower[c], float(np.sqrt(times * whole[c])))
 
     levels = {c: level(c, more[c]) for c in model}
-    within = {c: min(float(np.sqrt(more[c] * rest * v)), levels[c]) for c, v in noise.items()}
+    within = {c: min(left[c] * float(np.sqrt(more[c] * rest * v)), levels[c]) for c, v in noise.items()}
     return Floor(levels, {c: level(c, 1.0) for c in model}, within, squares, told or how, told is not None)
 
 

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from swimid.effects.base import Stage
 from swimid.files import yamlio
@@ -266,9 +266,6 @@ class Remaining(yamlio.Document):
 class Advice(yamlio.Document):
     """Proposed next experiment."""
 
-    #: Command file of the proposed trial, in memory. The gap file does not contain it.
-    _command: Log | None = PrivateAttr(default=None)
-
     text: str
     #: Rival causes that the experiment would distinguish.
     separates: list[str] = []
@@ -277,15 +274,13 @@ class Advice(yamlio.Document):
     difference: Number = None
     noise: Number = None
     now: Number = None
+    #: Command file of the proposed trial, in memory. The gap file does not contain it.
+    _command: Log | None = None
 
     @property
     def command(self) -> Log | None:
         """Return the command file of the proposed trial; None if there is none, or if a file was read."""
         return self._command
-
-    def hold(self, command: Log) -> None:
-        """Keep the command file of the proposed trial."""
-        self._command = command
 
 
 class Score(yamlio.Document):

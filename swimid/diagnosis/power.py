@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,16 +78,17 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
     )
     unseen = f"not seen at any size within their bounds: {', '.join(blind)}"
     check = ev.check("effects seen", str(seen), not blind, str(len(file.effects)), reason=unseen)
-    rows: list[list[Any]] = [
-        [
-            r.effect,
-            r.parameter,
-            numbers.number(r.size, 2, r.unit),
-            None if r.absorbed is None else 100.0 * r.absorbed,
-            ", ".join(r.alike),
-        ]
-        for r in file.effects
-    ]
+    rows = []
+    for r in file.effects:
+        imitated = None if r.absorbed is None else 100.0 * r.absorbed
+        rows.append([r.effect, r.parameter, numbers.number(r.size, 2, r.unit), imitated, ", ".join(r.alike)])
+    table = ev.Table(
+        id="power",
+        title="The smallest size of each effect that is seen with 90 % power",
+        columns=["effect", "parameter", "smallest size", "imitated (%)", "never distinguished from"],
+        rows=rows,
+        caption="Imitated: share of its squared change that the coefficients take up.",
+    )
     return ev.Evidence(
         command="diagnose",
         title=f"What trials could show: {file.robot}, {file.experiment}",
@@ -95,15 +96,7 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
         facts={"Trials": f"{len(file.trials)} against {file.params}"},
         notes=[f"{name}: {why}." for name, why in file.left_out.items()],
         checks=[check],
-        tables=[
-            ev.Table(
-                id="power",
-                title="The smallest size of each effect that is seen with 90 % power",
-                columns=["effect", "parameter", "smallest size", "imitated (%)", "never distinguished from"],
-                rows=rows,
-                caption="Imitated: share of its squared change that the coefficients take up.",
-            )
-        ],
+        tables=[table],
         notices=list(notices),
         methods=[
             "The change that an effect makes in the trials, the coefficients of the model projected out, was "
@@ -187,29 +180,8 @@ def told_apart(record: Record, cosine: float) -> bool:
     The cosine is the one between the changes of the trials by the two effects.
     """
     left = max(1.0 - cosine**2, 0.0)
-    return 0.5 * CALIBRATED.directions * record.parts * math.log1p(left / CALIBRATED.form) > math.log(
-        (1.0 - UNSURE) / UNSURE
-    )
-
-
-class _Line(NamedTuple):
-    """Effect whose size varies along one direction in the space of its parameters.
-
-    Attributes
-    ----------
-    parameter : Parameter
-        Parameter that states the size of the effect. Further parameters that are not at their null values
-        state place and time.
-    values : ndarray, shape (n,)
-        Tried values of the parameter.
-    places : ndarray of int, shape (n,)
-        Column indices of the changes of the trials at these values.
-    """
-
-    tried: Trialled
-    parameter: Parameter
-    values: Array
-    places: NDArray[np.intp]
+    gain = 0.5 * CALIBRATED.directions * record.parts * math.log1p(left / CALIBRATED.form)
+    return gain > math.log((1.0 - UNSURE) / UNSURE)
 
 
 def shown(
@@ -241,32 +213,31 @@ def shown(
     base, record = search.null.fit, search.record
     wanted = [e for e in effects if asked is None or e.name in asked]
     columns: list[list[Array]] = []
-    lines: list[_Line] = []
+    lines: list[tuple[Trialled, Parameter, Array, NDArray[np.intp]]] = []
     left_out: dict[str, str] = {}
     for tried in candidates.simulate(context, base, wanted):
         found = _lines(tried, columns)
-        lines += found
+        lines += [(tried, *line) for line in found]
         if not found:
-            nothing = "it changes nothing that was measured in these trials"
-            left_out.setdefault(
-                tried.effect.name, nothing if tried.points else "the model breaks down with it"
-            )
+            why = "the model breaks down with it"
+            if tried.points:
+                why = "it changes nothing that was measured in these trials"
+            left_out.setdefault(tried.effect.name, why)
     inner = crossval.normal_equations(context, base, search.noise_model, columns)
     left = crossval.projected(inner)[:-1, :-1]
     whole = inner.products.sum(axis=0).diagonal()[inner.shared : -1]
     best: dict[str, tuple[float, Row, int]] = {}
-    for line in lines:
-        effect, p, kinds = line.tried.effect, line.parameter, len(line.tried.parameters)
-        of_trials = sum(one.per_trial for one in line.tried.parameters)
+    for tried, p, values, places in lines:
+        effect, kinds = tried.effect, len(tried.parameters)
+        of_trials = sum(one.per_trial for one in tried.parameters)
         shared, per_trial = kinds - of_trials, of_trials * len(context.trials)
         penalty = posterior.penalty(shared, per_trial, record.samples, len(context.trials))
         needs = noncentrality(needed(record, kinds) + penalty, shared + per_trial)
-        squares = np.maximum(left.diagonal()[line.places], 0.0)
-        total = whole[line.places]
-        strengths = np.abs(line.values - p.start) / p.scale
+        squares, total = np.maximum(left.diagonal()[places], 0.0), whole[places]
+        strengths = np.abs(values - p.start) / p.scale
         strength, at = _strength(strengths, np.where(squares > ROUNDING * total, squares, 0.0), needs)
         if effect.name not in best or strength < best[effect.name][0]:
-            size = float(p.start + (line.values[at] - p.start) * strength / strengths[at])
+            size = float(p.start + (values[at] - p.start) * strength / strengths[at])
             row = Row(
                 effect=effect.name,
                 stage=effect.stage,
@@ -275,7 +246,7 @@ def shown(
                 unit=p.unit,
                 absorbed=float(np.clip(1.0 - squares[at] / total[at], 0.0, 1.0)),
             )
-            best[effect.name] = strength, row, int(line.places[at])
+            best[effect.name] = strength, row, int(places[at])
     for name, (_, row, place) in best.items():
         if row.size is not None:
             row.alike = [
@@ -286,10 +257,12 @@ def shown(
     return [row for _, row, _ in best.values()], {n: why for n, why in left_out.items() if n not in best}
 
 
-def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
+def _lines(tried: Trialled, columns: list[list[Array]]) -> list[tuple[Parameter, Array, NDArray[np.intp]]]:
     """Return the parameter directions in which an effect was simulated.
 
-    The resulting changes of the trials are appended to ``columns``.
+    A direction has the parameter that states the size of the effect, its tried values, and the column indices
+    of the resulting changes of the trials, which are appended to ``columns``. Further parameters that are not
+    at their null values state place and time.
     """
     null = np.array([p.start for p in tried.parameters])
     groups: dict[tuple[int, ...], list[tuple[float, int]]] = {}
@@ -298,10 +271,11 @@ def _lines(tried: Trialled, columns: list[list[Array]]) -> list[_Line]:
         if moved and sum(float(c @ c) for c in changed) > candidates.NOTHING:
             groups.setdefault(moved, []).append((float(point[moved[0]]), len(columns)))
             columns.append(changed)
-    return [
-        _Line(tried, tried.parameters[moved[0]], *(np.array(part) for part in zip(*members, strict=True)))
-        for moved, members in groups.items()
-    ]
+    found = []
+    for moved, members in groups.items():
+        values, places = (np.array(part) for part in zip(*members, strict=True))
+        found.append((tried.parameters[moved[0]], values, places))
+    return found
 
 
 def _cosine(products: Array, i: int, j: int) -> float:

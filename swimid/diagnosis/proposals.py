@@ -1,16 +1,17 @@
 """Propose trials that a lab could run next, within the limits of the robot and of the tank.
 
 A proposed trial is a sequence of segments of equal duration. :data:`PROPOSALS` lists all of them. A protocol
-(:class:`Protocol`) turns the segments into the command of one kind of experiment: a beat or joint commands, a
-pulling force, an input column, a cruise, or a release.
+turns the segments into the command of one kind of experiment: a beat or joint commands, a pulling force, an
+input column, a cruise, or a release. A protocol is a function of the segments and of the maximum duration, s.
+It returns None if the experiment cannot run the segments within its limits.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from scipy.integrate import cumulative_trapezoid
 from swimid.diagnosis import settings
 from swimid.fitting.drives import Beat, Cycle, eased, straight
 from swimid.fitting.fit_common import Experiment
-from swimid.fitting.model import Array, Model, SurgeInput, SwimInput, Trial
+from swimid.fitting.model import Array, Model, Rig, SurgeInput, SwimInput, Trial
 from swimid.logs.trials import Drive
 from swimid.simulation.cases import drive_block
 from swimid.swimmer import drive as driven
@@ -117,46 +118,30 @@ class Proposal:
     entry: Mapping[str, Any]
     columns: Mapping[str, Array]
 
-    @property
-    def duration_s(self) -> float:
-        """Duration of the trial, s; 0 for a cruise, which ends at its distance."""
-        return float(self.trial.time_s[-1] - self.trial.time_s[0])
 
-
-class Protocol(ABC):
-    """Kind of experiment for which trials are proposed.
-
-    Parameters
-    ----------
-    model : Model
-    trials : sequence of Trial
-        Trials of the experiment, whose settings the segments multiply.
-    limits : Limits
-    """
-
-    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits) -> None:
-        self.model, self.limits = model, limits
-        self.trials = list(trials)
-        self.template = max(self.trials, key=_duration)
-
-    @property
-    def duration_s(self) -> float:
-        """Duration of a proposed trial that the tank does not shorten, s."""
-        return _duration(self.template)
-
-    @abstractmethod
-    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
-        """Return a trial of these segments; None if this experiment cannot run them within its limits."""
-
-    def constant(self, segments: Sequence[Segment]) -> Segment | None:
-        """Return the only segment, if it is one that an experiment without a bias can run; None otherwise."""
-        if len(segments) > 1 or segments[0].bias:
-            return None
-        return segments[0]
+#: Type of a protocol: a function of the segments and of the maximum duration of a trial, s.
+Protocol = Callable[[Sequence[Segment], float], Proposal | None]
 
 
 def _duration(trial: Trial) -> float:
     return float(trial.time_s[-1] - trial.time_s[0])
+
+
+def _longest(trials: Sequence[Trial]) -> Trial:
+    return max(trials, key=_duration)
+
+
+def _cut(time_s: Array, duration_s: float) -> Array:
+    """Return the sample times of a trial up to a duration."""
+    return time_s[time_s <= time_s[0] + duration_s + 1e-9]
+
+
+def _constant(segments: Sequence[Segment]) -> Segment | None:
+    """Return the only segment of a trial with a motion and without a bias; None for other trials."""
+    first = segments[0]
+    if len(segments) > 1 or first.bias or not first.amplitude:
+        return None
+    return first
 
 
 def rounded_down(value: float) -> float:
@@ -210,34 +195,46 @@ def _size(drive: Beat | Cycle) -> float:
     return drive.scale
 
 
-class Swim(Protocol):
-    """Robot with links that starts from rest under a beat, a stroke or joint commands."""
+class Swim:
+    """Protocol of a robot with links that starts from rest under a beat, a stroke or joint commands.
+
+    Parameters
+    ----------
+    model : Swimmer
+    trials : sequence of Trial
+        Trials of the experiment, whose settings the segments multiply.
+    limits : Limits
+    """
 
     def __init__(self, model: Swimmer, trials: Sequence[Trial], limits: Limits) -> None:
-        moved = [t for t in trials if t.swim.drive is not None]
-        longest = max(moved or trials, key=_duration).swim
-        alike = [t for t in moved if type(t.swim.drive) is type(longest.drive)]
-        super().__init__(model, alike or trials, limits)
-        self.swimmer, self.swim = model, self.template.swim
+        self.swimmer, self.limits = model, limits
+        self.template = _longest([t for t in trials if t.swim.drive is not None] or trials)
+        self.swim = self.template.swim
+        kind = type(self.swim.drive)
+        drives = [t.swim.drive for t in trials if t.swim.drive is not None and type(t.swim.drive) is kind]
         if self.swim.beat is not None and self.swim.steady:
             # A trial from rest begins with the ramp that a trials file has by default.
             ramp_s = Drive.model_fields["ramp_s"].default
             self.swim = replace(self.swim, beat=replace(self.swim.beat, steady=False, ramp_s=ramp_s))
         self.beat, self.stroke = self.swim.beat, self.swim.stroke
-        drives = [t.swim.drive for t in self.trials if t.swim.drive is not None]
         #: Frequencies (Hz) and sizes of the drives of the trials; 1 for recorded commands.
         self.frequencies = [float(d.frequency_hz) for d in drives] or [1.0]
         self.sizes = [_size(d) for d in drives] or [1.0]
-        #: Frequency of a beat in recorded commands, Hz; NaN if it is unknown.
-        self.recorded_hz = math.nan
-        found = settings.quantities(self.template).get("frequency")
-        if not drives and isinstance(found, settings.Quantity):
-            self.recorded_hz = found.value
+        #: Unit of the sizes: one degree (rad) for a beat, otherwise 1.
+        self.unit = 1.0
+        if self.beat is not None:
+            self.unit = math.radians(1.0)
+        #: Unit of the frequencies: 1 Hz, or the frequency of a beat in recorded commands (NaN if unknown).
+        self.beat_hz = 1.0
+        if not drives:
+            found = settings.quantities(self.template).get("frequency")
+            self.beat_hz = found.value if isinstance(found, settings.Quantity) else math.nan
 
-    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
+    def __call__(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
         """Return a trial of these segments; its amplitude is lowered to the limits of the joints."""
         if self.beat is None and any(s.bias for s in segments):
             return None
+        duration_s = min(duration_s, _duration(self.template))
         found, excess = self._at_size(segments, duration_s, 1.0)
         if excess > 1.0:
             found, excess = self._at_size(segments, duration_s, 0.999 / excess)
@@ -257,8 +254,8 @@ class Swim(Protocol):
         most_hz, most = limits.max_frequency_hz, math.inf
         if usual is not None:
             hz, size = float(usual.frequency_hz), _size(usual)
-        elif math.isfinite(self.recorded_hz):
-            most_hz /= self.recorded_hz
+        elif math.isfinite(self.beat_hz):
+            most_hz /= self.beat_hz
         if self.beat is not None:
             most = math.degrees(limits.max_amplitude_rad)
         f = [level(s.frequency, self.frequencies, hz, most_hz) for s in segments]
@@ -269,59 +266,47 @@ class Swim(Protocol):
         if self.swim.joints is not None and usual is None:
             # A record that is played faster ends earlier.
             duration_s = min(duration_s, _duration(self.template) * len(f) / sum(f))
-        ramp_s = getattr(usual, "ramp_s", 0.0)
-        beats = self._beats(f, a, duration_s / len(f), ramp_s)
-        count = int(np.sum(self.template.time_s - self.template.time_s[0] <= duration_s + 1e-9))
-        if min(beats, default=math.inf) < MIN_BEATS - 1e-3 or count < MIN_SAMPLES:
+        # The number of beats in each segment is NaN if the frequency of recorded commands is unknown.
+        lengths = np.full(len(f), duration_s / len(f))
+        lengths[0] -= getattr(usual, "ramp_s", 0.0)
+        beats = (lengths * f * self.beat_hz)[np.array(a) != 0.0]
+        sampled = _cut(self.template.time_s, duration_s)
+        if np.any(beats < MIN_BEATS - 1e-3) or len(sampled) < MIN_SAMPLES:
             return None, 0.0
         time = np.arange(round(duration_s * COMMAND_RATE_HZ) + 1) / COMMAND_RATE_HZ
-        entry: dict[str, Any] = {}
-        own = {name: float(v) for name, v in (self.swim.coefficients or {}).items()}
-        if own:
-            entry["coefficients"] = own
-        swim = self._simple(f, a, b)
-        if swim is None:
+        if usual is not None and len(f) == 1:
+            # A trials file can state this drive.
+            swim = self._sized(f[0], self.unit * a[0], self.unit * b[0], steady=False)
+        else:
             swim = self._joined(f, a, b, time, duration_s)
         angles = [self.swimmer.command(k, swim, time, 0.0) for k in range(len(self.swimmer.driven))]
         names = [axis.column.replace("joint", "cmd") for axis in self.swimmer.driven]
-        held = {"drive_phase", *(p.name for p in self.model.parameters if p.name.startswith("initial_"))}
-        trial = Trial(
-            "proposed",
-            "fit",
-            self.template.time_s[:count] - self.template.time_s[0],
-            {},
-            swim=replace(swim, pose=self.swim.pose),
-            held=tuple(sorted(held)),
-        )
+        held = {"drive_phase", *(p.name for p in self.swimmer.parameters if p.name.startswith("initial_"))}
+        swim = replace(swim, pose=self.swim.pose)
+        trial = Trial("proposed", "fit", sampled - sampled[0], {}, swim=swim, held=tuple(sorted(held)))
+        entry: dict[str, Any] = {}
         if swim.drive is not None:
-            entry = {"drive": drive_block(trial), **entry}
+            entry["drive"] = drive_block(trial)
+        if self.swim.coefficients:
+            entry["coefficients"] = {name: float(v) for name, v in self.swim.coefficients.items()}
         text = f"{self._words(f, a, b)}, from rest, for {_duration(trial):.3g} s"
         columns = {"t_s": time, **dict(zip(names, angles, strict=True))}
         return Proposal(text, trial, entry, columns), self._excess(angles)
 
-    def _beats(self, f: Sequence[float], a: Sequence[float], each_s: float, ramp_s: float) -> list[float]:
-        """Return the number of beats in each segment with a beat. It is unknown for recorded commands."""
-        if self.swim.drive is None:
-            f = [one * self.recorded_hz for one in f]
-        lengths = [each_s - ramp_s, *[each_s] * (len(f) - 1)]
-        parts = zip(lengths, f, a, strict=True)
-        return [length * hz for length, hz, size in parts if size and math.isfinite(hz)]
+    def _sized(self, hz: float, size: float, bias_rad: float, *, steady: bool) -> SwimInput:
+        """Return the input with a single drive: a beat (size in rad), a stroke, or recorded commands.
 
-    def _simple(self, f: Sequence[float], a: Sequence[float], b: Sequence[float]) -> SwimInput | None:
-        """Return a drive that a trials file can state, a single beat or stroke; None for several segments."""
-        if self.beat is not None and len(f) == 1:
-            beat = replace(
-                self.beat,
-                frequency_hz=f[0],
-                amplitude_rad=math.radians(a[0]),
-                bias_rad=math.radians(b[0]),
-                steady=False,
-            )
+        Recorded commands have the size 1, or no motion at the size 0.
+        """
+        if self.beat is not None:
+            beat = replace(self.beat, frequency_hz=hz, amplitude_rad=size, bias_rad=bias_rad, steady=steady)
             return replace(self.swim, beat=beat)
-        if self.stroke is not None and len(f) == 1:
-            stroke = replace(self.stroke, frequency_hz=f[0], scale=a[0], steady=False)
+        if self.stroke is not None:
+            stroke = replace(self.stroke, frequency_hz=hz, scale=size, steady=steady)
             return replace(self.swim, stroke=stroke)
-        return None
+        if size:
+            return self.swim
+        return replace(self.swim, joints=[straight for _ in self.swim.joints or ()])
 
     def _joined(
         self, f: Sequence[float], a: Sequence[float], b: Sequence[float], time_s: Array, duration_s: float
@@ -337,16 +322,8 @@ class Swim(Protocol):
         if begin_s > 0.0:
             size, bias = (series * eased(time_s, begin_s) for series in (size, bias))
         played_s = shift_s + cumulative_trapezoid(frequency / unit_hz, time_s, initial=0.0)
-        if self.beat is not None:
-            size, bias = np.radians(size), np.radians(bias)
-            beat = replace(self.beat, amplitude_rad=1.0, bias_rad=0.0, steady=True)
-            full, idle = (replace(self.swim, beat=replace(beat, amplitude_rad=a)) for a in (1.0, 0.0))
-        elif self.stroke is not None:
-            stroke = replace(self.stroke, steady=True)
-            full, idle = (replace(self.swim, stroke=replace(stroke, scale=a)) for a in (1.0, 0.0))
-        else:
-            full = self.swim
-            idle = replace(full, joints=[straight for _ in full.joints or ()])
+        size, bias = self.unit * size, self.unit * bias
+        idle, full = (self._sized(unit_hz, amplitude, 0.0, steady=True) for amplitude in (0.0, 1.0))
         motions = []
         for k, axis in enumerate(self.swimmer.driven):
             law = axis.driven
@@ -391,168 +368,144 @@ class Swim(Protocol):
 # ---------------------------------------------------------------- other experiments
 
 
-class Weight(Protocol):
-    """Body that a falling weight or a known constant force pulls."""
+def pull(
+    trials: Sequence[Trial], limits: Limits, segments: Sequence[Segment], duration_s: float
+) -> Proposal | None:
+    """Return a trial of a body that another falling weight or constant force pulls.
 
-    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits) -> None:
-        super().__init__(model, trials, limits)
-        self.forces = [t.rig.pull for t in trials]
+    Under quadratic drag, a force passes through the same positions as another force, in times that are
+    proportional to the inverse square root of the force. The samples of the trial with the nearest force are
+    therefore moved in time.
+    """
+    only, template, forces = _constant(segments), _longest(trials), [t.rig.pull for t in trials]
+    if only is None or only.frequency != 1.0 or not min(forces) > 0:
+        return None
+    gravity = limits.experiment.robot.fluid.gravity_m_s2
+    key, unit, per = "driving_force_N", "N", 1.0
+    if template.rig.pulley:
+        key, unit, per = "pulling_mass_kg", "kg", gravity
+    size = level(only.amplitude, [one / per for one in forces], template.rig.pull / per)
+    force = size * per
+    near = min(trials, key=lambda t: abs(math.log(t.rig.pull / force)))
+    rig = replace(near.rig, force=force)
+    if rig.pulley:
+        rig = replace(rig, inertia=rig.inertia + (force - near.rig.pull) / gravity)
+    slower = math.sqrt(near.rig.pull / force)
+    time = _cut(rig.begin_s + slower * (near.time_s - rig.begin_s), duration_s)
+    if len(time) < MIN_SAMPLES:
+        return None
+    trial = Trial("proposed", "fit", time, {}, rig=rig, held=near.held)
+    columns = {"t_s": time, "force_N": np.full(len(time), force)}
+    text = f"pull with {size:.3g} {unit}, for {_duration(trial):.3g} s"
+    return Proposal(text, trial, {key: round(size, 9)}, columns)
 
-    @property
-    def duration_s(self) -> float:
-        """Infinite duration, because each force has a duration of its own."""
-        return math.inf
 
-    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
-        """Return a trial with another pulling mass or force.
+def play(
+    trials: Sequence[Trial], column: str, segments: Sequence[Segment], duration_s: float
+) -> Proposal | None:
+    """Return a trial in which an input column of the longest trial is scaled and played at another speed.
 
-        Under quadratic drag, a force passes through the same positions as another force, in times that are
-        proportional to the inverse square root of the force. The samples of the trial with the nearest force
-        are therefore moved in time.
-        """
-        only = self.constant(segments)
-        if only is None or only.frequency != 1.0 or not only.amplitude or not min(self.forces) > 0:
+    The column is a towing force, or the input of a black-box model.
+    """
+    if any(s.bias for s in segments):
+        return None
+    template = _longest(trials)
+    f, a = [s.frequency for s in segments], [s.amplitude for s in segments]
+    duration_s = min(duration_s, _duration(template), _duration(template) * len(f) / sum(f))
+    time = _cut(template.time_s, duration_s)
+    if len(time) < MIN_SAMPLES:
+        return None
+    # A step of the input takes one sampling interval.
+    step_s = float(time[1] - time[0])
+    edges = [time[0] + duration_s * k / len(f) for k in range(1, len(f))]
+    speed, size = (stepped(time, levels, edges, step_s) for levels in (f, a))
+    played = time[0] + cumulative_trapezoid(speed, time, initial=0.0)
+    inputs = {column: size * np.interp(played, template.time_s, template.inputs[column])}
+    trial = Trial("proposed", "fit", time, {}, inputs, template.rig, held=template.held)
+    parts = ["at zero"] * len(segments)
+    for k, s in enumerate(segments):
+        if s.amplitude:
+            parts[k] = f"{s.amplitude:g} times as large and {s.frequency:g} times as fast"
+    text = f"play {column} of {template.id} {', then '.join(parts)}, for {_duration(trial):.3g} s"
+    return Proposal(text, trial, {}, {"t_s": time, **inputs})
+
+
+def cruise(
+    model: Model, trials: Sequence[Trial], limits: Limits, segments: Sequence[Segment], duration_s: float
+) -> Proposal | None:
+    """Return a steady beat with another frequency or amplitude, for a model that averages over beats.
+
+    The trial is a timed cruise, or straight swimming.
+    """
+    only, template = _constant(segments), _longest(trials)
+    if only is None:
+        return None
+    frequencies, sizes = (np.concatenate(parts) for parts in zip(*(t.steady for t in trials), strict=True))
+    hz, size = (float(values[0]) for values in template.steady)
+    hz = level(only.frequency, frequencies.tolist(), hz, limits.max_frequency_hz)
+    most = math.degrees(limits.max_amplitude_rad)
+    deg = level(only.amplitude, np.degrees(sizes).tolist(), math.degrees(size), most)
+    text = f"swim at {hz:.3g} Hz and {deg:.3g} deg"
+    setting = {"frequency_hz": hz, "amplitude_deg": round(deg, 9)}
+    if not model.timed_runs:
+        time = _cut(template.time_s, duration_s)
+        if len(time) < MIN_SAMPLES or _duration(template) * hz < MIN_BEATS:
             return None
-        gravity = self.limits.experiment.robot.fluid.gravity_m_s2
-        key, unit, per = "driving_force_N", "N", 1.0
-        if self.template.rig.pulley:
-            key, unit, per = "pulling_mass_kg", "kg", gravity
-        pull = level(only.amplitude, [one / per for one in self.forces], self.template.rig.pull / per)
-        force = pull * per
-        near = min(self.trials, key=lambda t: abs(math.log(t.rig.pull / force)))
-        rig = replace(near.rig, force=force)
-        if rig.pulley:
-            rig = replace(rig, inertia=rig.inertia + (force - near.rig.pull) / gravity)
-        slower = math.sqrt(near.rig.pull / force)
-        time = rig.begin_s + slower * (near.time_s - rig.begin_s)
-        time = time[time <= time[0] + duration_s + 1e-9]
-        if len(time) < MIN_SAMPLES:
-            return None
-        trial = Trial("proposed", "fit", time, {}, rig=rig, held=near.held)
-        columns = {"t_s": time, "force_N": np.full(len(time), force)}
-        text = f"pull with {pull:.3g} {unit}, for {_duration(trial):.3g} s"
-        return Proposal(text, trial, {key: round(pull, 9)}, columns)
+        surge = SurgeInput(hz, math.radians(deg), float(time[0]))
+        trial = Trial("proposed", "fit", time, {}, surge=surge, held=template.held)
+        facts = limits.experiment.facts
+        shape = {name: facts[name] for name in ("waveform", "asymmetry") if facts.get(name)}
+        entry: dict[str, Any] = {"drive": {**shape, **setting}}
+        end_s = float(time[-1])
+        text += f", for {_duration(trial):.3g} s"
+    else:
+        distance_m = min(float(template.inputs["distance_m"][0]), limits.tank_length_m or math.inf)
+        inputs = {"frequency_hz": hz, "amplitude_rad": math.radians(deg), "distance_m": distance_m}
+        columns = {name: np.array([v]) for name, v in inputs.items()}
+        trial = Trial("proposed", "fit", np.zeros(1), {}, columns, cruise=template.cruise)
+        entry = {"fin": template.cruise.fin, **setting, "distance_m": distance_m}
+        # Estimate the duration from the slowest cruise. The run ends at its distance.
+        speeds = np.concatenate([v for t in trials for v in t.measured.values()])
+        end_s = distance_m / float(np.nanmin(speeds))
+        text += f" with the fin {template.cruise.fin}, over {distance_m:.3g} m"
+    columns = {"t_s": np.array([0.0, end_s]), **{name: np.full(2, v) for name, v in setting.items()}}
+    return Proposal(text, trial, entry, columns)
 
 
-class Signal(Protocol):
-    """Experiment with a recorded input column: a towing force, or the input of a black-box model."""
-
-    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits, column: str) -> None:
-        super().__init__(model, trials, limits)
-        self.column = column
-
-    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
-        """Return a trial in which the input of the longest trial is scaled and played at another speed."""
-        if any(s.bias for s in segments):
-            return None
-        f, a = [s.frequency for s in segments], [s.amplitude for s in segments]
-        duration_s = min(duration_s, self.duration_s * len(f) / sum(f))
-        time = self.template.time_s[self.template.time_s <= self.template.time_s[0] + duration_s + 1e-9]
-        if len(time) < MIN_SAMPLES:
-            return None
-        # A step of the input takes one sampling interval.
-        step_s = float(time[1] - time[0])
-        edges = [time[0] + duration_s * k / len(f) for k in range(1, len(f))]
-        speed, size = (stepped(time, levels, edges, step_s) for levels in (f, a))
-        played = time[0] + cumulative_trapezoid(speed, time, initial=0.0)
-        column = size * np.interp(played, self.template.time_s, self.template.inputs[self.column])
-        trial = Trial(
-            "proposed", "fit", time, {}, {self.column: column}, self.template.rig, held=self.template.held
-        )
-        parts = ["at zero"] * len(segments)
-        for k, s in enumerate(segments):
-            if s.amplitude:
-                parts[k] = f"{s.amplitude:g} times as large and {s.frequency:g} times as fast"
-        text = f"play {self.column} of {self.template.id} {', then '.join(parts)}"
-        columns = {"t_s": time, self.column: column}
-        return Proposal(f"{text}, for {_duration(trial):.3g} s", trial, {}, columns)
-
-
-class Cruise(Protocol):
-    """Steady beat for a model that averages over beats: a timed cruise, or straight swimming."""
-
-    def __init__(self, model: Model, trials: Sequence[Trial], limits: Limits) -> None:
-        super().__init__(model, trials, limits)
-        known = [np.concatenate(parts) for parts in zip(*(t.steady for t in trials), strict=True)]
-        self.frequencies, self.sizes = known[0].tolist(), np.degrees(known[1]).tolist()
-
-    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
-        """Return a trial with another frequency or amplitude."""
-        only, limits, template = self.constant(segments), self.limits, self.template
-        if only is None or not only.amplitude:
-            return None
-        hz, size = (float(values[0]) for values in template.steady)
-        hz = level(only.frequency, self.frequencies, hz, limits.max_frequency_hz)
-        most = math.degrees(limits.max_amplitude_rad)
-        deg = level(only.amplitude, self.sizes, math.degrees(size), most)
-        text = f"swim at {hz:.3g} Hz and {deg:.3g} deg"
-        setting = {"frequency_hz": hz, "amplitude_deg": round(deg, 9)}
-        if not self.model.timed_runs:
-            time = template.time_s[template.time_s <= template.time_s[0] + duration_s + 1e-9]
-            beats = _duration(template) * hz
-            if len(time) < MIN_SAMPLES or beats < MIN_BEATS:
-                return None
-            surge = SurgeInput(hz, math.radians(deg), float(time[0]))
-            trial = Trial("proposed", "fit", time, {}, surge=surge, held=template.held)
-            facts = limits.experiment.facts
-            shape = {name: facts[name] for name in ("waveform", "asymmetry") if facts.get(name)}
-            entry: dict[str, Any] = {"drive": {**shape, **setting}}
-            end_s = float(time[-1])
-            text += f", for {_duration(trial):.3g} s"
-        else:
-            distance_m = min(float(template.inputs["distance_m"][0]), limits.tank_length_m or math.inf)
-            inputs = {
-                "frequency_hz": np.array([hz]),
-                "amplitude_rad": np.array([math.radians(deg)]),
-                "distance_m": np.array([distance_m]),
-            }
-            trial = Trial("proposed", "fit", np.zeros(1), {}, inputs, cruise=template.cruise)
-            entry = {"fin": template.cruise.fin, **setting, "distance_m": distance_m}
-            # Estimate the duration from the slowest cruise. The run ends at its distance.
-            speeds = np.concatenate([v for t in self.trials for v in t.measured.values()])
-            end_s = distance_m / float(np.nanmin(speeds))
-            text += f" with the fin {template.cruise.fin}, over {distance_m:.3g} m"
-        columns = {"t_s": np.array([0.0, end_s]), **{name: np.full(2, v) for name, v in setting.items()}}
-        return Proposal(text, trial, entry, columns)
-
-
-class Release(Protocol):
-    """Free decay after a release from rest."""
-
-    def proposal(self, segments: Sequence[Segment], duration_s: float) -> Proposal | None:
-        """Return a release from another position or angle."""
-        only, template, rig = self.constant(segments), self.template, self.model.rig
-        if only is None or rig is None or only.frequency != 1.0 or not only.amplitude:
-            return None
-        away = [abs(t.rig.x0) for t in self.trials]
-        x0 = math.copysign(level(only.amplitude, away, abs(template.rig.x0)), template.rig.x0)
-        trial = Trial(
-            "proposed", "fit", template.time_s, {}, rig=replace(template.rig, x0=x0), held=template.held
-        )
-        begin_s = template.rig.begin_s
-        ends = np.array([begin_s, float(template.time_s[-1])])
-        columns = {"t_s": ends, rig.displacement.name: np.array([x0, np.nan])}
-        text = f"release at {x0:.3g} {rig.displacement.unit}, for {_duration(trial):.3g} s"
-        return Proposal(text, trial, {}, columns)
+def release(
+    rig: Rig, trials: Sequence[Trial], segments: Sequence[Segment], duration_s: float
+) -> Proposal | None:
+    """Return a free decay after a release from rest at another position or angle."""
+    only, template = _constant(segments), _longest(trials)
+    if only is None or only.frequency != 1.0:
+        return None
+    away = [abs(t.rig.x0) for t in trials]
+    x0 = math.copysign(level(only.amplitude, away, abs(template.rig.x0)), template.rig.x0)
+    own = replace(template.rig, x0=x0)
+    trial = Trial("proposed", "fit", template.time_s, {}, rig=own, held=template.held)
+    ends = np.array([own.begin_s, float(template.time_s[-1])])
+    columns = {"t_s": ends, rig.displacement.name: np.array([x0, np.nan])}
+    text = f"release at {x0:.3g} {rig.displacement.unit}, for {_duration(trial):.3g} s"
+    return Proposal(text, trial, {}, columns)
 
 
 def protocol_of(model: Model, trials: Sequence[Trial], limits: Limits) -> Protocol | None:
     """Return the protocol of an experiment; None if nothing in it can be commanded."""
-    swimmer = model.swimmer
+    swimmer, rig = model.swimmer, model.rig
     if swimmer is not None:
         moved = [t for t in trials if t.swim.drive is not None or t.swim.joints]
         if not moved or not swimmer.driven:
             return None
         return Swim(swimmer, moved, limits)
     if all(len(t.steady[0]) == 1 and np.isfinite(t.steady).all() for t in trials):
-        return Cruise(model, trials, limits)
-    if model.rig is not None and model.rig.swings:
-        return Release(model, trials, limits)
+        return partial(cruise, model, trials, limits)
+    if rig is not None and rig.swings:
+        return partial(release, rig, trials)
     column = getattr(model, "source", "force_N")
     if all(column in t.inputs for t in trials):
-        return Signal(model, trials, limits, column)
-    if model.rig is not None and all(t.rig.force is not None for t in trials):
-        return Weight(model, trials, limits)
+        return partial(play, trials, column)
+    if rig is not None and all(t.rig.force is not None for t in trials):
+        return partial(pull, trials, limits)
     return None
 
 
@@ -564,16 +517,10 @@ def extents(columns: Mapping[str, Array]) -> Array:
 
     The positions are horizontal. The result is 0 without a position.
     """
-    x, y = (columns.get(name) for name in ("x_m", "y_m"))
-    known = [axis for axis in (x, y) if axis is not None]
-    if not known:
-        return np.zeros(1)
-    if len(known) == 1:
-        along = known
-    else:
-        angles = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        along = [known[0] * np.cos(angle) + known[1] * np.sin(angle) for angle in angles]
-    ends = [np.fmax.accumulate(one) - np.fmin.accumulate(one) for one in along]
+    x, y = (np.atleast_1d(columns.get(name, 0.0)) for name in ("x_m", "y_m"))
+    angles = np.pi * np.arange(DIRECTIONS)[:, None] / DIRECTIONS
+    along = x * np.cos(angles) + y * np.sin(angles)
+    ends = np.fmax.accumulate(along, axis=1) - np.fmin.accumulate(along, axis=1)
     return np.asarray(np.max(ends, axis=0))
 
 
@@ -609,9 +556,9 @@ def shortened(
     paths : callable
         Function that returns the channels that each rival simulates in a trial.
     """
-    duration_s = protocol.duration_s
+    duration_s = math.inf
     for _ in range(MAX_CUTS):
-        found = protocol.proposal(segments, duration_s)
+        found = protocol(segments, duration_s)
         if found is None:
             return None
         # Give each trial an id of its own, because simulations are cached by the id of the trial.
@@ -619,5 +566,5 @@ def shortened(
         inside_s = min(time_inside(found.trial.time_s, columns, length_m) for columns in paths(found.trial))
         if inside_s == math.inf:
             return found
-        duration_s = min(inside_s, 0.999 * found.duration_s)
+        duration_s = min(inside_s, 0.999 * _duration(found.trial))
     return None

@@ -206,12 +206,8 @@ def _stage(places: Sequence[str]) -> Stage:
 
 def _away(model: Model) -> Array:
     """Return values of the model parameters slightly off their start values, within their bounds."""
-    return np.array(
-        [
-            p.start if p.per_trial else float(np.clip(p.start + AWAY * p.scale, p.lower, p.upper))
-            for p in model.parameters
-        ]
-    )
+    values = [p.start + AWAY * p.scale * (not p.per_trial) for p in model.parameters]
+    return np.clip(values, [p.lower for p in model.parameters], [p.upper for p in model.parameters])
 
 
 def _alike(other: Model, values: Array, trials: Sequence[Trial], seen: Sequence[Mapping[str, Array]]) -> bool:

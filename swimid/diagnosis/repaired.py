@@ -68,14 +68,21 @@ def parameters(
     found = {p.name: _estimate(values, p, changes.get(p.name), errors, status) for p in written}
     model, experiment = loaded.experiment.model, loaded.experiment
     before = model.effects if isinstance(model, Affected) else ()
+    answers = {e.question: e.option for e in named if isinstance(e, OtherReading)}
+    said = [
+        f"the trials cannot distinguish {c.effect} from {listed(c.equivalent, 'or')}"
+        for c in file.causes
+        if c.equivalent
+    ]
+    said += [f"{e.name} differs from trial to trial and is not in this model" for e in apart]
     made = ParameterFile(
         model=model.name,
         robot=fit_common.robot_reference(experiment, folder),
         effects=[e.name for e in (*before, *acting)],
         parameters=found,
-        identifiability=_sentences(file, apart),
+        identifiability=said,
         correlation=_correlation(state, fit, found, changes),
-        settings=_settings(loaded, [*before, *acting], [*readings.items(), *_answers(named)]),
+        settings=_settings(loaded, [*before, *acting], {**readings, **answers}),
         fit=_fit_block(state, values, loaded),
         provenance=dict(provenance),
     )
@@ -146,24 +153,7 @@ def _correlation(
     return Correlation(names=names, matrix=(part / np.outer(sd, sd)).tolist())
 
 
-def _sentences(file: GapFile, apart: Sequence[Effect]) -> list[str]:
-    """Return the remarks of the parameter file on its causes."""
-    said = [
-        f"the trials cannot distinguish {c.effect} from {listed(c.equivalent, 'or')}"
-        for c in file.causes
-        if c.equivalent
-    ]
-    return [*said, *(f"{e.name} differs from trial to trial and is not in this model" for e in apart)]
-
-
-def _answers(named: Sequence[Effect]) -> list[tuple[str, str]]:
-    """Return the questions on the robot's source that the causes answer differently, with the answers."""
-    return [(e.question, e.option) for e in named if isinstance(e, OtherReading)]
-
-
-def _settings(
-    loaded: Loaded, effects: Sequence[Effect], readings: Sequence[tuple[str, str]]
-) -> dict[str, Any]:
+def _settings(loaded: Loaded, effects: Sequence[Effect], readings: Mapping[str, str]) -> dict[str, Any]:
     """Return the settings of the model: those of the file with which the diagnosis began, and the causes."""
     experiment, file = loaded.experiment, loaded.applied.file
     model, facts = experiment.model, experiment.facts
@@ -175,13 +165,9 @@ def _settings(
     found |= {name: facts[name] for name in ("waveform", "asymmetry") if name in facts}
     if "drag_path" in facts:
         found["drag_file"] = str(facts["drag_path"])
-    chosen = {**found.get("readings", {}), **dict(readings)}
-    if chosen:
-        found["readings"] = chosen
+    chosen = {**found.get("readings", {}), **readings}
     own = {e.name: constants(e) for e in effects if constants(e)}
-    if own:
-        found["effects"] = own
-    return found
+    return found | {name: of for name, of in (("readings", chosen), ("effects", own)) if of}
 
 
 def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
@@ -196,14 +182,9 @@ def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
         error, size = rms(left), float(np.ptp(samples[channel])) or 1.0
         known = {"rmse": error, "nrmse": error / size, "samples": len(left), "unit": units.get(channel, "1")}
         channels[channel], noise[channel] = known, {"value_sd": error}
-    made = parameters_format.Fit(
-        trials=[t.id for t in loaded.experiment.trials if t.role == "fit"],
-        channels=channels,
-        converged=True,
-        noise=noise,
-        method="diagnosis",  # type: ignore[call-arg]
-    )
+    about: dict[str, Any] = {"method": "diagnosis"}
     drives = driven_range(context.trials)
-    if made.model_extra is not None and drives:
-        made.model_extra["drives"] = {name: list(ends) for name, ends in drives.items()}
-    return made
+    if drives:
+        about["drives"] = {name: list(ends) for name, ends in drives.items()}
+    trials = [t.id for t in loaded.experiment.trials if t.role == "fit"]
+    return parameters_format.Fit(trials=trials, channels=channels, converged=True, noise=noise, **about)
