@@ -565,8 +565,7 @@ class FitContext:
             problem = self.problem(fit.effects, fit.problem.random_effects, jobs=1)
             noise_model.install(problem)
             kept = [owner != f for owner in self.folds.owner]
-            # The search uses the derivatives of the fit to all data, which saves simulations.
-            problem.hold_derivatives(fit.problem, fit.derivatives)
+            problem.reuse_derivatives(fit.theta, fit.derivatives)
             return self.search(problem, noise_model, [fit.theta], FINE, STEPS, kept=kept).x
 
         for known, through, found in self._without:

@@ -334,6 +334,18 @@ class Problem:
             columns = np.ascontiguousarray((derivatives[k] / self.sample_weights(k)[:, None]).T)
             self._held[k] = {other.labels[j]: column for j, column in zip(numbers, columns, strict=True)}
 
+    def reuse_derivatives(self, theta: Array, derivatives: Sequence[Array]) -> None:
+        """Use known derivatives at a point as long as :attr:`near` allows it.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (p,)
+        derivatives : sequence of ndarray, each shape (n_k, m_k)
+            As in :meth:`hold_derivatives`, for a problem with the same unknowns.
+        """
+        known = [rows / self.sample_weights(k)[:, None] for k, rows in enumerate(derivatives)]
+        self._slopes = (theta.copy(), False, known)
+
     def release_derivatives(self) -> None:
         """Compute all derivatives again, also those of :meth:`hold_derivatives`."""
         self._slopes = None
