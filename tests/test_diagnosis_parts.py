@@ -18,6 +18,7 @@ from swimid.diagnosis import (
     candidates,
     crossval,
     dropouts,
+    facts,
     places,
     posterior,
     remainder,
@@ -951,6 +952,25 @@ def test_random_effects_of_a_validation_trial_are_estimated_from_it(
     assert found == pytest.approx(likely, abs=3.0 * square * (2.0 * abs(size) * sd * 1.5 + 3.0 * sd**2))
 
 
+@pytest.mark.parametrize("by_chance", [False, True])
+def test_a_trial_that_differs_by_chance_is_no_outlier(by_chance: bool, rng: np.random.Generator) -> None:
+    """One trial has an own value of a random effect, of twice its standard deviation."""
+    time = np.linspace(0.0, 6.0, 200)
+    sizes = (0.02, -0.02, 0.01, -0.01, 0.0, 1.0)
+    known = [
+        Trial(f"t{k}", "fit", time, {"y": np.exp(-time) + size * ring(time) + 0.05 * rng.normal(size=200)})
+        for k, size in enumerate(sizes)
+    ]
+    kind = RandomEffect("ring", "chance/ring size", 1.0, Seen("ring", ring), 0, (0.0,), 0.5, 0.5)
+    context = FitContext(Hooked(plainly, PLAIN, ("y",)), PLAIN, known, {})
+    kinds = (kind,) if by_chance else ()
+    noise_model = NoiseModel([[np.full(200, 0.05)]] * 6, random_effects=kinds)
+    count = len(context.problem((), kinds).labels)
+    fit = context.fit((), noise_model, [np.array([1.0, *[0.0] * (count - 1)])])
+    found = facts.contradicting(context, fit, {"y": 0.05})
+    assert list(found) == ["t5"] * (not by_chance)
+
+
 def test_errors_are_shares_of_the_fitted_range() -> None:
     """A held-out trial with little motion has the same unit as the other trials."""
     (found,) = shrinkage.shrinkages([piece(5.0, 1.0)], {"x_m": 0.01}, no_noise, {"x_m": 4.0})
@@ -1056,6 +1076,16 @@ def test_a_fit_also_starts_at_the_prior_means(context: FitContext) -> None:
     assert known[at] == 0.8
     others = np.arange(len(far)) != at
     np.testing.assert_array_equal(known[others], far[others])
+
+
+def test_initial_states_restart_with_the_prior_means(context: FitContext) -> None:
+    """Distorted coefficients come with distorted initial states, from which the prior means may diverge."""
+    problem = context.problem(())
+    far = np.array(problem.start)
+    far[problem.labels.index("a")], far[problem.labels.index("start[t2]")] = 1.3, 40.0
+    own, known = context.begins(problem, far)
+    assert own[problem.labels.index("start[t2]")] == 40.0
+    assert known[problem.labels.index("start[t2]")] == 0.0
 
 
 def test_a_prior_from_the_same_trials_is_not_a_start(context: FitContext) -> None:

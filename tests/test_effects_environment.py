@@ -242,16 +242,33 @@ def test_blockage_before_a_wall_in_closed_form() -> None:
 
 @pytest.mark.parametrize("outwards", [(1, 0), (-1, 0), (0, 1), (0, -1)])
 def test_the_push_of_a_wall_decays_with_distance(outwards: tuple[int, int]) -> None:
-    def push(distance: float) -> np.ndarray:
+    """The force is proportional to the squared speed, in whatever direction the hull moves."""
+
+    def push(distance: float, speed: float = 1.0) -> np.ndarray:
         wrench, heading = np.zeros(3), 0.8
+        velocity = speed * np.array([0.8, 0.6, 0.0])
         place = (2.0 - distance) * np.array(outwards, dtype=float)
         constants = np.array([0.3, 0.25, *outwards, 2.0])
-        push_off._pyfunc(0.0, np.array([*place, heading]), np.zeros(3), constants, wrench)
+        push_off._pyfunc(0.0, np.array([*place, heading]), velocity, constants, wrench)
         c, s = np.cos(heading), np.sin(heading)
         return np.array([c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1]])
 
     np.testing.assert_allclose(push(0.0), -0.3 * np.array(outwards), atol=1e-12)
     np.testing.assert_allclose(push(0.5), -0.3 * np.exp(-2.0) * np.array(outwards), atol=1e-12)
+    np.testing.assert_allclose(push(0.5, 0.2), 0.04 * push(0.5), atol=1e-12)
+    np.testing.assert_array_equal(push(0.5, 0.0), np.zeros(2))
+
+
+def test_a_wall_is_tried_as_a_push_and_as_a_pull() -> None:
+    model = swimmer("tfish")
+    trial = swim(model)
+    for wall in Wall().variants(model, [trial]):
+        signs = [np.sign(point[0]) for point in wall.tries(wall.parameters(model, [trial]))]
+        assert sorted(signs) == [-1.0, -1.0, 1.0, 1.0]
+    rig_wall = Wall("x_max", 0.5)
+    points = rig_wall.tries(rig_wall.parameters(weight_model(), [weight_trial()]))
+    assert all(point[0] > 0.0 for point in points)
+    assert len(points) == 2
 
 
 def test_walls_are_at_the_extremes_of_the_tracks() -> None:

@@ -361,6 +361,20 @@ def test_a_camera_alone_runs_fast(fish):
     np.testing.assert_array_equal(fast[True]["yaw_rate_rad_s"], plain["yaw_rate_rad_s"])
 
 
+def test_the_camera_has_its_own_clock_beside_joint_angles():
+    model, trial = swimmer("tfish", "x_m", "y_m", "yaw_rad", "joint1_rad")
+    for effect in (RATE, LATE):
+        assert [e.camera for e in effect.variants(model, [trial])] == [False, True]
+    fast = shown(model, trial, RATE.variants(model, [trial])[1], 0.02)
+    plain = model.simulate(starts(model), trial)
+    np.testing.assert_array_equal(fast["joint1_rad"], plain["joint1_rad"])
+    assert np.max(np.abs(fast["yaw_rad"] - plain["yaw_rad"])) > 0.01
+    pose_only = replace(trial, measured={name: trial.measured[name] for name in model.pose})
+    assert [e.camera for e in RATE.variants(model, [pose_only])] == [False]
+    driven = replace(trial, swim=SwimInput(joints=[drives.straight] * 3, pose=POSE))
+    assert [e.camera for e in RATE.variants(model, [driven])] == [False]
+
+
 def test_an_averaged_beat_has_no_clock_that_drifts():
     surge = SurgeModel(amplitudes_rad=[0.2], frequencies_hz=[1.0], speed_m_s=0.2)
     cruise = RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})

@@ -128,6 +128,12 @@ def test_centre_of_mass_moves() -> None:
     _like("tfish", moved, ComOffset(), (0.008, 0.003))
 
 
+def test_centre_of_mass_stays_within_its_link() -> None:
+    """The head of the fish is 0.27 m long, and its centre of mass lies 0.192 m behind the front end."""
+    along, _ = ComOffset().parameters(swimmer("tfish"), [])
+    assert (along.lower, along.upper) == (pytest.approx(0.192 - 0.27), pytest.approx(0.192))
+
+
 def test_weight_moves_with_the_centre_of_mass() -> None:
     """A buoyant trunk whose weight moves forward pitches down."""
 

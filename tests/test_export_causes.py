@@ -319,16 +319,19 @@ def test_buoyancy_in_the_vertical_plane_pulls_up_and_rights(
 
 def test_a_wall_needs_the_place_that_the_file_states(tmp_path: Path, swimid: Swimid, mujoco: Any) -> None:
     """Constants of an effect stand in the settings of the parameter file."""
-    causes = {"wall": {"x_max_force_N": 0.1, "x_max_decay_m": 0.5}}
+
+    def move(data: Any) -> None:
+        data.qvel[:3] = (0.2, -0.1, 0.0)
+
+    causes = {"wall": {"x_max_push_N_s2_m2": 2.0, "x_max_decay_m": 0.5}}
     ran = swimid("export", _write(tmp_path, causes), "--to", "mjcf")
     assert ran.status == 0
     assert "wall is left out" in ran.err
     settings = {"effects": {"wall": {"side": "x_max", "extreme_m": 0.4}}}
     root = _exported(swimid, _write(tmp_path, causes, settings=settings), "mjcf")
-    plain = _forces(mujoco, _exported(swimid, _write(tmp_path, {}), "mjcf"), lambda data: None)
-    assert (_forces(mujoco, root, lambda data: None) - plain)[:2] == pytest.approx(
-        [-0.1 * math.exp(-0.4 / 0.5), 0.0]
-    )
+    plain = _forces(mujoco, _exported(swimid, _write(tmp_path, {}), "mjcf"), move)
+    push = 2.0 * (0.2**2 + 0.1**2) * math.exp(-0.4 / 0.5)
+    assert (_forces(mujoco, root, move) - plain)[:2] == pytest.approx([-push, 0.0])
 
 
 def test_json_names_every_cause(tmp_path: Path, swimid: Swimid) -> None:

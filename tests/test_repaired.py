@@ -193,12 +193,15 @@ def test_a_form_is_restored_by_its_parameters_and_its_constants() -> None:
     """The wall on one side stands where the diagnosis saw it, whatever the trials of the command."""
     beside = {"side": "y_max", "extreme_m": 0.4}
     near = fish(
-        "wall", settings={"effects": {"wall": beside}}, wall__y_max_force_N=0.02, wall__y_max_decay_m=0.2
+        "wall",
+        settings={"effects": {"wall": beside}},
+        wall__y_max_push_N_s2_m2=20.0,
+        wall__y_max_decay_m=0.2,
     )
     far = fish(
         "wall",
         settings={"effects": {"wall": beside | {"extreme_m": 9.0}}},
-        wall__y_max_force_N=0.02,
+        wall__y_max_push_N_s2_m2=20.0,
         wall__y_max_decay_m=0.2,
     )
     ways = [package.simulate(params=p, **BEAT).frame["y_m"].to_numpy()[-1] for p in (near, far, fish())]

@@ -411,12 +411,15 @@ class FitContext:
         """Return starting points of a fit: ``theta``, and the prior means if ``theta`` is far from them.
 
         A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
-        there may end in a poor local optimum.
+        there may end in a poor local optimum. With the prior means, the initial states of trials have their
+        start values, because those in ``theta`` are distorted as well.
         """
         plain, distorted = theta.copy(), False
         known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
+            if owner is not None and "/" not in p.name:
+                plain[j] = problem.start[j]
             if owner is not None or p.name not in known:
                 continue
             mean, sd = known[p.name]

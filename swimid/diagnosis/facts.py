@@ -207,7 +207,7 @@ def find(
     facts.unpredicted = shrinkage.unpredicted(predictions.validation[bool(causes)])
     facts.left = remaining(state, model, gap_of(state, model), noise.inside).share
     if verdict.decide(facts).verdict == "unexplained":
-        facts.odd_trial = contradicting(state.context, nominal, gap, noise.inside)
+        facts.odd_trial = contradicting(state.context, nominal, noise.inside)
     return Found(facts, causes)
 
 
@@ -315,26 +315,25 @@ def differs(state: State) -> list[str]:
     return [kind.name for kind in state.random_effects if least * kind.sd > DIFFERS * kind.most]
 
 
-def contradicting(
-    context: FitContext, nominal: Fit, residuals: Sequence[Array], floor: Mapping[str, float]
-) -> dict[str, float]:
+def contradicting(context: FitContext, nominal: Fit, floor: Mapping[str, float]) -> dict[str, float]:
     """Return the trial that contradicts the other trials (an outlier) with its error ratio, or nothing.
 
-    An outlier has most of the gap, and the other trials predict it worse than they predict each other.
+    An outlier has most of the gap, and more of it than noise. The other trials predict it worse than they
+    predict each other. The gap of a trial is what remains with its own values of the random effects. A trial
+    whose trim, gain or clock differs by no more than chance is therefore no outlier.
 
     Parameters
     ----------
     nominal : Fit
         The model without effects.
-    residuals : sequence of ndarray, shape (n_k,)
-        Weighted residuals of that model.
     floor : mapping of channel to float
         Noise floor of each channel, in the unit of the channel.
     """
     if len(context.trials) < MIN_TRIALS or not context.folds.whole:
         return {}
-    excess = np.array([_excess(nominal, k, r, floor) for k, r in enumerate(residuals)])
-    if not excess.max() > MAJORITY * excess.sum():
+    excess = np.array([_excess(nominal, k, r, floor) for k, r in enumerate(nominal.residuals)])
+    worst = int(np.argmax(excess))
+    if not excess[worst] > max(MAJORITY * excess.sum(), len(nominal.residuals[worst])):
         return {}
     known = dict(zip(nominal.labels, nominal.theta, strict=True))
     here = [

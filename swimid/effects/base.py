@@ -759,12 +759,13 @@ class Clock(Effect, ABC):
     def variants(self, model: Model, trials: Trials) -> Sequence[Effect]:
         """Return the form for the clock of the whole log, and the form for the clock of the camera.
 
-        The camera may have its own clock if the log has turn rates in addition to poses.
+        The camera may have its own clock if the log has turn rates or joint angles in addition to poses.
+        Joint angles that drive the simulation do not count, because the clock of the log is relative to them.
         """
         forms = [*super().variants(model, trials)]
-        measured = {c for t in trials for c in t.measured}
-        rates = any(c.endswith("_rate_rad_s") for c in measured)
-        if "output" in model.offers and rates and measured & set(POSES):
+        measured = {c for t in trials for c in t.measured if c not in model.given(t)}
+        aboard = any(c.endswith(("_rad", "_rate_rad_s")) for c in measured - set(POSES))
+        if "output" in model.offers and aboard and measured & set(POSES):
             forms.append(type(self)(camera=True))
         return forms
 

@@ -289,12 +289,13 @@ STEEPEST = 2.0
 def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add the force by which a wall pushes the swimmer away to the wrench.
 
-    The constants are the force at the end of the tracks, the decay length, the direction to the wall (x, y),
-    and the coordinate of the end of the tracks.
+    The constants are the force per squared speed at the end of the tracks, the decay length, the direction to
+    the wall (x, y), and the coordinate of the end of the tracks.
     """
     along, across = constants[2], constants[3]
     gap = constants[4] - (along * pose[0] + across * pose[1])
-    push = constants[0] * math.exp(min(-gap / constants[1], STEEPEST))
+    squared = velocity[0] * velocity[0] + velocity[1] * velocity[1]
+    push = constants[0] * squared * math.exp(min(-gap / constants[1], STEEPEST))
     c, s = math.cos(pose[2]), math.sin(pose[2])
     wrench[0] -= push * (c * along + s * across)
     wrench[1] -= push * (c * across - s * along)
@@ -315,8 +316,10 @@ class Wall(Effect):
     """Wall at one side of the pool, whose influence decays exponentially with distance.
 
     The influence of the wall is ``exp(-d / l)``. Here l is the decay length, and d is the distance from the
-    end of the tracks on that side. A swimmer is pushed away from the wall, or drawn to it if the force is
-    negative. The quadratic drag of a body on a rig is multiplied by ``1 + gain exp(-d / l)``.
+    end of the tracks on that side. A swimmer with the speed V is pushed away from the wall by the force ``c
+    V^2 exp(-d / l)``, or drawn to it if c is negative. The pressure of the flow between hull and wall is
+    proportional to the squared speed. The quadratic drag of a body on a rig is multiplied by ``1 + gain
+    exp(-d / l)``.
 
     Parameters
     ----------
@@ -353,13 +356,14 @@ class Wall(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the parameters: influence of the wall at the end of the tracks, and decay length, m.
 
-        The influence is a force, N, on a swimmer, or a relative increase of drag on a rig.
+        The influence is a force per squared speed, N s2/m2, on a swimmer, or a relative increase of drag on a
+        rig.
         """
         if model.body is not None:
-            length = sum(model.body.lengths_m)
-            size = 0.05 * model.scales(trials).force
-            words = "push of the wall at the extreme"
-            first = parameter(f"{self.side}_force_N", "N", size, words)
+            length, scales = sum(model.body.lengths_m), model.scales(trials)
+            size = 0.05 * scales.force / scales.speed**2
+            words = "push of the wall at the extreme per squared speed"
+            first = parameter(f"{self.side}_push_N_s2_m2", "N s^2/m^2", size, words)
         else:
             length = 0.4 * model.scales(trials).span
             words = "relative growth of drag at the extreme"
@@ -369,12 +373,15 @@ class Wall(Effect):
         return first, parameter(f"{self.side}_decay_m", "m", size, words, lower, upper, start=start)
 
     def tries(self, parameters: Parameters) -> list[Array]:
-        """Return the parameter vectors that are simulated before a fit: one force at two decay lengths.
+        """Return the parameter vectors that are simulated before a fit.
 
-        One size of the force is enough, because the simulated trials change nearly in proportion to it.
+        They have one push and one pull, or one growth of drag, at two decay lengths. One size is enough,
+        because the simulated trials change nearly in proportion to it. A fit from a push may not reach a
+        pull, which draws the swimmer into the steep part of the influence.
         """
         force, decay = parameters
-        return [np.array([SIZES[1] * force.scale, share * decay.start]) for share in (0.5, 1.5)]
+        sizes = [s * SIZES[1] * force.scale for s in (1.0, -1.0) if s * force.scale >= force.lower]
+        return [np.array(point) for point in itertools.product(sizes, (0.5 * decay.start, 1.5 * decay.start))]
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that add the wall's force at the hull of a swimmer, or its drag on a rig."""

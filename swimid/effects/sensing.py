@@ -193,8 +193,9 @@ class ClockRate(base.Clock):
 
     The time stamp ``t`` belongs to the event at the true time ``t_0 + (t - t_0) / (1 + rate)``. The clocks of
     log and drive agree at ``t_0``, where the drive or the trial begins (the first sample of a recorded
-    command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn rates in
-    addition to poses, only the clock of the camera may run at another rate than the clock of the robot.
+    command or input). A difference at ``t_0`` is the effect ``time-offset``. If a log contains turn rates
+    or joint angles in addition to poses, only the clock of the camera may run at another rate than the clock
+    of the robot.
     """
 
     name = "clock-rate"
@@ -353,8 +354,8 @@ LARGEST_S = 2.0
 class TimeOffset(base.Clock):
     """Constant offset of the clock: the log shows events earlier, and a timed course takes longer.
 
-    If a log contains turn rates in addition to poses, only the clock of the camera may be late relative to
-    the clock of the robot.
+    If a log contains turn rates or joint angles in addition to poses, only the clock of the camera may be
+    late relative to the clock of the robot.
     """
 
     name = "time-offset"

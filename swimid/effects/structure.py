@@ -35,13 +35,18 @@ class ComOffset(Effect):
     def parameters(self, model: Model, trials: Trials) -> Parameters:
         """Return the offsets of the centre of mass, m: forwards, and to port (upwards in the vertical
         plane).
+
+        The centre of mass stays between the ends of the link.
         """
         body = model.body
-        length = body.lengths_m[body.hull]
+        length, (x, _) = body.lengths_m[body.hull], body.centre(body.hull)
         size, most = 0.01 * length, 0.2 * length
-        return tuple(
-            parameter(name, "m", size, f"centre of mass {way} of the model's", -most, most)
-            for name, way in (("along_m", "ahead"), ("across_m", "above" if body.vertical else "to port"))
+        side = "to port"
+        if body.vertical:
+            side = "above"
+        return (
+            parameter("along_m", "m", size, "centre of mass ahead of the model's", -length - x, -x),
+            parameter("across_m", "m", size, f"centre of mass {side} of the model's", -most, most),
         )
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
