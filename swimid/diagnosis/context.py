@@ -28,7 +28,7 @@ TOLERANCE = 1e-5
 #: Constants of the multistart search: number of starting points (HEATED) up to which each halving is preceded
 #: by HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS),
 #: relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
-HEATED, HEAT, STEPS, ROUGH, FINE = 2, 2, 80, 1e-3, 1e-4
+HEATED, HEAT, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
 #: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
 #: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1
@@ -411,15 +411,13 @@ class FitContext:
         """Return starting points of a fit: ``theta``, and the prior means if ``theta`` is far from them.
 
         A missing effect may have distorted the coefficients in ``theta``. A fit with the effect that starts
-        there may end in a poor local optimum. With the prior means, the initial states of trials have their
-        start values, because those in ``theta`` are distorted as well.
+        there may end in a poor local optimum. A third starting point has the start values of the initial
+        states beside the prior means, because the initial states may be distorted as well.
         """
         plain, distorted = theta.copy(), False
         known = {**self.prior, **self.loosened(problem)}
         for j, (index, owner) in enumerate(problem.slots):
             p = problem.parameters[index]
-            if owner is not None and "/" not in p.name:
-                plain[j] = problem.start[j]
             if owner is not None or p.name not in known:
                 continue
             mean, sd = known[p.name]
@@ -430,9 +428,13 @@ class FitContext:
                 mean, sd = p.known, LOOSE * max(abs(p.known), p.scale)
             plain[j] = mean
             distorted = distorted or abs(theta[j] - mean) > DISTORTED * sd
-        if distorted:
-            return [theta, plain]
-        return [theta]
+        if not distorted:
+            return [theta]
+        rest = plain.copy()
+        for j, (index, owner) in enumerate(problem.slots):
+            if owner is not None and "/" not in problem.parameters[index].name:
+                rest[j] = problem.start[j]
+        return [theta, plain, rest]
 
     def fit(
         self,

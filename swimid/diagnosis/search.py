@@ -424,9 +424,11 @@ class Search:
         # The trials are nearly linear in a changed parameter, so that its predicted optimum is enough.
         if names and tried.effect.adds_to is None:
             points += tried.starts
-        for point in points:
-            own = dict(zip(names, point, strict=True))
-            starts += context.begins(problem, context.start(effects, noise_model, parent.fit, own))
+        starts = [
+            context.start(effects, noise_model, parent.fit, dict(zip(names, point, strict=True)))
+            for point in points
+        ]
+        starts += context.begins(problem, starts[0])[1:]
         kept = self.checkpoint.get(self._name(effects))
         if kept is not None and len(kept) == len(starts[0]):
             starts = [kept]
