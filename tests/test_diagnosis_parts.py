@@ -1071,21 +1071,21 @@ def test_a_fit_also_starts_at_the_prior_means(context: FitContext) -> None:
     at = problem.labels.index("a")
     near[at], far[at] = 1.1, 1.3  # the prior is 0.8 +- 0.2
     assert len(context.begins(problem, near)) == 1
-    own, known = context.begins(problem, far)
+    own, known, _ = context.begins(problem, far)
     np.testing.assert_array_equal(own, far)
     assert known[at] == 0.8
     others = np.arange(len(far)) != at
     np.testing.assert_array_equal(known[others], far[others])
 
 
-def test_initial_states_restart_with_the_prior_means(context: FitContext) -> None:
+def test_initial_states_also_restart_with_the_prior_means(context: FitContext) -> None:
     """Distorted coefficients come with distorted initial states, from which the prior means may diverge."""
     problem = context.problem(())
     far = np.array(problem.start)
     far[problem.labels.index("a")], far[problem.labels.index("start[t2]")] = 1.3, 40.0
-    own, known = context.begins(problem, far)
-    assert own[problem.labels.index("start[t2]")] == 40.0
-    assert known[problem.labels.index("start[t2]")] == 0.0
+    starts = context.begins(problem, far)
+    assert [start[problem.labels.index("start[t2]")] for start in starts] == [40.0, 40.0, 0.0]
+    assert [start[problem.labels.index("a")] for start in starts] == [1.3, 0.8, 0.8]
 
 
 def test_a_prior_from_the_same_trials_is_not_a_start(context: FitContext) -> None:
