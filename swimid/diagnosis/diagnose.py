@@ -7,11 +7,11 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, evidence, nominal, power, readings, repaired, search
+from swimid.diagnosis import answer, evidence, nominal, readings, repaired, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
@@ -34,6 +34,9 @@ from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
 from swimid.simulation.compare_series import ChannelScore
+
+if TYPE_CHECKING:
+    from swimid.diagnosis.power import DetectionPower
 
 #: Text that says why a diagnosis without a parameter file cannot find a changed parameter.
 NOT_GIVEN = (
@@ -127,7 +130,7 @@ def diagnose(
     output: Path | None = None,
     allow: Callable[[Path], object] = atomic.check_writable,
     progress: Progress = silent,
-) -> Diagnosis | power.DetectionPower:
+) -> Diagnosis | DetectionPower:
     """Find the effect behind the gap between a model and its trials.
 
     Without a parameter file the refit starts at the values of the robot file, which are not used as a prior.
@@ -240,6 +243,8 @@ def diagnose(
             "provenance": origin,
         }
         if options.power:
+            from swimid.diagnosis import power
+
             with threadpool_limits(limits=1, user_api="blas"):
                 rows, without = power.shown(context, applicable, asked, seed=options.seed)
             keep.done()

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -22,9 +22,9 @@ from swimid.fitting.drives import Beat, Cycle, eased, straight
 from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Model, Rig, SurgeInput, SwimInput, Trial
 from swimid.logs.trials import Drive
-from swimid.simulation.cases import drive_block
-from swimid.swimmer import drive as driven
-from swimid.swimmer.model import Swimmer
+
+if TYPE_CHECKING:
+    from swimid.swimmer.model import Swimmer
 
 #: Factors on the lowest and on the highest setting of the trials.
 LOWER, HIGHER = 0.6, 1.4
@@ -286,6 +286,8 @@ class Swim:
         trial = Trial("proposed", "fit", sampled - sampled[0], {}, swim=swim, held=tuple(sorted(held)))
         entry: dict[str, Any] = {}
         if swim.drive is not None:
+            from swimid.simulation.cases import drive_block
+
             entry["drive"] = drive_block(trial)
         if self.swim.coefficients:
             entry["coefficients"] = {name: float(v) for name, v in self.swim.coefficients.items()}
@@ -312,6 +314,8 @@ class Swim:
         self, f: Sequence[float], a: Sequence[float], b: Sequence[float], time_s: Array, duration_s: float
     ) -> SwimInput:
         """Return the joint commands of several segments, as they are read from their command file."""
+        from swimid.swimmer import drive as driven
+
         drive = self.swim.drive
         edges = [duration_s * k / len(f) for k in range(1, len(f))]
         begin_s, ramp_s, unit_hz, shift_s = 0.0, 0.5, 1.0, float(self.template.time_s[0])

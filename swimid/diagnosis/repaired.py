@@ -22,7 +22,6 @@ from swimid.results import parameters as parameters_format
 from swimid.results.numbers import listed
 from swimid.results.parameters import Correlation, Estimate, ParameterFile, Status
 from swimid.simulation.catalogue import Loaded
-from swimid.swimmer.trials import driven_range
 
 
 def parameters(
@@ -183,8 +182,11 @@ def _fit_block(state: State, fit: Fit, loaded: Loaded) -> parameters_format.Fit:
         known = {"rmse": error, "nrmse": error / size, "samples": len(left), "unit": units.get(channel, "1")}
         channels[channel], noise[channel] = known, {"value_sd": error}
     about: dict[str, Any] = {"method": "diagnosis"}
-    drives = driven_range(context.trials)
-    if drives:
-        about["drives"] = {name: list(ends) for name, ends in drives.items()}
+    if context.model.swimmer is not None:
+        from swimid.swimmer.trials import driven_range
+
+        drives = driven_range(context.trials)
+        if drives:
+            about["drives"] = {name: list(ends) for name, ends in drives.items()}
     trials = [t.id for t in loaded.experiment.trials if t.role == "fit"]
     return parameters_format.Fit(trials=trials, channels=channels, converged=True, noise=noise, **about)

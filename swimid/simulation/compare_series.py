@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -18,9 +18,10 @@ from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs import kinematics
 from swimid.notices import warn
-from swimid.simulation import cases
 from swimid.simulation.catalogue import Applied
-from swimid.swimmer.planar.model import Body
+
+if TYPE_CHECKING:
+    from swimid.swimmer.planar.model import Body
 
 
 class ChannelScore(yamlio.Document):
@@ -215,11 +216,17 @@ def compare_trial(
         if level:
             start, start_values = "estimated", level
     pairs = _logged_pairs(model, trial, model.attempt(values, trial))
-    frequency, body = None, model.body
+    frequency, body, drive = None, model.body, {}
+    if trial.swim.beat is not None:
+        from swimid.simulation.cases import drive_block
+
+        drive = drive_block(trial)
     if model.swimmer is not None and body is not None:
+        from swimid.simulation.cases import beat_frequency
+
         turning = (body.velocity[2], body.pose[2]) if body.free else ()
         series = [pairs[name].measured for name in turning if name in pairs]
-        frequency = cases.beat_frequency(model.swimmer, trial, values, series)
+        frequency = beat_frequency(model.swimmer, trial, values, series)
         pairs |= _velocity_pairs(model, body, trial, pairs, frequency)
     for name in channels:
         if name not in pairs:
@@ -233,9 +240,7 @@ def compare_trial(
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
     )
     own = {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
-    placed, drive = fit_common.pose_channels(model), {}
-    if trial.swim.beat is not None:
-        drive = cases.drive_block(trial)
+    placed = fit_common.pose_channels(model)
     record = TrialComparison(
         id=trial.id,
         role=trial.role,  # type: ignore[arg-type]
