@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 #: Maximum number of cached trajectories per trial. A parameter that only affects the measurement, such as the
 #: clock offset, needs no new simulation.
 MAX_TRAJECTORIES = 2
+#: Maximum number of requested simulations in memory: several batches of the compiled kernel.
+MAX_REQUESTS = 8 * LANES
 
 
 #: Placeholder for the joint motion of a simulation whose trajectory is cached.
@@ -487,10 +489,12 @@ class Swimmer(Model):
     def _simulated(self, runs: Sequence[tuple[Array, Trial, Hooks]]) -> Iterator[tuple[int, Run, Trajectory]]:
         """Simulate trials with effects, and yield the index, the request and the trajectory of each.
 
-        A simulation that breaks down before its first step is left out.
+        A simulation that breaks down before its first step is left out. Only a few requests are in memory at
+        a time, because each of them may have a joint motion of its own.
         """
-        asked = enumerate(unless_broken(self.request, runs))
-        yield from self._trajectories_of([(k, run) for k, run in asked if run is not None])
+        for first in range(0, len(runs), MAX_REQUESTS):
+            asked = enumerate(unless_broken(self.request, runs[first : first + MAX_REQUESTS]), first)
+            yield from self._trajectories_of([(k, run) for k, run in asked if run is not None])
 
     def _trajectories_of(self, runs: Sequence[tuple[int, Run]]) -> Iterator[tuple[int, Run, Trajectory]]:
         """Yield number, request and trajectory of each requested simulation.
