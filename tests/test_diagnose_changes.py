@@ -114,4 +114,4 @@ def test_a_drag_that_differs_between_repeats_is_chance(swimid: Run, tmp_path: Pa
     file, said = diagnosed(swimid, trials)
     assert file.repeats
     assert (file.verdict, file.causes) == ("none", [])
-    assert "drag_deviation" in said
+    assert "relative_drag_deviation" in said

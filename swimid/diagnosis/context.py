@@ -28,7 +28,7 @@ TOLERANCE = 1e-5
 #: Constants of the multistart search: number of starting points (HEATED) up to which each halving is preceded
 #: by HEAT iterations instead of one, maximum number of iterations of the last starting point (STEPS),
 #: relative tolerance of the cost before these last iterations (ROUGH) and in them (FINE).
-HEATED, HEAT, STEPS, ROUGH, FINE = 4, 2, 80, 1e-3, 1e-4
+HEATED, HEAT, STEPS, ROUGH, FINE = 4, 4, 80, 1e-3, 1e-4
 #: Tolerance at which two optima count as equal. It applies to the difference of effect parameters in units of
 #: their typical scales, and to the relative difference of the costs.
 ALIKE = 0.1

@@ -23,13 +23,13 @@ from swimid.fitting.model import Array, Hooks, Model, Parameter, Trial
 #: fraction of it that is the typical scale of the random effect. None stands for the parameter's own scale.
 OWN: dict[str, tuple[str, float] | None] = {
     "friction_deviation": ("pulley_friction", 0.1),
-    "drag_deviation": None,
+    "relative_drag_deviation": None,
     "start_offset": None,
     "initial_speed": None,
 }
 #: Those of them that are random effects only if settings are repeated. Between single trials of different
 #: settings, they would absorb any drag that the model lacks.
-OF_REPEATS = {"drag_deviation"}
+OF_REPEATS = {"relative_drag_deviation"}
 #: Estimation of a between-trial standard deviation: minimum number of trials (FEWEST), and minimum ratio of
 #: the variance of the per-trial estimates to their sampling variance (CLEAR).
 FEWEST, CLEAR = 3, 2.0

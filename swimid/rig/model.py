@@ -188,7 +188,7 @@ class RigModel(Model):
             friction = self._value(values, "pulley_friction") + self._value(values, "friction_deviation")
         return {
             "inertia": known.inertia + self._value(values, "added_mass", "added_inertia"),
-            "quadratic": (1.0 + self._value(values, "drag_deviation"))
+            "quadratic": (1.0 + self._value(values, "relative_drag_deviation"))
             * (drag * known.area_factor + self._value(values, "quadratic_drag", "quadratic_damping")),
             "linear": self._value(values, "linear_drag", "linear_damping"),
             "dry": friction + self._value(values, "dry_friction"),
@@ -337,7 +337,7 @@ def _start(coordinate: str, *, length: float, speed: float, free: bool) -> tuple
 
 def _drag_deviation() -> Parameter:
     meaning = "drag of a trial against the common one, as a fraction"
-    return _signed("drag_deviation", "1", 0.05, meaning, free=False, per_trial=True)
+    return _signed("relative_drag_deviation", "1", 0.05, meaning, free=False, per_trial=True)
 
 
 def falling_weight(
