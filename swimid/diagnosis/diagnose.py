@@ -213,10 +213,6 @@ def diagnose(
         if isinstance(model, Affected):
             # An effect of the parameter file is part of the model, and no hypothesis.
             known = [e for e in known if e.joins(model.effects)]
-        origin = provenance.collect(inputs, settings=options.settings())
-        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
-        search.prepared(model, experiment.trials, progress, keep)
-        as_given = _as_given(loaded)
         begun = nominal.begun(loaded)
         asked = None
         if options.effects:
@@ -226,6 +222,10 @@ def diagnose(
         validation = [t for t in begun.trials if t.role == "validate"]
         if not fitted:
             raise NoTrustworthyResult("no trial has the role 'fit'")
+        origin = provenance.collect(inputs, settings=options.settings())
+        keep = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
+        search.prepared(model, experiment.trials, progress, keep)
+        as_given = _as_given(loaded)
         jobs = options.jobs or os.cpu_count() or 1
         context = FitContext(
             model, model.parameters, fitted, begun.prior, correlation=begun.correlation, jobs=jobs
