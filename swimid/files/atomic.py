@@ -57,6 +57,8 @@ def check_writable(path: str | Path, *, inputs: Iterable[object] = ()) -> Path:
     if path.suffix.lower() in tabular.PARQUET:
         tabular.pyarrow()
     folder = path.parent
+    if folder.is_file():
+        raise InputError(f"{folder} is a file and no folder", file=path, hint="name another output")
     if not folder.is_dir():
         raise InputError(
             f"the output folder {folder} does not exist", file=path, hint=f"make it first: mkdir -p {folder}"
@@ -321,7 +323,10 @@ def locked(output: Path | None) -> Iterator[None]:
     A device, the standard output, and a file in a folder that cannot be written are not locked.
     """
     stored = output is not None and (output.is_dir() or not is_device(output))
-    if output is None or not stored or str(output) == "-" or not os.access(output.parent, os.W_OK):
+    if output is None or not stored or str(output) == "-":
+        yield
+        return
+    if not (output.parent.is_dir() and os.access(output.parent, os.W_OK)):
         yield
         return
     taken = lock(output)
