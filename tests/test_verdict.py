@@ -111,6 +111,17 @@ def test_errors_that_grow_in_a_clear_gap_contradict_the_distances() -> None:
     assert probability_of_decrease(better) == 1.0
 
 
+@pytest.mark.parametrize("refitted, chance", [(120.0, 1.0), (119.0, 0.5)])
+def test_a_small_gap_of_the_model_as_given_is_seen_in_its_errors(refitted: float, chance: float) -> None:
+    """The other trials correct a changed parameter, so that the distances hardly fall."""
+    trials = {
+        str(k): HeldOutTrial(samples=100, as_given=120.0, before=refitted, after=after)
+        for k, after in enumerate((105.0, 99.0, 110.0))
+    }
+    small = facts("parameter:c_d0", held_out=trials, gains=gains(5.0, -6.0, 1.0))
+    assert probability_of_decrease(small) == pytest.approx(chance, abs=0.2)
+
+
 def test_one_trial_that_gains_little_does_not_outweigh_two_that_lose() -> None:
     for each, low, high in (((400.0, 390.0, 405.0), 1.0, 1.0), ((20.0, -40.0, -60.0), 0.0, 0.2)):
         assert low <= probability_of_decrease(facts("waves", held_out={}, gains=gains(*each))) <= high

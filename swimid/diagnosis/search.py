@@ -637,7 +637,9 @@ class Search:
         slow = None
         if h.slow is not None:
             slow = h.slow + self.penalty(h.fit)
-        exact = bool(h.names) and all(e.adds_to is not None for e in h.fit.effects)
+        # What an unfinished fit leaves is no error of an exact form.
+        finished = bool(h.names) and h.key not in self.hopeless
+        exact = finished and all(e.adds_to is not None for e in h.fit.effects)
         return Candidate(h.names, h.score, h.inside, len(kinds), slow, self._alike(h), exact)
 
     def _alike(self, h: Hypothesis) -> dict[str, float]:

@@ -189,17 +189,19 @@ def probability_of_decrease(facts: Facts) -> float:
     """Return the probability that the causes reduce the errors on held-out data.
 
     It is computed from the distances of the cross-validation folds and validation trials from their
-    predictions. If most of the squared error of the held-out trials is a gap, it is also computed from these
-    squared errors. One of the two probabilities is then enough, unless the squared errors clearly grow.
+    predictions. If most of the squared error of the held-out trials is a gap, or if the causes are compared
+    with the model as given and not with its refit, it is also computed from these squared errors. One of the
+    two probabilities is then enough, unless the squared errors clearly grow in a gap of that size.
 
     The folds and trials get random weights (Bayesian bootstrap).
     """
     of_distances = _probability(list(facts.gains.values()))
     closed = closed_share(facts, "before")
-    if closed.before is None or closed.before <= 1.0 / (1.0 - MOST):
+    is_clear = closed.before is not None and closed.before > 1.0 / (1.0 - MOST)
+    if not is_clear and any(t.before != t.as_given for t in facts.held_out.values()):
         return of_distances
     of_errors = _probability([t.before - t.after for t in facts.held_out.values()])
-    if of_errors <= 1.0 - CLEAR:
+    if is_clear and of_errors <= 1.0 - CLEAR:
         return of_errors
     return max(of_distances, of_errors)
 
