@@ -100,6 +100,14 @@ def test_the_answer_states_the_share_of_the_gap_as_given_and_the_verdict_that_af
     assert decide(known).verdict == "ambiguous"
 
 
+def test_a_gap_that_only_a_refit_opens_is_not_explained() -> None:
+    trials = {str(k): HeldOutTrial(samples=100, as_given=160.0, before=400.0, after=140.0) for k in range(3)}
+    known = facts("waves", held_out=trials)
+    assert closed_share(known).share == pytest.approx(1.0 / 3.0)
+    assert closed_share(known, "before").share == pytest.approx(26.0 / 30.0)
+    assert decide(known).verdict == "ambiguous"
+
+
 def test_errors_that_grow_in_a_clear_gap_contradict_the_distances() -> None:
     """If held-out errors are little more than noise, the distances decide alone."""
     alike = gains(400.0, 390.0, 405.0)
