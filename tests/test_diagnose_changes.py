@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -74,21 +74,36 @@ def test_a_none_verdict_without_standard_errors_is_not_good(
     )
 
 
+def repeated(folder: Path, weights_g: Sequence[float], drops: str, log: Callable[[float], str]) -> Path:
+    """A trials file of weights that fall several times, and their logs: ``log`` gives the text of one."""
+    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
+    for weight in weights_g:
+        for drop in drops:
+            name = f"w{weight:g}{drop}"
+            (folder / f"{name}.csv").write_text(log(weight))
+            lines.append(f"  - {{log: {name}.csv, id: {name}, pulling_mass_kg: {weight / 1000:g}}}")
+    trials = folder / "trials.yaml"
+    trials.write_text("\n".join(lines) + "\n")
+    return trials
+
+
+def table(times: np.ndarray, displacement: np.ndarray) -> str:
+    """The text of a log."""
+    rows = zip(times, displacement, strict=True)
+    return "\n".join(["t_s,x_m", *(f"{t:.6f},{x:.6f}" for t, x in rows), ""])
+
+
 @pytest.mark.slow
 def test_settings_that_differ_more_than_their_repeats_are_a_gap(swimid: Run, tmp_path: Path) -> None:
     """Each weight is dropped twice before an encoder, and has a friction of its own: that is no chance."""
     rng = np.random.default_rng(12)
-    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
-    for weight, friction in ((10, 33.0), (15, 28.0), (20, 33.5), (30, 28.5), (40, 33.0)):
-        for drop in "ab":
-            times, displacement = click_log(float(weight), rng, friction_mN=friction)
-            rows = "\n".join(f"{t:.6f},{x:.5f}" for t, x in zip(times, displacement, strict=True))
-            name = f"w{weight}{drop}"
-            (tmp_path / f"{name}.csv").write_text(f"# encoder_resolution_m: 0.00785\nt_s,x_m\n{rows}\n")
-            lines.append(f"  - {{log: {name}.csv, id: {name}, pulling_mass_kg: {weight / 1000:g}}}")
-    trials = tmp_path / "trials.yaml"
-    trials.write_text("\n".join(lines) + "\n")
-    file, said = diagnosed(swimid, trials)
+    friction = {10.0: 33.0, 15.0: 28.0, 20.0: 33.5, 30.0: 28.5, 40.0: 33.0}
+
+    def log(weight: float) -> str:
+        times, displacement = click_log(weight, rng, friction_mN=friction[weight])
+        return "# encoder_resolution_m: 0.00785\n" + table(times, displacement)
+
+    file, said = diagnosed(swimid, repeated(tmp_path, list(friction), "ab", log))
     assert file.repeats
     assert (file.verdict, file.causes) == ("unexplained", [])
     assert "without repeats" not in said
@@ -98,20 +113,14 @@ def test_settings_that_differ_more_than_their_repeats_are_a_gap(swimid: Run, tmp
 def test_a_drag_that_differs_between_repeats_is_chance(swimid: Run, tmp_path: Path) -> None:
     """Four weights fall three times each, with a drag coefficient that scatters by 4 %."""
     rng = np.random.default_rng(5)
-    lines = ["format: swimid-trials/1", "experiment: falling-weight", "robot: boxfish", "trials:"]
-    for weight in (10.0, 20.0, 30.0, 40.0):
-        for drop in "abc":
-            time = np.arange(0.0, 30.0, 0.02)
-            x = fall(time, weight, drag_coefficient=FIRST * (1.0 + 0.04 * rng.standard_normal()))
-            keep = x <= LENGTH_M
-            rows = np.column_stack((time[keep], x[keep] + rng.normal(0.0, 5e-4, int(keep.sum()))))
-            name = f"w{weight:g}{drop}"
-            header = {"delimiter": ",", "header": "t_s,x_m", "comments": "", "fmt": "%.6f"}
-            np.savetxt(tmp_path / f"{name}.csv", rows, **header)
-            lines.append(f"  - {{log: {name}.csv, id: {name}, pulling_mass_kg: {weight / 1000:g}}}")
-    trials = tmp_path / "trials.yaml"
-    trials.write_text("\n".join(lines) + "\n")
-    file, said = diagnosed(swimid, trials)
+
+    def log(weight: float) -> str:
+        time = np.arange(0.0, 30.0, 0.02)
+        x = fall(time, weight, drag_coefficient=FIRST * (1.0 + 0.04 * rng.standard_normal()))
+        keep = x <= LENGTH_M
+        return table(time[keep], x[keep] + rng.normal(0.0, 5e-4, int(keep.sum())))
+
+    file, said = diagnosed(swimid, repeated(tmp_path, (10.0, 20.0, 30.0, 40.0), "abc", log))
     assert file.repeats
     assert (file.verdict, file.causes) == ("none", [])
     assert "relative_drag_deviation" in said

@@ -91,20 +91,23 @@ def test_the_closed_share_is_that_of_the_squared_error_beyond_the_noise() -> Non
     assert closed_share(facts("waves", held_out=held_out(90.0, before=100.0))).share is None
 
 
-def test_the_answer_states_the_share_of_the_gap_as_given_and_the_verdict_that_after_a_refit() -> None:
-    """The refit leaves a quarter of the squared gap, and the cause closes a third of that."""
-    trials = {str(k): HeldOutTrial(samples=100, as_given=1300.0, before=400.0, after=300.0) for k in range(3)}
+@pytest.mark.parametrize(
+    "errors, as_given, refitted",
+    [
+        # The refit leaves a quarter of the squared gap, and the cause closes a third of that.
+        ((1300.0, 400.0, 300.0), 10.0 / 12.0, 1.0 / 3.0),
+        # The refit opens most of the gap that the cause closes.
+        ((160.0, 400.0, 140.0), 1.0 / 3.0, 26.0 / 30.0),
+    ],
+)
+def test_an_explained_gap_is_closed_from_the_model_as_given_and_from_its_refit(
+    errors: tuple[float, float, float], as_given: float, refitted: float
+) -> None:
+    given, before, after = errors
+    trials = {str(k): HeldOutTrial(samples=100, as_given=given, before=before, after=after) for k in range(3)}
     known = facts("waves", held_out=trials)
-    assert closed_share(known).share == pytest.approx(10.0 / 12.0)
-    assert closed_share(known, "before").share == pytest.approx(1.0 / 3.0)
-    assert decide(known).verdict == "ambiguous"
-
-
-def test_a_gap_that_only_a_refit_opens_is_not_explained() -> None:
-    trials = {str(k): HeldOutTrial(samples=100, as_given=160.0, before=400.0, after=140.0) for k in range(3)}
-    known = facts("waves", held_out=trials)
-    assert closed_share(known).share == pytest.approx(1.0 / 3.0)
-    assert closed_share(known, "before").share == pytest.approx(26.0 / 30.0)
+    assert closed_share(known).share == pytest.approx(as_given)
+    assert closed_share(known, "before").share == pytest.approx(refitted)
     assert decide(known).verdict == "ambiguous"
 
 

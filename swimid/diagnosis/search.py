@@ -419,7 +419,6 @@ class Search:
         effects = (*parent.fit.effects, tried.effect)
         names = [f"{tried.effect.name}/{p.name}" for p in tried.parameters]
         problem = context.problem(effects, noise_model.random_effects)
-        starts = []
         points = [tried.point]
         # The trials are nearly linear in a changed parameter, so that its predicted optimum is enough.
         if names and tried.effect.adds_to is None:

@@ -448,8 +448,12 @@ def _of_trials(trials: str | Path | TrialSet, readings: dict[str, str], max_step
     ):
         return _swimmer(trials, readings=readings, max_step=max_step)
     if entries.experiment in ("cruise", "free-swim"):
-        return _propulsion(trials)
-    return _rig(trials)
+        from swimid.propulsion import trials as propulsion
+
+        return propulsion.load(trials)
+    from swimid.rig import trials as rig
+
+    return rig.load(trials)
 
 
 def load_robot(options: Any, file: ParameterFile | None) -> Applied:
@@ -538,11 +542,9 @@ def _swimmer(trials: str | Path | TrialSet, **options: Any) -> Experiment:
     return swimmer.load(trials, **options)
 
 
-def _rig(trials: str | Path | TrialSet, file: ParameterFile | None = None) -> Experiment:
+def _rig(trials: str | Path | TrialSet, file: ParameterFile) -> Experiment:
     from swimid.rig import trials as rig
 
-    if file is None:
-        return rig.load(trials)
     coordinate = None
     if file.model == "free-decay" and file.fit is not None and len(file.fit.channels) == 1:
         coordinate = next(iter(file.fit.channels))
@@ -587,14 +589,10 @@ def set_references(model: SurgeModel, file: ParameterFile, path: Path) -> None:
         setattr(model, key, float(file.settings[key]))
 
 
-def _propulsion(
-    trials: str | Path | TrialSet, file: ParameterFile | None = None, path: Path = Path()
-) -> Experiment:
+def _propulsion(trials: str | Path | TrialSet, file: ParameterFile, path: Path) -> Experiment:
     from swimid.propulsion import trials as propulsion
     from swimid.propulsion.model import RecoilModel, SurgeModel
 
-    if file is None:
-        return propulsion.load(trials)
     if file.model == RecoilModel.name:
         # if the parameter file names no drag file, use the drag file of the trials file
         named = file.settings.get("drag_file") is not None
