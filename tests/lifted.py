@@ -49,10 +49,12 @@ class Lifted(Assembly):
             "damping": ([i for i, _ in turning], [self._damping(row) for _, row in turning]),
             "foil": (flat["foil_link"], [self._foil(row) for row in flat["foil"]]),
             "force": (flat["force_link"], [self._force(row) for row in flat["force"]]),
+            "load": (flat["load_link"], [self._load(row) for row in flat["load"]]),
         }
         for name, (owner, table) in rows.items():
             found[f"{name}_link"] = np.array(owner, dtype=np.int64)
             found[name] = np.array(table).reshape(len(table), len(getattr(engine, name.upper())))
+        found["load_input"] = flat["load_input"]
         found["surface"], found["free_base"] = NOWHERE, self.free_base
         return found
 
@@ -91,6 +93,11 @@ class Lifted(Assembly):
 
     def _force(self, row: Array) -> Array:
         return np.concatenate([self._point(row[0], row[1]), self._point(row[2], row[3]), [row[4], 0.0]])
+
+    def _load(self, row: Array) -> Array:
+        return np.concatenate(
+            [self._point(row[0], row[1]), self._point(row[2], row[3]), row[4] * self.normal]
+        )
 
 
 class LiftedModel(MultibodyModel):

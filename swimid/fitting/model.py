@@ -155,6 +155,9 @@ class SwimInput:
     joints: Sequence[Callable[[Array], Motion]] | None = None
     #: Whether the motions in ``joints`` are commands to the actuators; otherwise they were measured.
     commanded: bool = False
+    #: Functions that return the value of each input of the robot at given times (s), by the name of the
+    #: input. A missing input is zero.
+    inputs: Mapping[str, Callable[[Array], Array]] = field(default_factory=dict)
     #: Pose of the robot's reference point at the first sample. Start offsets that a fit estimates are added
     #: to it.
     pose: tuple[float, ...] | None = None

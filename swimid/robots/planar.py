@@ -183,6 +183,33 @@ class Passive(Yielding):
     tendon: Tendon | None = None
 
 
+class Input(yamlio.Document):
+    """Column of a log that loads act by, and the law of the actuator between the column and the loads.
+
+    The law maps a value u of the column to ``sign(u) (|u| - dead_band)^power``, or 0 within the dead band.
+    The result is multiplied by ``reverse`` if u is negative. It follows with a first-order lag.
+    """
+
+    #: Column of the log: a measured force or torque, or the command of an actuator.
+    column: str
+    #: Whether the column was measured behind the actuator. Effects of actuators then do not apply.
+    measured: bool = False
+    power: PositiveFloat = 1.0
+    #: Absolute value of the column up to which the loads are zero, in the unit of the column.
+    dead_band: Quantity = 0.0
+    #: Factor on the loads for negative values of the column, for example of a propeller in reverse.
+    reverse: Quantity = 1.0
+    lag_s: Quantity = 0.0
+
+
+class Torque(yamlio.Document):
+    """Torque of an actuator on a passive joint, in the direction of a positive joint angle."""
+
+    input: str
+    #: Torque divided by the value of the input after the law of its actuator.
+    gain_N_m: Quantity = 1.0
+
+
 class Connection(yamlio.Document):
     """Connection between a parent link and a child link: a rigid, a driven or a passive joint."""
 
@@ -191,11 +218,14 @@ class Connection(yamlio.Document):
     child: str
     driven: Driven | None = None
     passive: Yielding | None = None
+    torque: Torque | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if self.driven is not None and self.passive is not None:
             raise ValueError(f"the joint '{self.name}' is both driven and passive")
+        if self.torque is not None and self.passive is None:
+            raise ValueError(f"the joint '{self.name}' has a torque but is not passive: add 'passive: {{}}'")
         return self
 
 
@@ -354,8 +384,24 @@ class Force(OnLink):
     frame: Literal["link", "world"] = "link"
 
 
+class Load(OnLink):
+    """Force and moment on a link that are proportional to an input, with components in the axes of the link.
+
+    Examples are a thruster, a towing line with a load cell, and a measured force.
+    """
+
+    kind: Literal["load"]
+    input: str
+    at_m: Quantity = 0.0
+    offset_m: Quantity = 0.0
+    #: Force and moment divided by the value of the input after the law of its actuator.
+    forward_N: Quantity = 0.0
+    port_N: Quantity = 0.0
+    moment_N_m: Quantity = 0.0
+
+
 Element = Annotated[
-    AddedMass | Drag | Damping | SlenderBody | Foil | TrailingEdge | Hydrostatics | Force,
+    AddedMass | Drag | Damping | SlenderBody | Foil | TrailingEdge | Hydrostatics | Force | Load,
     Field(discriminator="kind"),
 ]
 
@@ -377,6 +423,7 @@ class Multilink(yamlio.Document):
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
     coefficients: Coefficients = {}
+    inputs: dict[str, Input] = {}
     links: Annotated[list[Link], Field(min_length=1)]
     joints: list[Joint] = []
     elements: list[Element] = []

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import Coefficients, Connection, OnLink, Quantity
+from swimid.robots.planar import Coefficients, Connection, Input, OnLink, Quantity
 
 #: Type of a vector with three physical quantities as components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -127,6 +127,8 @@ class Drag(OnLink):
     area_m2: Vector = ZERO
     coefficient: Vector = (1.0, 1.0, 1.0)
     linear_N_s_m: Vector = ZERO
+    #: Quadratic drag in addition to that of the areas: force divided by the square of the velocity.
+    quadratic_N_s2_m2: Vector = ZERO
     at_m: Vector = ZERO
     #: End of the row of drag strips that begins at ``at_m``. The field ``area_m2`` is the area of the whole
     #: row.
@@ -208,8 +210,22 @@ class Force(OnLink):
     frame: Literal["link", "world"] = "link"
 
 
+class Load(OnLink):
+    """Force and moment on a link that are proportional to an input, with components in the axes of the link.
+
+    Examples are a thruster, a towing line with a load cell, and a measured force.
+    """
+
+    kind: Literal["load"]
+    input: str
+    at_m: Vector = ZERO
+    #: Force and moment divided by the value of the input after the law of its actuator.
+    force_N: Vector = ZERO
+    moment_N_m: Vector = ZERO
+
+
 Element = Annotated[
-    AddedMass | Spheroid | Plate | Drag | Damping | Foil | Hydrostatics | Water | Force,
+    AddedMass | Spheroid | Plate | Drag | Damping | Foil | Hydrostatics | Water | Force | Load,
     Field(discriminator="kind"),
 ]
 
@@ -256,6 +272,7 @@ class Multibody(yamlio.Document):
     #: water.
     surface_z_m: float | None = None
     coefficients: Coefficients = {}
+    inputs: dict[str, Input] = {}
     links: Annotated[list[Body], Field(min_length=1)]
     joints: list[Hinge] = []
     elements: list[Element] = []

@@ -38,7 +38,6 @@ from swimid.robots.file import Robot
 from swimid.simulation import catalogue
 from swimid.simulation.catalogue import Applied, Compute
 from swimid.simulation.options import DriveOptions, SimulateOptions
-from swimid.swimmer import drive
 from swimid.swimmer import trials as swimmer
 from swimid.swimmer.model import Energetics, Swimmer
 from swimid.swimmer.planar.model import Body
@@ -220,9 +219,12 @@ def _swim(options: SimulateOptions, file: ParameterFile | None) -> Case:
             raise UsageError(
                 "--input takes the place of a beat: leave out --frequency-hz and --amplitude-deg"
             )
-        time, joints = _recorded_joints(options.input, options, model)
-        swim = SwimInput(joints=joints, pose=rest_pose(model))
+        time, swim = _recorded(options.input, options, model)
         metadata["input"] = options.input.name
+    elif model.inputs:
+        columns = ", ".join(law.column for law in model.inputs.values())
+        text = f"the robot '{model.robot.name}' moves by inputs: --input names a log with {columns}"
+        raise UsageError(text)
     elif model.driven or options.stroke is not None:
         check_drive(options)
         swim = swim_input(model, options, drive, options.cycles)
@@ -345,30 +347,21 @@ def setting_text(key: str, value: float | str) -> str:
     return f"{name} {value}"
 
 
-def _recorded_joints(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, list[Any]]:
-    """Return the sample times of a simulation and the motion of each driven joint, both from a log."""
-    measured = [a.column for a in model.driven]
-    commanded = [name.replace("joint", "cmd") for name in measured]
-    log = log_format.read(path, optional=(*measured, *commanded))
-    joints = []
-    for axis, joint, command in zip(model.driven, measured, commanded, strict=True):
-        servo = axis.driven is not None and axis.driven.servo is not None
-        order = [command, joint] if servo else [joint, command]
-        there = [name for name in order if name in log and np.isfinite(log[name]).sum() >= 5]
-        if not there:
-            raise InputError(
-                f"the driven joint '{axis.name}' needs the column '{joint}' or '{command}'",
-                file=log.path,
-                column=joint,
-            )
-        joints.append(drive.spline_motion(drive.measured(log.time_s, log[there[0]])))
+def _recorded(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Array, SwimInput]:
+    """Return the sample times of a simulation, and the input of the model from the columns of a log."""
+    angles = [a.column for a in model.driven]
+    commanded = [swimmer.command_column(name) for name in angles]
+    inputs = [law.column for law in model.inputs.values()]
+    log = log_format.read(path, optional=(*angles, *commanded, *inputs))
+    swim = SwimInput(inputs=swimmer.logged_inputs(model, log), pose=rest_pose(model))
+    swim = swimmer.with_logged_joints(swim, model, log)
     begin, end = float(log.time_s[0]), float(log.time_s[-1])
     if options.duration_s is not None:
         end = min(end, begin + options.duration_s)
     rate = options.sample_rate_hz
     if rate is None:
-        return log.time_s[log.time_s <= end], joints
-    return begin + np.arange(int((end - begin) * rate) + 1) / rate, joints
+        return log.time_s[log.time_s <= end], swim
+    return begin + np.arange(int((end - begin) * rate) + 1) / rate, swim
 
 
 def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:

@@ -1,11 +1,14 @@
-"""Motions of the driven joints from beats, strokes or measured angles, as input of the simulation."""
+"""Motions of the driven joints and values of the inputs of a robot, as input of the simulation.
+
+The motions follow from beats, strokes or measured angles. The inputs of loads follow from columns of a log.
+"""
 
 from __future__ import annotations
 
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
@@ -15,10 +18,12 @@ import numba
 import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
 from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
+from swimid.robots.planar import Input
 from swimid.swimmer.planar.engine import sampled
 from swimid.swimmer.tree import Axis, Polynomial, given
 
@@ -26,6 +31,8 @@ Value = TypeVar("Value")
 #: Natural frequency (Hz) and damping ratio of the servo of each driven joint; None for a joint without a
 #: servo.
 Servos = tuple[tuple[float, float] | None, ...]
+#: Dead band, factor for negative values, and time constant (s) of each input.
+Laws = tuple[tuple[float, float, float], ...]
 #: Maximum remaining fraction of the initial transient of a servo when a simulation begins in steady swimming.
 SERVO_RTOL = 1e-10
 #: Maximum number of cached joint motions per trial. The finite differences of a Jacobian use the same few
@@ -86,15 +93,18 @@ class TrialCache(Generic[Value]):
 
 @dataclass(frozen=True)
 class DrivenMotion:
-    """Motion of the driven joints during a simulation.
+    """Motion of the driven joints, and values of the inputs, during a simulation.
 
     Attributes
     ----------
-    table : ndarray, shape (2 steps + 1, driven joints, 5)
+    table : ndarray, shape (2 steps + 1, driven joints + inputs, 5)
         Input array for the integration, at every half step (see :func:`table`).
+    joints : int
+        Number of driven joints.
     """
 
     table: Array
+    joints: int
     _kept: dict[bytes, Array] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def sampled(self, time_s: Array, grid: Grid) -> Array:
@@ -105,7 +115,7 @@ class DrivenMotion:
         key = time_s.tobytes()
         found = self._kept.get(key)
         if found is None:
-            angles, rates = self.table[::2, :, 0], self.table[::2, :, 1]
+            angles, rates = (self.table[::2, : self.joints, k] for k in (0, 1))
             found = sampled(time_s, grid.begin_s, grid.step_s, angles, rates).T
             self._kept.clear()
             self._kept[key] = found
@@ -113,7 +123,7 @@ class DrivenMotion:
 
 
 class DrivenJoints:
-    """Driven joints of a robot, which compute their motion from the drive of a trial.
+    """Driven joints and inputs of a robot, which compute their motion and values from the input of a trial.
 
     Parameters
     ----------
@@ -122,14 +132,25 @@ class DrivenJoints:
         Names of the coefficients of the robot. The properties of servos may depend on them.
     mounts_rad : sequence of float
         Mounting angle that :func:`table` adds to the angle of each joint.
+    inputs : mapping of name to Input
+        Inputs of the robot, whose laws may depend on the coefficients.
     """
 
     def __init__(
-        self, axes: Sequence[Axis], coefficients: Sequence[str], mounts_rad: Sequence[float]
+        self,
+        axes: Sequence[Axis],
+        coefficients: Sequence[str],
+        mounts_rad: Sequence[float],
+        inputs: Mapping[str, Input],
     ) -> None:
         self.axes, self.mounts_rad = axes, mounts_rad
         self._names = coefficients
+        self.inputs = inputs
         self._servos = [_servo(axis) for axis in axes]
+        self._laws = [
+            tuple(Polynomial.of(entry) for entry in (law.dead_band, law.reverse, law.lag_s))
+            for law in inputs.values()
+        ]
         self._motions: TrialCache[DrivenMotion] = TrialCache(MAX_MOTIONS)
         self._commands: TrialCache[tuple[Array, list[Motion]]] = TrialCache(MAX_COMMANDS)
         self._read: dict[str, tuple[SwimInput, Array, list[tuple[Array, Array, float]]]] = {}
@@ -163,7 +184,8 @@ class DrivenJoints:
     ) -> DrivenMotion:
         """Return the motion of the driven joints in the simulation of a trial.
 
-        Coefficients of the robot affect the motion only through the properties of servos.
+        Coefficients of the robot affect the motion only through the properties of servos, and the inputs
+        only through their laws.
 
         Parameters
         ----------
@@ -174,23 +196,43 @@ class DrivenJoints:
         phase_rad : float
             Phase of the drive at time zero, in addition to the phase that the trial states.
         hooks : Hooks
-            Effects on the actuators. They do not apply to measured angles, which already contain them.
+            Effects on the actuators. They do not apply to measured angles and to measured inputs, which
+            already contain them.
         cached : bool
             Whether the motion is kept for later simulations.
         """
-        if trial.swim.measured:
-            hooks = NONE
         named = {}
-        if any(self._servos):
+        if any(self._servos) or self._laws:
             named = dict(zip(self._names, values, strict=False))
         servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
-        key = (grid, phase_rad, servos, hooks.command_key)
+        laws: Laws = tuple((a.at(named), b.at(named), c.at(named)) for a, b, c in self._laws)
+        key = (grid, phase_rad, servos, laws, hooks.command_key)
         found = self._motions.get(trial.id, key)
         if found is None:
-            found = self._moved(trial, grid, phase_rad, servos, hooks)
+            of_joints = hooks
+            if trial.swim.measured:
+                of_joints = NONE
+            found = self._moved(trial, grid, phase_rad, servos, of_joints)
+            if laws:
+                found = self._with_inputs(found, trial, grid, laws, hooks)
             if cached:
                 self._motions.put(trial.id, key, found)
         return found
+
+    def _with_inputs(
+        self, found: DrivenMotion, trial: Trial, grid: Grid, laws: Laws, hooks: Hooks
+    ) -> DrivenMotion:
+        """Return a motion of the driven joints with the values of the inputs."""
+        half, given_inputs = grid.times(2), trial.swim.inputs
+        rows = np.zeros((len(half), len(laws), 5))
+        for k, ((name, law), own) in enumerate(zip(self.inputs.items(), laws, strict=True)):
+            if name not in given_inputs:
+                continue
+            value = given_inputs[name](half)
+            if hooks.command and not law.measured:
+                value = hooks.actuated(half, value, len(self.axes) + k)
+            rows[:, k, 0] = act(value, 0.5 * grid.step_s, law.power, *own)
+        return DrivenMotion(np.concatenate([found.table, rows], axis=1), found.joints)
 
     def _moved(
         self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks
@@ -203,7 +245,7 @@ class DrivenJoints:
         before = math.ceil(lead_s / grid.step_s)
         early = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
         whole = self._actuated(trial, early, phase_rad, servos, hooks)
-        return DrivenMotion(whole.table[2 * before :])
+        return DrivenMotion(whole.table[2 * before :], whole.joints)
 
     def _actuated(
         self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks
@@ -226,7 +268,7 @@ class DrivenJoints:
                     motions.append(deviated(motion, actual[-1], 0.5 * grid.step_s))
             else:
                 motions.append(motion)
-        return DrivenMotion(table(len(half), motions, self.mounts_rad))
+        return DrivenMotion(table(len(half), motions, self.mounts_rad), len(motions))
 
     def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> tuple[Array, list[Motion]]:
         """Return the times of the half steps of the grid, and the commanded motion of each joint.
@@ -445,6 +487,31 @@ def simulate_servo(command, step, omega, damping):  # type: ignore[no-untyped-de
         a += step / 6.0 * (w1 + 2.0 * (w2 + w3) + w4)
         w += step / 6.0 * (d1 + 2.0 * (d2 + d3) + d4)
     return result
+
+
+def act(value: Array, step_s: float, power: float, dead_band: float, reverse: float, lag_s: float) -> Array:
+    """Return the value of an input after the law of its actuator (:class:`swimid.robots.planar.Input`).
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        Column of the log, on an even time grid.
+    step_s : float
+        Step of the grid.
+    power, dead_band, reverse, lag_s : float
+        The lag starts at rest at the first value. It is exact for a value that is linear between the samples.
+
+    >>> act(np.array([-3.0, 0.5, 3.0]), 0.1, 2.0, 1.0, 0.5, 0.0).tolist()
+    [-2.0, 0.0, 4.0]
+    """
+    size = np.maximum(np.abs(value) - dead_band, 0.0) ** power
+    found = np.where(value < 0.0, -reverse * size, size)
+    if lag_s <= 0.0:
+        return found
+    ratio = step_s / lag_s
+    kept, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
+    # the state of the filter makes the first value of the output that of the input
+    return np.asarray(lfilter([1.0 - mean, mean - kept], [1.0, -kept], found, zi=[mean * found[0]])[0])
 
 
 def deviated(motion: Motion, actual: Array, step_s: float) -> Motion:

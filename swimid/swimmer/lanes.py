@@ -707,7 +707,8 @@ class Kernel:
             for place in np.argwhere(np.isnan(fixed)):
                 entries[tuple(place)], count = tracer.symbol(kind, count), count + 1
             tables[name] = entries if entries.ndim else entries.item()
-        driven = int(self._example["topology"][:, 1].max()) + 1
+        inputs = self._example["load_input"].max(initial=-1)
+        driven = int(max(self._example["topology"][:, 1].max(), inputs)) + 1
         state = array(tracer, "state", (self.size,))
         row = array(tracer, "row", (driven, 5))
         scratch = [np.full(shape, 0.0, dtype=object) for shape in self._scratch]

@@ -35,7 +35,7 @@ MAX_REQUESTS = 8 * LANES
 
 
 #: Placeholder for the joint motion of a simulation whose trajectory is cached.
-NO_MOTION = DrivenMotion(np.empty((0, 0, 5)))
+NO_MOTION = DrivenMotion(np.empty((0, 0, 5)), 0)
 
 
 class Trajectory(NamedTuple):
@@ -178,7 +178,8 @@ class Swimmer(Model):
             np.array([self._at[name] for name in names if self.free_base], dtype=int)
             for names in (velocities, self.starts)
         )
-        self.joints = DrivenJoints(self.driven, self.tree.names, self._mounts())
+        self.inputs = self.tree.body.inputs
+        self.joints = DrivenJoints(self.driven, self.tree.names, self._mounts(), self.inputs)
         self.kernels = Kernels(self.engine, self.tree.tables, len(self.coefficients), self._room)
         self._trajectories: TrialCache[Trajectory] = TrialCache(MAX_TRAJECTORIES)
         self._grids: dict[str, tuple[Array, Grid]] = {}
@@ -622,7 +623,7 @@ def _energetics(model: Swimmer, run: Run, trajectory: Trajectory, last_s: float)
     steps = max(round(last_s / trajectory.grid.step_s), 1)
     first = max(len(trajectory.states) - 1 - steps, 0)
     torque = model.torques(run, trajectory, first)[:, [a.link for a in model.driven]]
-    rates = trajectory.drive.table[::2][first:, :, 1]
+    rates = trajectory.drive.table[::2][first:, : len(model.driven), 1]
     return Energetics(trajectory.grid.times(1)[first:], torque, rates)
 
 

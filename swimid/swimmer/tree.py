@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from types import ModuleType
 from typing import Any
@@ -115,6 +115,10 @@ class Rows:
         Apparent inertia about the origin of the link.
     elements : mapping of input array to list of (link index, row)
         Hydrodynamic elements. The module of the engine defines their columns.
+    inputs : sequence of str
+        Names of the inputs, in the order of their rows in the drive array.
+    loads : list of int
+        Index of the input of each load.
     """
 
     density_kg_m3: float
@@ -122,6 +126,8 @@ class Rows:
     index: Mapping[str, int]
     inertia: list[Row]
     elements: dict[str, list[tuple[int, Row]]]
+    inputs: Sequence[str] = ()
+    loads: list[int] = field(default_factory=list)
 
     def add_inertia(self, link: str, terms: Row) -> None:
         """Add terms to the row of a link in the ``inertia`` input array."""
@@ -131,6 +137,11 @@ class Rows:
     def add(self, table: str, link: str, row: Row) -> None:
         """Add a row to the input array ``table``, for an element of a link."""
         self.elements[table].append((self.index[link], row))
+
+    def add_load(self, link: str, name: str, row: Row) -> None:
+        """Add a row to the input array ``load``, for a load on a link that is proportional to an input."""
+        self.add("load", link, row)
+        self.loads.append(self.inputs.index(name))
 
 
 def strips(low: Any, high: Any, count: int) -> Iterator[tuple[Any, float]]:
@@ -184,7 +195,10 @@ class Table:
 
 
 #: Keys of links, joints and elements whose strings are not physical quantities.
-WORDS = {"name", "link", "parent", "child", "kind", "inertia_about", "frame", "added_mass_direction"}
+WORDS = {
+    *("name", "link", "parent", "child", "kind", "inertia_about", "frame", "added_mass_direction"),
+    *("input", "column", "measured"),
+}
 
 
 @dataclass(frozen=True)
@@ -224,11 +238,14 @@ def check_names(body: Any, part: str) -> None:
                 raise InputError(f"the name '{own}' stands twice", column=f"{part}.{kind}.{n}")
     used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
     used += [(f"elements.{n}.link", e.link) for n, e in enumerate(body.elements)]
-    for where, name in used:
-        if name not in links:
-            raise InputError(
-                f"there is no link '{name}'", column=f"{part}.{where}", hint=suggestion(name, links)
-            )
+    asked = [(f"elements.{n}.input", e.input) for n, e in enumerate(body.elements) if e.kind == "load"]
+    asked += [(f"joints.{j.name}.torque.input", j.torque.input) for j in body.joints if j.torque is not None]
+    inputs = list(body.inputs)
+    for kind, known, names in (("link", links, used), ("input", inputs, asked)):
+        for where, name in names:
+            if name not in known:
+                hint = suggestion(name, known, f"'{part}.{kind}s' has")
+                raise InputError(f"there is no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
     known = list(body.coefficients)
     for path, quantity in quantities(body, part):
         unknown = sorted(Polynomial.of(quantity).names - set(known))
@@ -243,7 +260,7 @@ def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
 
     In the path, a member of a list has its name, or its index if it has no name.
     """
-    yield from _leaves(body.model_dump(include={"links", "joints", "elements"}), part)
+    yield from _leaves(body.model_dump(include={"links", "joints", "elements", "inputs"}), part)
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, float | str]]:
@@ -375,12 +392,17 @@ class Tree(ABC):
         engine = self.engine
         empty: list[Row] = [[0.0] * len(engine.INERTIA) for _ in self.links]
         elements: dict[str, list[tuple[int, Row]]] = {name: [] for name in self.elements}
-        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty, elements)
+        inputs = list(self.body.inputs)
+        rows = Rows(fluid.density_kg_m3, fluid.gravity_m_s2, self.index, empty, elements, inputs)
         for link in self.links:
             self._add_rigid(link, rows)
         rigid = [list(row) for row in rows.inertia]
         for element in self.body.elements:
             self.adders[element.kind](element, self.links[self.index[element.link]], rows)
+        for joint in self.body.joints:
+            if joint.torque is not None:
+                self._add_torque(joint, rows)
+        self._load_inputs = len(self.driven) + np.array(rows.loads, dtype=np.int64)
 
         def table(entries: list[Any], columns: tuple[str, ...]) -> Table:
             return Table(entries, len(columns), self.names)
@@ -421,7 +443,7 @@ class Tree(ABC):
         }
         for name, owner, table in self._elements:
             found[f"{name}_link"], found[name] = owner, table(values)
-        return {**found, **self.constants}
+        return {**found, "load_input": self._load_inputs, **self.constants}
 
     @abstractmethod
     def check(self, values: Array) -> None:
@@ -435,6 +457,10 @@ class Tree(ABC):
     @abstractmethod
     def _add_rigid(self, link: Any, rows: Rows) -> None:
         """Add the mass and inertia of a link, without added mass."""
+
+    @abstractmethod
+    def _add_torque(self, joint: Any, rows: Rows) -> None:
+        """Add the torque of an actuator on a joint: moments on its child link and on its parent link."""
 
     @abstractmethod
     def _place(self, joint: Any) -> Row:

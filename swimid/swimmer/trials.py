@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -192,8 +193,9 @@ def _recording(
 ) -> Recording:
     """Read the log of a trial, and return the trial with its log and the input of the model."""
     known = [c.name for c in model.channels]
-    commands = [_command_column(axis.column) for axis in model.driven]
-    log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands))
+    commands = [command_column(axis.column) for axis in model.driven]
+    inputs = [law.column for law in model.inputs.values()]
+    log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands, *inputs))
     log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
@@ -216,11 +218,45 @@ def _drive_input(entry: FreeSwimTrial, log: Log, path: Path, model: Swimmer) -> 
                 column="coefficients",
                 hint=suggestion(name, model.coefficients, "it has"),
             )
-    swim = SwimInput(coefficients=dict(entry.coefficients))
+    swim = SwimInput(coefficients=dict(entry.coefficients), inputs=logged_inputs(model, log))
     if isinstance(entry.drive, StrokeDrive):
         return replace(swim, stroke=cycle_of(entry.drive, model, path))
     if entry.drive is not None:
         return replace(swim, beat=_beat_of(entry.drive))
+    return with_logged_joints(swim, model, log)
+
+
+def logged_inputs(model: Swimmer, log: Log) -> dict[str, Callable[[Array], Array]]:
+    """Return the value of each input of a robot as a function of time.
+
+    The value is linear between the samples of its column, and constant before and after them.
+
+    Raises
+    ------
+    InputError
+        The log lacks the column, or the column has fewer than two values.
+    """
+    found: dict[str, Callable[[Array], Array]] = {}
+    for name, law in model.inputs.items():
+        values = log.columns.get(law.column, np.empty(0))
+        known = np.isfinite(values)
+        if known.sum() < 2:
+            text = f"the input '{name}' of the robot needs this column with at least 2 values"
+            raise InputError(
+                text, file=log.path, column=law.column, hint="or name another column in the robot file"
+            )
+        found[name] = partial(np.interp, xp=log.time_s[known], fp=values[known])
+    return found
+
+
+def with_logged_joints(swim: SwimInput, model: Swimmer, log: Log) -> SwimInput:
+    """Return the input of a model with the motions of its driven joints from a log.
+
+    Raises
+    ------
+    InputError
+        The log lacks the angle and the command of a joint.
+    """
     if not model.driven:
         return swim
     motions = [_logged_motion(model, k, log) for k in range(len(model.driven))]
@@ -277,7 +313,7 @@ def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> 
     )
 
 
-def _command_column(joint: str) -> str:
+def command_column(joint: str) -> str:
     """Return the column name of a joint's commanded angle."""
     return joint.replace("joint", "cmd")
 
@@ -289,7 +325,7 @@ def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
     joint with a gain of 0 stays straight if neither angle is logged.
     """
     axis = model.driven[number]
-    law, command = axis.driven, _command_column(axis.column)
+    law, command = axis.driven, command_column(axis.column)
     assert law is not None
     candidates = [axis.column, command]
     if law.servo is not None:

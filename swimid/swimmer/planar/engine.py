@@ -95,6 +95,8 @@ DRAG = ("x", "y", "quadratic_x", "quadratic_y", "linear_x", "linear_y", "quadrat
 FOIL = ("x", "y", "half_rho_area", "cl", "cd0", "cd1", "cos_chord", "sin_chord")
 FORCE = ("x", "y", "force_x", "force_y", "world")
 WAKE = ("x", "y", "half_mass")
+#: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link.
+LOAD = ("x", "y", "force_x", "force_y", "moment")
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -270,6 +272,15 @@ def _wakes(wake_link, wake, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-def]
+    """Add the forces and moments that are proportional to inputs."""
+    for e in range(load.shape[0]):
+        i, size = load_link[e], row[load_input[e], 0]
+        _push(work, i, load[e, 0], load[e, 1], size * load[e, 2], size * load[e, 3])
+        work[i, 10] -= size * load[e, 4]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _forced(time, state, work, forced):  # type: ignore[no-untyped-def]
     """Add the external forces of effects on the links (:class:`swimid.fitting.model.Force`)."""
     links, places, constants, ends, frame, pose, velocity, wrench, functions = forced
@@ -400,6 +411,9 @@ def derivative(  # type: ignore[no-untyped-def]
     force,
     wake_link,
     wake,
+    load_link,
+    load,
+    load_input,
     free_base,
     forced,
     time,
@@ -413,14 +427,17 @@ def derivative(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     state, rate : ndarray, shape (2 n,)
-    row : ndarray, shape (driven joints, 5)
-        Angle, rate, acceleration, cosine and sine (mounting angle included) of each driven joint.
+    row : ndarray, shape (driven joints + inputs, 5)
+        Angle, rate, acceleration, cosine and sine (mounting angle included) of each driven joint. The value
+        of each input in the first column.
     topology : ndarray of int, shape (links, 3); joint : ndarray, shape (links, 4)
     inertia : ndarray, shape (links, 6)
     passive : ndarray, shape (passive joints, 11)
-    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake : ndarray
-        Links and properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE` and
-        :data:`WAKE`.
+    drag_link, drag, foil_link, foil, force_link, force, wake_link, wake, load_link, load : ndarray
+        Links and properties of the elements, with the columns :data:`DRAG`, :data:`FOIL`, :data:`FORCE`,
+        :data:`WAKE` and :data:`LOAD`.
+    load_input : ndarray of int
+        Row of ``row`` with the input of each load.
     free_base : bool
         Whether the base moves; otherwise it keeps its pose.
     forced : tuple or None
@@ -436,6 +453,7 @@ def derivative(  # type: ignore[no-untyped-def]
     _foils(foil_link, foil, work)
     _forces(force_link, force, work)
     _wakes(wake_link, wake, work)
+    _loads(load_link, load_input, load, row, work)
     if forced is not None:
         _forced(time, state, work, forced)
     _inwards(state, topology, joint, passive, work, matrix, right)
@@ -497,8 +515,8 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     ----------
     start : ndarray, shape (2 n,)
     step : float, s
-    table : ndarray, shape (2 steps + 1, driven joints, 5)
-        Driven joints on the half-step grid; see :func:`derivative`.
+    table : ndarray, shape (2 steps + 1, driven joints + inputs, 5)
+        Driven joints and inputs on the half-step grid; see :func:`derivative`.
     tables : tuple
         Arguments of :func:`derivative` from ``topology`` to ``free_base``.
     forced : tuple or None
@@ -512,7 +530,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
         NaN from the step at which the simulation breaks down.
     """
     topology, joint, inertia, passive, drag_link, drag, foil_link, foil = tables[:8]
-    force_link, force, wake_link, wake, free_base = tables[8:]
+    force_link, force, wake_link, wake, load_link, load, load_input, free_base = tables[8:]
     steps, size = (table.shape[0] - 1) // 2, len(start)
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, right = np.zeros((topology.shape[0], 19)), np.zeros(size // 2)
@@ -525,8 +543,8 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             half = (stage + 1) // 2
             derivative(
                 trial, table[2 * i + half], topology, joint, inertia, passive, drag_link, drag, foil_link,
-                foil, force_link, force, wake_link, wake, free_base, forced, begin + step * (i + 0.5 * half),
-                work, matrix, right, slope,
+                foil, force_link, force, wake_link, wake, load_link, load, load_input, free_base, forced,
+                begin + step * (i + 0.5 * half), work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
@@ -551,8 +569,8 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
     ----------
     states, rates : ndarray, shape (m, 2 n)
         Result of :func:`integrate`.
-    table : ndarray, shape (m, driven joints, 5)
-        Driven joints at the same instants.
+    table : ndarray, shape (m, driven joints + inputs, 5)
+        Driven joints and inputs at the same instants.
     tables : tuple
         Arguments of :func:`derivative` from ``topology`` to ``free_base``.
     forced : tuple, optional
@@ -562,6 +580,7 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
+    load_link, load, load_input = tables[12:15]
     links = topology.shape[0]
     found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
     for t in range(states.shape[0]):
@@ -570,6 +589,7 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
         _foils(foil_link, foil, work)
         _forces(force_link, force, work)
         _wakes(wake_link, wake, work)
+        _loads(load_link, load_input, load, table[t], work)
         if forced is not None:
             _forced(begin + step * t, states[t], work, forced)
         for i in range(links - 1, -1, -1):

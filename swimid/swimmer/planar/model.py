@@ -166,6 +166,13 @@ def _trailing_edge(element: parts.TrailingEdge, link: parts.Link, rows: Rows) ->
     rows.add("wake", link.name, [*_point(station, element.offset_m), half])
 
 
+def _load(element: parts.Load, link: parts.Link, rows: Rows) -> None:
+    """Add a force and a moment in the axes of a link that are proportional to an input."""
+    at = _point(element.at_m, element.offset_m)
+    row = [*at, element.forward_N, element.port_N, element.moment_N_m]
+    rows.add_load(link.name, element.input, row)
+
+
 #: Functions that add the rows of an element to the input arrays, by kind of element.
 ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "added-mass": _added_mass,
@@ -174,6 +181,7 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "foil": _foil,
     "force": _force,
     "hydrostatics": _hydrostatics,
+    "load": _load,
     "slender-body": _slender_body,
     "trailing-edge": _trailing_edge,
 }
@@ -214,7 +222,7 @@ class Assembly(Tree):
     """
 
     part = "multilink"
-    elements = ("drag", "foil", "force", "wake")
+    elements = ("drag", "foil", "force", "wake", "load")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: parts.Multilink, fluid: Fluid) -> None:
@@ -284,6 +292,12 @@ class Assembly(Tree):
         if link.inertia_about == "front":
             inertia = inertia - mass * (x * x + y * y)
         _add_mass(rows, link.name, (x, y), mass, mass, inertia)
+
+    def _add_torque(self, joint: parts.Joint, rows: Rows) -> None:
+        assert joint.torque is not None
+        gain = Polynomial.of(joint.torque.gain_N_m)
+        for link, moment in ((joint.child, gain), (joint.parent, -gain)):
+            rows.add_load(link, joint.torque.input, [0.0, 0.0, 0.0, 0.0, moment])
 
     def _place(self, joint: parts.Joint | None) -> Row:
         if joint is None:

@@ -56,6 +56,8 @@ FOIL = (
     "chord_x", "chord_y", "chord_z", "normal_x", "normal_y", "normal_z", "size",
 )  # fmt: skip
 FORCE = ("x", "y", "z", "force_x", "force_y", "force_z", "world", "size")
+#: Columns of the input array ``load``: force and moment for an input of 1, at a point of a link.
+LOAD = (*"xyz", *(f"force_{c}" for c in "xyz"), *(f"moment_{c}" for c in "xyz"))
 
 #: First columns of the quantities of a link in the work array: rotation to the parent (9 columns), v, w, v',
 #: w', f, m (3 each), A (6), B (9), D (6), rotation to the world (9) and position in the world (3). The last
@@ -307,6 +309,15 @@ def _forces(force_link, force, surface, work):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _loads(load_link, load_input, load, row, work):  # type: ignore[no-untyped-def]
+    """Add the forces and moments that are proportional to inputs."""
+    for e in range(load.shape[0]):
+        w, size = work[load_link[e]], row[load_input[e], 0]
+        _push(w, _at(load[e], 0), _times(size, _at(load[e], 3)))
+        _put(w, _M, _plus(_at(w, _M), _times(-size, _at(load[e], 6))))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _coupling(i, k, topology, joint, work, matrix):  # type: ignore[no-untyped-def]
     """Write the coupling of passive hinge ``k`` with the base and other hinges into the mass matrix.
 
@@ -415,6 +426,9 @@ def derivative(  # type: ignore[no-untyped-def]
     foil,
     force_link,
     force,
+    load_link,
+    load,
+    load_input,
     surface,
     free_base,
     forced,
@@ -429,14 +443,17 @@ def derivative(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     state, rate : ndarray, shape (13 + 2 passive hinges,)
-    row : ndarray, shape (driven hinges, 5)
-        Angle, rate, acceleration, cosine and sine of each driven hinge.
+    row : ndarray, shape (driven hinges + inputs, 5)
+        Angle, rate, acceleration, cosine and sine of each driven hinge. The value of each input in the first
+        column.
     topology : ndarray of int, shape (links, 4); joint : ndarray, shape (links, 33)
     inertia : ndarray, shape (links, 21); passive : ndarray, shape (passive hinges, 11)
         Columns of ``swimid.swimmer.planar.engine.PASSIVE``
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force : ndarray
-        Links and properties of the elements, with the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL` and
-        :data:`FORCE`.
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, load_link, load : ndarray
+        Links and properties of the elements, with the columns :data:`DRAG`, :data:`DAMPING`, :data:`FOIL`,
+        :data:`FORCE` and :data:`LOAD`.
+    load_input : ndarray of int
+        Row of ``row`` with the input of each load.
     surface : float, m
         Height of the water surface in the world.
     free_base : bool
@@ -456,6 +473,7 @@ def derivative(  # type: ignore[no-untyped-def]
     _dampings(damping_link, damping, work)
     _foils(foil_link, foil, surface, work)
     _forces(force_link, force, surface, work)
+    _loads(load_link, load_input, load, row, work)
     _inwards(state, topology, joint, passive, work, matrix, right)
     w = work[0]
     first = 6
@@ -503,7 +521,7 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
     The quaternion is scaled to length 1 after each step.
     """
     topology, joint, inertia, passive, drag_link, drag, damping_link, damping, foil_link = tables[:9]
-    foil, force_link, force, surface, free_base = tables[9:]
+    foil, force_link, force, load_link, load, load_input, surface, free_base = tables[9:]
     steps, size, n = (table.shape[0] - 1) // 2, len(start), 6 + passive.shape[0]
     states, rates = np.empty((steps + 1, size)), np.empty((steps + 1, size))
     work, matrix, right = np.zeros((topology.shape[0], _WORK)), np.zeros((n, n)), np.zeros(n)
@@ -514,8 +532,8 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
             begin_stage(stage, step, states[i], slope, total, trial)
             derivative(
                 trial, table[2 * i + (stage + 1) // 2], topology, joint, inertia, passive, drag_link, drag,
-                damping_link, damping, foil_link, foil, force_link, force, surface, free_base, forced, begin,
-                work, matrix, right, slope,
+                damping_link, damping, foil_link, foil, force_link, force, load_link, load, load_input,
+                surface, free_base, forced, begin, work, matrix, right, slope,
             )  # fmt: skip
             if stage == 0:
                 rates[i] = slope
@@ -537,7 +555,8 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
     See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.
     """
     topology, joint, inertia = tables[:3]
-    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force, surface = tables[4:13]
+    drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
+    load_link, load, load_input, surface = tables[12:16]
     links = topology.shape[0]
     found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
     for t in range(states.shape[0]):
@@ -546,6 +565,7 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
         _dampings(damping_link, damping, work)
         _foils(foil_link, foil, surface, work)
         _forces(force_link, force, surface, work)
+        _loads(load_link, load_input, load, table[t], work)
         for i in range(links - 1, 0, -1):
             found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)

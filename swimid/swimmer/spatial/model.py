@@ -124,6 +124,7 @@ def _drag(element: parts.Drag, body: parts.Body, rows: Rows) -> None:
     """
     half = 0.5 * rows.density_kg_m3
     quadratic = half * _vector(element.area_m2) * _vector(element.coefficient)
+    quadratic = quadratic + _vector(element.quadratic_N_s2_m2)
     gains = [*quadratic, *_vector(element.linear_N_s_m)]
     ends = _vector(element.at_m), _vector(given(element.to_m, element.at_m))
     for at, share in strips(*ends, element.strips):
@@ -178,6 +179,11 @@ def _force(element: parts.Force, body: parts.Body, rows: Rows) -> None:
     rows.add("force", body.name, [*element.at_m, *element.force_N, world, 0.0])
 
 
+def _load(element: parts.Load, body: parts.Body, rows: Rows) -> None:
+    """Add a force and a moment in the axes of a link that are proportional to an input."""
+    rows.add_load(body.name, element.input, [*element.at_m, *element.force_N, *element.moment_N_m])
+
+
 #: Functions that add the rows of an element to the input arrays, by kind of element.
 ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "added-mass": _added_mass,
@@ -189,6 +195,7 @@ ADDERS: dict[str, Callable[[Any, Any, Rows], None]] = {
     "hydrostatics": _hydrostatics,
     "water": _water,
     "force": _force,
+    "load": _load,
 }
 
 
@@ -214,7 +221,7 @@ class Assembly(Tree):
     """
 
     part = "multibody"
-    elements = ("drag", "damping", "foil", "force")
+    elements = ("drag", "damping", "foil", "force", "load")
     engine, adders = engine, ADDERS
 
     def __init__(self, body: parts.Multibody, fluid: Fluid) -> None:
@@ -259,6 +266,15 @@ class Assembly(Tree):
         moments = [*link.inertia_kg_m2, *[0.0] * (6 - len(link.inertia_kg_m2))]
         turning = _vector(moments)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
         _add_mass(rows, link.name, np.diag([mass] * 3), link.com_m, turning)
+
+    def _add_torque(self, joint: parts.Hinge, rows: Rows) -> None:
+        assert joint.torque is not None
+        moment = Polynomial.of(joint.torque.gain_N_m) * _vector(_unit(joint.axis).tolist())
+        mount = Rotation.from_euler("xyz", joint.mount_deg, degrees=True)
+        # the rotation about the axis does not change the axis, so that the mounting rotation is enough
+        reaction = -(mount.as_matrix().astype(object) @ moment)
+        for link, own in ((joint.child, moment), (joint.parent, reaction)):
+            rows.add_load(link, joint.torque.input, [*[0.0] * 6, *own])
 
     def _place(self, joint: parts.Hinge | None) -> Row:
         if joint is None:

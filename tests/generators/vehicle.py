@@ -1,0 +1,177 @@
+"""Logs of an underwater vehicle with eight thrusters, from Fossen's equations in axes with z down.
+
+The equations are ``M v' + C(v) v + D(v) v + g(euler) = tau`` with Euler angles, integrated by SciPy's DOP853.
+Nothing of swimid is used. The log has x forward, y to port and z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+Array = NDArray[np.float64]
+GRAVITY, DENSITY = 9.82, 1000.0
+S = np.sqrt(0.5)
+#: Position (m) and direction of each thruster, with z down.
+PLACES = np.array(
+    [
+        (0.156, 0.111, 0.085), (0.156, -0.111, 0.085), (-0.156, 0.111, 0.085), (-0.156, -0.111, 0.085),
+        (0.12, 0.218, 0.0), (0.12, -0.218, 0.0), (-0.12, 0.218, 0.0), (-0.12, -0.218, 0.0),
+    ]
+)  # fmt: skip
+DIRECTIONS = np.array(
+    [(S, -S, 0), (S, S, 0), (-S, -S, 0), (-S, S, 0), (0, 0, -1), (0, 0, 1), (0, 0, 1), (0, 0, -1)]
+)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Constants of the vehicle. All vectors are along the axes of the body, with z down."""
+
+    mass_kg: float = 13.5
+    volume_m3: float = 0.0134
+    inertia: tuple[float, float, float] = (0.26, 0.23, 0.37)
+    added: tuple[float, ...] = (6.36, 7.12, 18.68, 0.189, 0.135, 0.222)
+    linear: tuple[float, ...] = (13.7, 0.0, 33.0, 0.0, 0.8, 0.0)
+    quadratic: tuple[float, ...] = (141.0, 217.0, 190.0, 1.19, 0.47, 1.5)
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    buoyancy_m: tuple[float, float, float] = (0.0, 0.0, -0.01)
+    #: Factor on the thrust of each thruster.
+    thrust: tuple[float, ...] = field(default=(1.0,) * 8)
+    #: Velocity of the water in the world, with y to starboard and z down.
+    current_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    #: Time constant of the thrusters.
+    lag_s: float = 0.0
+
+
+def _cross(v: Array) -> Array:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _turn(euler: Array) -> Array:
+    (f, t, p) = euler
+    cf, sf, ct, st, cp, sp = np.cos(f), np.sin(f), np.cos(t), np.sin(t), np.cos(p), np.sin(p)
+    return np.array(
+        [
+            [cp * ct, cp * st * sf - sp * cf, sp * sf + cp * cf * st],
+            [sp * ct, cp * cf + sf * st * sp, st * sp * cf - cp * sf],
+            [-st, ct * sf, ct * cf],
+        ]
+    )
+
+
+def simulate(
+    vehicle: Vehicle, time_s: Array, thrusts: Callable[[float], Array], start: Array | None = None
+) -> Array:
+    """Return pose (x, y, z, roll, pitch, yaw) and velocity relative to the ground, shape (n, 12), with z down."""
+    com = np.array(vehicle.com_m)
+    rigid = np.zeros((6, 6))
+    rigid[:3, :3] = vehicle.mass_kg * np.eye(3)
+    rigid[:3, 3:] = -vehicle.mass_kg * _cross(com)
+    rigid[3:, :3] = vehicle.mass_kg * _cross(com)
+    rigid[3:, 3:] = np.diag(vehicle.inertia) - vehicle.mass_kg * _cross(com) @ _cross(com)
+    mass = rigid + np.diag(vehicle.added)
+    inverse = np.linalg.inv(mass)
+    weight, lift = vehicle.mass_kg * GRAVITY, DENSITY * GRAVITY * vehicle.volume_m3
+    mixing = np.vstack([DIRECTIONS.T, np.cross(PLACES, DIRECTIONS).T]) * np.array(vehicle.thrust)
+    current = np.array(vehicle.current_m_s)
+
+    def slope(now: float, state: Array) -> Array:
+        euler, v, lagged = state[3:6], state[6:12], state[12:]
+        turn = _turn(euler)
+        down = turn[2]
+        momentum = mass @ v
+        coriolis = np.concatenate(
+            [np.cross(v[3:], momentum[:3]), np.cross(v[3:], momentum[3:]) + np.cross(v[:3], momentum[:3])]
+        )
+        drag = (np.array(vehicle.linear) + np.array(vehicle.quadratic) * np.abs(v)) * v
+        weights = np.concatenate([weight * down, np.cross(com, weight * down)])
+        lifts = np.concatenate([-lift * down, np.cross(vehicle.buoyancy_m, -lift * down)])
+        thrust, change = lagged, np.zeros(8)
+        if vehicle.lag_s > 0:
+            change = (thrusts(now) - lagged) / vehicle.lag_s
+        else:
+            thrust = thrusts(now)
+        rate = inverse @ (mixing @ thrust - coriolis - drag + weights + lifts)
+        f, t, _ = euler
+        p, q, r = v[3:]
+        angles = [
+            p + (q * np.sin(f) + r * np.cos(f)) * np.tan(t),
+            q * np.cos(f) - r * np.sin(f),
+            (q * np.sin(f) + r * np.cos(f)) / np.cos(t),
+        ]
+        return np.concatenate([turn @ v[:3] + current, angles, rate, change])
+
+    begin = np.zeros(20)
+    if start is not None:
+        begin[:12] = start
+    begin[6:9] -= _turn(begin[3:6]).T @ current
+    begin[12:] = thrusts(float(time_s[0]))
+    found = solve_ivp(
+        slope, (time_s[0], time_s[-1]), begin, "DOP853", time_s, rtol=1e-9, atol=1e-10, max_step=0.05
+    ).y.T[:, :12]
+    # report the velocity over the ground
+    for row in found:
+        row[6:9] += _turn(row[3:6]).T @ current
+    return np.asarray(found)
+
+
+def columns(time_s: Array, motion: Array, thrusts: Callable[[float], Array]) -> dict[str, Array]:
+    """Return the columns of a log, with y to port and z up, without noise."""
+    signs = np.array([1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1, -1.0])
+    names = ["x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad", "u_m_s", "v_m_s", "w_m_s"]
+    names += ["roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s"]
+    found = {"t_s": time_s, **dict(zip(names, (motion * signs).T, strict=True))}
+    forces = np.array([thrusts(float(t)) for t in time_s])
+    return found | {f"thrust{k + 1}_N": forces[:, k] for k in range(8)}
+
+
+#: Largest forces (N) and moments (N m) of a manoeuvre along the axes of the body.
+EFFORT = np.array([25.0, 25.0, 25.0, 1.5, 1.5, 4.0])
+
+
+def manoeuvre(rng: np.random.Generator) -> Callable[[float], Array]:
+    """Return smooth thrusts of all thrusters, N, which move the vehicle along and about every axis."""
+    frequency = rng.uniform(0.05, 0.4, (6, 3))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (6, 3))
+    share = rng.uniform(0.2, 0.5, (6, 3))
+    mixing = np.linalg.pinv(np.vstack([DIRECTIONS.T, np.cross(PLACES, DIRECTIONS).T]))
+
+    def thrusts(time: float) -> Array:
+        effort = EFFORT * (share * np.sin(2.0 * np.pi * frequency * time + phase)).sum(axis=1)
+        return np.asarray(mixing @ effort)
+
+    return thrusts
+
+
+#: Standard deviations of the noise: positions, angles.
+NOISE = {"x_m": 0.003, "y_m": 0.003, "z_m": 0.003, "roll_rad": 0.003, "pitch_rad": 0.003, "yaw_rad": 0.003}
+
+
+def write_trials(
+    folder: Path, vehicle: Vehicle, *, seed: int, trials: int = 4, held_out: int = 1, duration_s: float = 30.0
+) -> Path:
+    """Write logs with noise and a trials file, and return its path."""
+    rng = np.random.default_rng(seed)
+    lines = ["format: swimid-trials/1", "experiment: multibody", "robot: bluerov2", "trials:"]
+    for k in range(trials):
+        time_s = np.arange(0.0, duration_s + 1e-9, 0.05)
+        thrusts = manoeuvre(rng)
+        found = columns(time_s, simulate(vehicle, time_s, thrusts), thrusts)
+        for name, sd in NOISE.items():
+            found[name] = found[name] + rng.normal(0.0, sd, len(time_s))
+        kept = [name for name in found if not name.endswith("_s") or name == "t_s"]
+        table = np.column_stack([found[name] for name in kept])
+        path = folder / f"run{k + 1}.csv"
+        np.savetxt(path, table, delimiter=",", header=",".join(kept), comments="", fmt="%.6f")
+        role = ", role: validate" if k >= trials - held_out else ""
+        lines.append(f"  - {{log: {path.name}{role}}}")
+    file = folder / "trials.yaml"
+    file.write_text("\n".join(lines) + "\n")
+    return file
