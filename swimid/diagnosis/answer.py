@@ -22,7 +22,7 @@ from swimid.diagnosis import (
     verdict,
 )
 from swimid.diagnosis.candidates import Tried
-from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance
+from swimid.diagnosis.context import FINE, STEPS, Fit, FitContext, covariance, inverted
 from swimid.diagnosis.facts import Found, Named, Predictions
 from swimid.diagnosis.floor import by_channel, excess, floors, measured, repeats, rms
 from swimid.diagnosis.gap_file import (
@@ -600,7 +600,7 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
 
     The sum of a model parameter and its change has a standard error of its own, labelled with the name of the
     effect. If a few trials do not determine the memory of the noise, the standard errors are at least those
-    of a sandwich estimate with correlated residuals.
+    of a sandwich estimate with correlated residuals and the same priors.
     """
     sums = {e.name: (e.adds_to, f"{e.name}/change") for e in fit.effects if e.adds_to is not None}
     # Each row of the matrix selects one parameter, or sums a model parameter and its change.
@@ -611,11 +611,12 @@ def parameter_errors(state: State, fit: Fit) -> Mapping[str, float]:
         variance = np.einsum("ij,jk,ik->i", combined, covariance, combined)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
-    sd = errors(covariance(fit, state.noise_model, state.context.precision(fit.problem)))
+    precision = state.context.precision(fit.problem)
+    sd = errors(covariance(fit, state.noise_model, precision))
     if state.noise_model.long_memory is not None:
         scale = fit.problem.scale
         colour = coloured(fit.problem, fit.residuals, NoiseModel(state.noise_model.sd)).colour
         derivatives = [r * scale for r in fit.rows]
-        robust = sandwich(fit.problem, derivatives, list(fit.residuals), dict(colour)).covariance
-        sd = np.fmax(sd, errors(scale[:, None] * robust * scale))
+        root = sandwich(fit.problem, derivatives, list(fit.residuals), dict(colour)).root / scale
+        sd = np.fmax(sd, errors(inverted(precision + root.T @ root)))
     return dict(zip([*fit.labels, *sums], sd, strict=True))

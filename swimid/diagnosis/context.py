@@ -238,8 +238,10 @@ class Fit:
         ]
 
     def value(self, label: str) -> float:
-        """Return the estimate of the parameter with a given label."""
-        return float(self.theta[self.labels.index(label)])
+        """Return the estimate of the parameter with a given label, or its value if it is fixed."""
+        if label in self.labels:
+            return float(self.theta[self.labels.index(label)])
+        return next(p.start for p in self.problem.parameters if p.name == label)
 
 
 class FitContext:
@@ -691,6 +693,11 @@ def covariance(fit: Fit, noise_model: NoiseModel, precision: Array) -> Array:
     for k, rows in enumerate(fit.derivatives):
         seen, own = noise_model.whiten(fit.problem, k, rows), fit.problem.taken[k][1]
         normal[np.ix_(own, own)] += seen.T @ seen
+    return inverted(normal)
+
+
+def inverted(normal: Array) -> Array:
+    """Return the inverse of a normal matrix, without the directions that nothing determines."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = scale[:, None] * normal * scale
     inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)

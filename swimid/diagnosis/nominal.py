@@ -97,9 +97,10 @@ class Begun:
     prior : dict of name to (mean, sd)
         Prior of each refitted coefficient.
     changes : list of ParameterChange
-        One hypothesis of a changed value for each coefficient whose standard error comes from other trials.
+        One hypothesis of a changed value for each coefficient whose standard error comes from other trials,
+        and for each coefficient of a robot with links that was fixed at a value other than zero.
     correlation : tuple of list of str and ndarray, shape (m, m)
-        Names of the coefficients in ``changes``, and the correlation matrix of their estimates.
+        Names of the estimated coefficients in ``changes``, and the correlation matrix of their estimates.
     """
 
     trials: list[Trial]
@@ -132,7 +133,10 @@ def begun(loaded: Loaded) -> Begun:
     if not own_data and model.name != arx.NAME:
         stated = {name for name, e in given.items() if e.stderr and math.isfinite(e.stderr)}
         known = {p.name for p in model.parameters if p.free and not p.per_trial and p.name in stated}
-    changes = [ParameterChange(p) for p in model.parameters if p.name in known]
+    fixed: set[str] = set()
+    if model.swimmer is not None:
+        fixed = {name for name, e in given.items() if e.status == "fixed" and e.value}
+    changes = [ParameterChange(p) for p in model.parameters if p.name in known | fixed and not p.per_trial]
     names, covariance = applied.uncertain()
     mine = [i for i, name in enumerate(names) if name in known]
     sd = np.sqrt(np.diag(covariance))[mine]

@@ -124,13 +124,15 @@ def _estimate(
         Status of the parameters of the causes.
     """
     entry = Estimate(value=p.start, unit=p.unit, bounds=p.bounds, status="fixed", meaning=p.meaning)
-    if p.name not in fit.labels:
+    label = p.name
+    if change is not None:
+        label = change
+    if label not in fit.labels:
         return entry
-    entry.value, stderr = fit.value(p.name), errors[p.name]
-    inside = bool(fit.inside[fit.labels.index(p.name)])
+    entry.value, stderr = fit.value(p.name), errors[label.removesuffix("/change")]
+    inside = bool(fit.inside[fit.labels.index(label)])
     if change is not None:
         entry.value += fit.value(change)
-        stderr = errors[change.rpartition("/")[0]]
     entry.status = "at-bound"
     if status.get(p.name, "estimated") == "estimated" and (inside or p.name in status):
         entry.status, entry.stderr = "estimated", float(stderr)

@@ -52,6 +52,7 @@ class AmplitudeOffset(base.Actuation):
 
     name = "amplitude-offset"
     meaning = "The stroke is off by a constant angle: a trim of the joints, or amplitude lost in each stroke."
+    of_angles = True
     sources = ("boxfish, section 4.3 and Eq 27",)
     smooth = True
     scatters = True
@@ -85,7 +86,8 @@ class AmplitudeOffset(base.Actuation):
         def beaten(stroke: Stroke) -> Stroke:
             return replace(stroke, amplitude_rad=np.maximum(stroke.amplitude_rad - offset, 0.0))
 
-        return replace(base.on_command(model, trial, command), stroke=(beaten,))
+        hooks = base.on_command(model, trial, base.only_joints(model, command))
+        return replace(hooks, stroke=(beaten,))
 
 
 #: Ratio of a rate limit to the largest rate of a sine below which the rate-limited sine is a triangle wave:
@@ -102,6 +104,7 @@ class RateLimit(base.Actuation):
 
     name = "rate-limit"
     meaning = "The servos cannot turn as fast as the command asks."
+    of_angles = True
     sources = ("tendon fish, section IV.A (the speed of the servomotor is limited)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
@@ -202,6 +205,7 @@ class ServoBacklash(base.Actuation):
 
     name = "servo-backlash"
     meaning = "The joints do not follow their servos across the play of gears, linkages or tendons."
+    of_angles = True
     sources = ("boxfish, section 5.3 (about 2 deg of the amplitude offset)",)
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:

@@ -598,9 +598,13 @@ class Actuation(Effect, ABC):
     """
 
     needs = frozenset({"command", "stroke"})
+    #: Whether the effect is about angles. It then does not act on the inputs of a robot, such as thrusts.
+    of_angles: ClassVar[bool] = False
 
     def applies(self, model: Model, trials: Trials) -> bool:
-        """Return whether the effect applies: a command must drive the joints in some trial."""
+        """Return whether the effect applies: a command must drive joints or inputs in some trial."""
+        if self.of_angles and model.swimmer is not None and not model.swimmer.driven:
+            return False
         return super().applies(model, trials) and any(model.commanded(t) for t in trials)
 
     def follow(self, value: float, time_s: Array, angle: Array) -> Array:
@@ -622,12 +626,28 @@ class Actuation(Effect, ABC):
             return replace(stroke, amplitude_rad=self.amplitude(value, stroke))
 
         hooks = follow_commands(model, trial, partial(self.follow, value))
+        if self.of_angles:
+            hooks = replace(hooks, command=tuple(only_joints(model, change) for change in hooks.command))
         return replace(hooks, stroke=(beaten,)) if "stroke" in self.needs else hooks
 
 
 def on_command(model: Model, trial: Trial, change: Command) -> Hooks:
     """Return hooks that apply ``change`` to the commands of a trial; no hooks without a command."""
     return Hooks(command=(change,)) if model.commanded(trial) else Hooks()
+
+
+def only_joints(model: Model, change: Command) -> Command:
+    """Return a hook that applies ``change`` to the commands of joints, and not to the inputs of a robot."""
+    if model.swimmer is None or not model.swimmer.inputs:
+        return change
+    joints = len(model.swimmer.driven)
+
+    def command(time_s: Array, value: Array, number: int) -> Array:
+        if number >= joints:
+            return value
+        return change(time_s, value, number)
+
+    return command
 
 
 def for_every_joint(change: Callable[[Array, Array], Array]) -> Command:

@@ -30,14 +30,21 @@ class ComOffset(Effect):
 
     def applies(self, model: Model, trials: Trials) -> bool:
         """Return whether the effect applies: the model must be a free swimmer."""
-        return base.free_body(model) is not None
+        return model.swimmer is not None and model.swimmer.free_base
 
     def parameters(self, model: Model, trials: Trials) -> Parameters:
-        """Return the offsets of the centre of mass, m: forwards, and to port (upwards in the vertical
-        plane).
+        """Return the offsets of the centre of mass, m: forwards, to port, and in 3-D upwards.
 
-        The centre of mass stays between the ends of the link.
+        In the vertical plane the second offset is upwards. In a plane, the centre of mass stays between the
+        ends of the link.
         """
+        if model.in_space:
+            size, words = 0.01 * model.swimmer.extent, ("ahead of", "to port of", "above")
+            names = zip(("along_m", "across_m", "up_m"), words, strict=True)
+            most = 20.0 * size
+            return tuple(
+                parameter(n, "m", size, f"centre of mass {w} the model's", -most, most) for n, w in names
+            )
         body = model.body
         length, (x, _) = body.lengths_m[body.hull], body.centre(body.hull)
         size, most = 0.01 * length, 0.2 * length
@@ -51,6 +58,8 @@ class ComOffset(Effect):
 
     def hooks(self, values: Array, trial: Trial, model: Model) -> Hooks:
         """Return hooks that move the centre of mass of the heaviest link, and its weight with it."""
+        if model.in_space:
+            return Hooks(tables=(lambda tables: model.swimmer.shift(tables, values),))
         body = model.body
         by = float(values[0]), float(values[1])
         return Hooks(tables=(lambda tables: body.shift(tables, body.hull, by),))

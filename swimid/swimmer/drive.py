@@ -163,12 +163,20 @@ class DrivenJoints:
             self._read.pop(name, None)
 
     def commands(self, trial: Trial) -> list[tuple[Array, Array, float]]:
-        """Return time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each driven joint."""
+        """Return time (s), command and maximum rate of the command of each driven joint and each input.
+
+        The commands of joints are in rad, those of inputs in the unit of their column. Measured inputs are
+        not commands.
+        """
         known = self._read.get(trial.id)
         if known is None or known[0] is not trial.swim or known[1] is not trial.time_s:
             time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
             motions = [joint_motion(axis, k, trial.swim, time, 0.0) for k, axis in enumerate(self.axes)]
             found = [(time, angle, float(np.max(np.abs(rate)))) for angle, rate, _ in motions]
+            for name, law in self.inputs.items():
+                if not law.measured and name in trial.swim.inputs:
+                    value = trial.swim.inputs[name](time)
+                    found.append((time, value, float(np.max(np.abs(np.diff(value)))) / READ_S))
             known = self._read[trial.id] = trial.swim, trial.time_s, found
         return known[2]
 

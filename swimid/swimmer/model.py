@@ -278,6 +278,20 @@ class Swimmer(Model):
         """Return the commanded angle of a driven joint, rad, shape (n,)."""
         return joint_motion(self.driven[number], number, swim, time_s, phase_rad)[0]
 
+    def commanded(self, trial: Trial) -> bool:
+        """Return whether commands act in a trial: a drive, logged commands, or unmeasured inputs."""
+        joints = trial.swim.drive is not None
+        if trial.swim.joints is not None:
+            joints = trial.swim.commanded
+        return joints or any(not law.measured for law in self.inputs.values())
+
+    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
+        """Yield time (s), command and maximum rate of the command of each driven joint and input.
+
+        The commands of joints are in rad, those of inputs in the unit of their column.
+        """
+        yield from self.joints.commands(trial)
+
     def yielding(self) -> list[str]:
         """Return the names of the coefficients in the laws of the passive joints, such as their stiffness."""
         entries = [entry for axis in self.passive for entry in law_of(axis.joint)]
@@ -654,3 +668,15 @@ def integration_grid(time_s: Array, max_step: float) -> Grid:
     else:
         step = even * math.floor(max_step / even + 1e-9)
     return Grid(begin, step, max(1, math.ceil((end - begin) / step - 1e-6)))
+
+
+def flows(hooks: Hooks, time_s: Array) -> tuple[Array, Array]:
+    """Return displacement (m) and velocity (m/s) of the water in the world, shape (n, 2) each."""
+    parts = [flow(time_s) for flow in hooks.flow]
+    return np.asarray(sum(p[0] for p in parts)), np.asarray(sum(p[1] for p in parts))
+
+
+def turned(x: Array | float, y: Array | float, angle: Array | float) -> Array:
+    """Return a vector rotated by an angle (rad), shape (2, n)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([c * x - s * y, s * x + c * y])

@@ -69,7 +69,7 @@ def _turn(euler: Array) -> Array:
 def simulate(
     vehicle: Vehicle, time_s: Array, thrusts: Callable[[float], Array], start: Array | None = None
 ) -> Array:
-    """Return pose (x, y, z, roll, pitch, yaw) and velocity relative to the ground, shape (n, 12), with z down."""
+    """Return pose (x, y, z, roll, pitch, yaw) and velocity over the ground, shape (n, 12), with z down."""
     com = np.array(vehicle.com_m)
     rigid = np.zeros((6, 6))
     rigid[:3, :3] = vehicle.mass_kg * np.eye(3)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
 from swimid.swimmer import drive
 from swimid.swimmer.lanes import Room
-from swimid.swimmer.model import Run, Swimmer, trial_parameter
+from swimid.swimmer.model import Run, Swimmer, flows, trial_parameter, turned
 from swimid.swimmer.planar import engine
 from swimid.swimmer.tree import (
     SYMMETRIC,
@@ -735,16 +735,6 @@ class MultilinkModel(Swimmer):
         """Return the pose of the robot at the first sample of a trial, by channel."""
         return dict(zip(self.pose, (float(p) for p in trial.swim.posed()), strict=True))
 
-    def commanded(self, trial: Trial) -> bool:
-        """Return whether a beat or logged commands move the joints of a trial, not their measured angles."""
-        if trial.swim.joints is None:
-            return trial.swim.beat is not None
-        return trial.swim.commanded
-
-    def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield time (s), commanded angle (rad) and maximum commanded rate (rad/s) of each driven joint."""
-        yield from self.joints.commands(trial)
-
     def prepare(self, progress: Progress = silent, **how: Any) -> None:
         """Compile the scalar engine and, if this saves time, the kernels (see :meth:`Swimmer.prepare`)."""
         prepare(progress)
@@ -804,9 +794,9 @@ class MultilinkModel(Swimmer):
         x, y = self.reference_m
         start[n : n + 3] = u + r * y, v - r * x, r
         if hooks.flow:
-            _, water = _flows(hooks, np.array([begin_s]))
+            _, water = flows(hooks, np.array([begin_s]))
             heading = self._heading(values, trial)
-            start[n : n + 2] -= _turned(float(water[0, 0]), float(water[0, 1]), -heading)
+            start[n : n + 2] -= turned(float(water[0, 0]), float(water[0, 1]), -heading)
         if self._heading_matters():
             start[2] = self._heading(values, trial)
 
@@ -824,11 +814,11 @@ class MultilinkModel(Swimmer):
         return Room(body.room(), filled, [(known, links[known.on]) for _, known in sorted(TRACEABLE.items())])
 
     def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
-        moved, speed = _flows(hooks, np.append(begin_s, time_s))
+        moved, speed = flows(hooks, np.append(begin_s, time_s))
         x, y, heading = self.pose
         found[x] = found[x] + moved[1:, 0] - moved[0, 0]
         found[y] = found[y] + moved[1:, 1] - moved[0, 1]
-        u, v = _turned(speed[1:, 0], speed[1:, 1], -found[heading])
+        u, v = turned(speed[1:, 0], speed[1:, 1], -found[heading])
         along, across, _ = self.velocity
         found[along], found[across] = found[along] + u, found[across] + v
 
@@ -842,18 +832,6 @@ class MultilinkModel(Swimmer):
         origin = (float(pose[0]) + x, float(pose[1]) + y)
         seen = engine.seen(states, self.tree.unknowns, self.reference_m, origin, heading, spin)
         return dict(zip((*self.pose, *self.velocity), seen, strict=True))
-
-
-def _flows(hooks: Hooks, time_s: Array) -> tuple[Array, Array]:
-    """Return displacement (m) and velocity (m/s) of the water in the world, shape (n, 2) each."""
-    parts = [flow(time_s) for flow in hooks.flow]
-    return np.asarray(sum(p[0] for p in parts)), np.asarray(sum(p[1] for p in parts))
-
-
-def _turned(x: Array | float, y: Array | float, angle: Array | float) -> Array:
-    """Return a vector rotated by an angle (rad), shape (2, n)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * x - s * y, s * x + c * y])
 
 
 def prepare(progress: Progress) -> None:

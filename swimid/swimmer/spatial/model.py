@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
@@ -18,7 +19,7 @@ from swimid.fitting.model import Array, Hooks, Trial
 from swimid.logs.kinematics import angles, from_angles
 from swimid.robots import spatial as parts
 from swimid.robots.file import Fluid
-from swimid.swimmer.model import Swimmer
+from swimid.swimmer.model import Swimmer, flows, turned
 from swimid.swimmer.spatial import engine
 from swimid.swimmer.tree import SYMMETRIC, Entry, Polynomial, Row, Rows, Tree, check_apparent, given, strips
 
@@ -332,7 +333,7 @@ class MultibodyModel(Swimmer):
     """
 
     name = "multibody"
-    offers = frozenset({"command", "tables", "output", "clock"})
+    offers = frozenset({"command", "tables", "flow", "output", "clock"})
     in_space = True
     coordinates, speeds = 7, 6
     engine = engine
@@ -345,6 +346,54 @@ class MultibodyModel(Swimmer):
     def _tree(self) -> Assembly:
         assert self.robot.multibody is not None
         return Assembly(self.robot.multibody, self.robot.fluid)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Horizontal axes along which the robot and the water may travel; none if the base is fixed."""
+        if not self.free_base:
+            return ()
+        return ("x", "y")
+
+    @property
+    def extent(self) -> float:
+        """Length of the robot, m: that in the robot file, or else the extent of its elements and hinges."""
+        stated = self.robot.body.length_m
+        if stated:
+            return stated
+        tables = self.tree.tables(np.array([p.start for p in self.parameters[: len(self.tree.names)]]))
+        points = np.vstack([tables[name][:, :3] for name in ("drag", "force", "load", "joint")])
+        return float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+
+    def shift(self, tables: dict[str, Any], by: Array) -> None:
+        """Move the centre of mass of the heaviest link, and its weight, by a vector in the axes of the link.
+
+        The inertia about the centre of mass is unchanged.
+        """
+        start = np.array([p.start for p in self.parameters[: len(self.tree.names)]])
+        rigid = self.tree.rigid(start)
+        link = int(np.argmax(rigid[:, 0]))
+        mass, lever = rigid[link, 0], full(rigid[link])[3:, :3]
+        centre = np.array([lever[2, 1], lever[0, 2], lever[1, 0]]) / mass
+        moved = [np.cross(np.eye(3), centre + offset) for offset in (np.zeros(3), by)]
+        change = np.zeros((6, 6))
+        for sign, s in zip((-1.0, 1.0), moved, strict=True):
+            change[:3, 3:] -= sign * mass * s
+            change[3:, 3:] -= sign * mass * s @ s
+        tables["inertia"] = tables["inertia"].copy()
+        tables["inertia"][link] += np.concatenate(
+            [np.zeros(6), change[:3, 3:].ravel(), change[3:, 3:][UPPER]]
+        )
+        force = tables["force"].copy()
+        for row, owner in zip(force, tables["force_link"], strict=True):
+            if owner == link and row[6] != 0.0 and row[5] < 0.0 and np.allclose(row[:3], centre, atol=1e-9):
+                row[:3] += by
+        tables["force"] = force
+
+    def influences(self, hooks: Hooks) -> NDArray[np.intp]:
+        """Return the indices of the parameters that affect the simulated motion."""
+        if hooks.flow:
+            return np.append(self._dynamic, self._at["start_yaw"])
+        return self._dynamic
 
     def _offsets(self) -> tuple[str, ...]:
         # a simulation begins at x = y = 0 with its heading along x, so that these offsets do not affect it
@@ -389,7 +438,7 @@ class MultibodyModel(Swimmer):
         if not self.free_base:
             return
         passives = len(self.passive)
-        _, _, z, roll, pitch, _ = self._posed(values, trial)
+        _, _, z, roll, pitch, yaw = self._posed(values, trial)
         turn = from_angles([roll], [pitch], [0.0])[0]
         place = -turn.apply(self.tree.reference)
         start[2] = z + place[2]
@@ -398,6 +447,19 @@ class MultibodyModel(Swimmer):
         spin = speed[3:] * SIGNS
         start[7 + passives : 10 + passives] = speed[:3] - np.cross(spin, self.tree.reference)
         start[10 + passives : 13 + passives] = spin
+        if hooks.flow:
+            _, water = flows(hooks, np.array([begin_s]))
+            x, y = turned(float(water[0, 0]), float(water[0, 1]), -float(yaw))
+            start[7 + passives : 10 + passives] -= turn.inv().apply([x, y, 0.0])
+
+    def _carried(self, found: dict[str, Array], hooks: Hooks, begin_s: float, time_s: Array) -> None:
+        moved, speed = flows(hooks, np.append(begin_s, time_s))
+        for k, name in enumerate(self.pose[:2]):
+            found[name] = found[name] + moved[1:, k] - moved[0, k]
+        turn = from_angles(*(np.nan_to_num(found[name]) for name in self.pose[3:]))
+        water = turn.inv().apply(np.column_stack([speed[1:], np.zeros(len(time_s))]))
+        for k, name in enumerate(self.velocity[:3]):
+            found[name] = found[name] + water[:, k]
 
     def observed(self, values: Array, trial: Trial, states: Array) -> dict[str, Array]:
         """Return the channels of pose and velocity of the reference point from simulated states."""
