@@ -37,7 +37,8 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
     """Return the roll, pitch and yaw angles of rotations, rad.
 
     The rotation is by yaw about z, then by pitch, then by roll. Pitch is positive with the nose up, which is
-    counter-clockwise in the x-z plane. Roll is positive with the port side up. Yaw is unwrapped.
+    counter-clockwise in the x-z plane. Roll is positive with the port side up. Roll and yaw are
+    unwrapped.
 
     >>> from scipy.spatial.transform import Rotation
     >>> nose_up = Rotation.from_rotvec([0.0, -0.1, 0.0])
@@ -47,7 +48,7 @@ def angles(rotation: Rotation) -> tuple[Array, Array, Array]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # scipy warns at a pitch of ±90 degrees
         yaw, pitch, roll = np.atleast_2d(rotation.as_euler("ZYX")).T
-    return roll, -pitch, np.unwrap(yaw)
+    return np.unwrap(roll), -pitch, np.unwrap(yaw)
 
 
 def from_angles(roll: Any, pitch: Any, yaw: Any) -> Rotation:

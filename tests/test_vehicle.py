@@ -1,0 +1,287 @@
+"""Robots with inputs: a vehicle against Fossen's equations, measured torques, and bad inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from swimid.errors import InputError
+from swimid.fitting.model import SwimInput, Trial
+from swimid.logs import log
+from swimid.results import parameters
+from swimid.robots import file as robot_format
+from swimid.swimmer.trials import robot_model
+from tests.generators import vehicle
+from tests.generators.vehicle import Vehicle
+
+#: A vehicle whose buoyancy keeps it upright, 5 cm above the centre of mass.
+UPRIGHT = Vehicle(buoyancy_m=(0.0, 0.0, -0.05))
+
+
+def _inputs(thrusts: Callable[[float], np.ndarray]) -> SwimInput:
+    def of(k: int) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda time_s: np.array([thrusts(float(t))[k] for t in time_s])
+
+    return SwimInput(inputs={f"thruster{k + 1}": of(k) for k in range(8)}, pose=(0.0,) * 6)
+
+
+def _robot(**inputs: object) -> robot_format.Robot:
+    """Return the robot file of the vehicle with other laws of its inputs."""
+    robot = robot_format.read("bluerov2")
+    body = robot.multibody
+    assert body is not None
+    laws = {name: law.model_copy(update=inputs) for name, law in body.inputs.items()}
+    return robot.model_copy(update={"multibody": body.model_copy(update={"inputs": laws})})
+
+
+def test_vehicle_moves_as_by_the_equations_of_fossen():
+    _, model = robot_model("bluerov2")
+    thrusts, time = vehicle.manoeuvre(np.random.default_rng(1)), np.arange(0.0, 10.01, 0.05)
+    expected = vehicle.columns(time, vehicle.simulate(Vehicle(), time, thrusts), thrusts)
+    values = np.array([p.start for p in model.parameters])
+
+    found = model.simulate(values, Trial("run", "fit", time, {}, swim=_inputs(thrusts)))
+
+    for name in (*model.pose, *model.velocity):
+        assert found[name] == pytest.approx(expected[name], abs=1e-5)
+
+
+def test_law_of_an_actuator():
+    from swimid.swimmer.spatial.model import MultibodyModel
+
+    # dead band 2, square law, half the thrust in reverse, first-order lag of 0.3 s
+    model = MultibodyModel(_robot(dead_band=2.0, power=2.0, reverse=0.5, lag_s=0.3))
+    thrusts, time = vehicle.manoeuvre(np.random.default_rng(2)), np.arange(0.0, 8.01, 0.05)
+
+    def acted(now: float) -> np.ndarray:
+        command = thrusts(now)
+        size = np.clip(np.abs(command) - 2.0, 0.0, None) ** 2
+        return np.where(command < 0.0, -0.5, 1.0) * size
+
+    expected = vehicle.columns(time, vehicle.simulate(Vehicle(lag_s=0.3), time, acted), thrusts)
+    values = np.array([p.start for p in model.parameters])
+
+    found = model.simulate(values, Trial("run", "fit", time, {}, swim=_inputs(thrusts)))
+
+    # the corners of the dead band lie between the steps of the integration
+    for name in model.pose:
+        assert found[name] == pytest.approx(expected[name], abs=2e-4 * max(np.ptp(expected[name]), 1.0))
+
+
+def test_fit_of_a_vehicle(swimid, tmp_path):
+    trials = vehicle.write_trials(tmp_path, UPRIGHT, seed=3, trials=2, held_out=0, duration_s=10.0)
+
+    ran = swimid("fit-graybox", trials, "-o", tmp_path / "vehicle.yaml")
+
+    assert ran.status == 0, ran.err
+    found = parameters.read(tmp_path / "vehicle.yaml").parameters
+    truth = {f"m_{c}": v for c, v in zip("xyz", UPRIGHT.added[:3], strict=True)}
+    truth |= {f"i_{c}": v for c, v in zip("xyz", UPRIGHT.added[3:], strict=True)}
+    truth |= {f"q_{c}": v for c, v in zip("xyzpqr", UPRIGHT.quadratic, strict=True)}
+    truth |= {"volume": UPRIGHT.volume_m3, "z_b": 0.05, "d_x": 13.7, "d_z": 33.0, "d_q": 0.8}
+    for name, value in truth.items():
+        assert found[name].value == pytest.approx(value, rel=0.03), name
+        assert found[name].value == pytest.approx(value, abs=4.0 * found[name].stderr), name
+
+
+@pytest.mark.slow
+def test_all_thrusts_and_masses_together_are_not_identifiable(swimid, tmp_path):
+    trials = vehicle.write_trials(tmp_path, UPRIGHT, seed=4, trials=2, held_out=0, duration_s=15.0)
+    free = [word for k in range(1, 9) for word in ("--free", f"k_{k}")]
+
+    ran = swimid("fit-graybox", trials, "--free", "mass", *free, "-o", tmp_path / "vehicle.yaml")
+
+    # all forces may be multiplied by one factor
+    assert ran.status in (0, 4)
+    found = parameters.read(tmp_path / "vehicle.yaml").parameters
+    assert found["mass"].status == "unidentifiable"
+
+
+CHANGES = {
+    "thruster": (replace(UPRIGHT, thrust=(1, 1, 0.8, 1, 1, 1, 1, 1)), "parameter:k_3", {"k_3": 0.8}),
+    "mass": (replace(UPRIGHT, mass_kg=1.05 * 13.5), "parameter:mass", {"mass": 1.05 * 13.5}),
+    "centre of mass": (replace(UPRIGHT, com_m=(0.02, 0.0, 0.0)), "com-offset", {"along_m": 0.02}),
+    "current": (
+        replace(UPRIGHT, current_m_s=(0.1, 0.05, 0.0)),
+        "current",
+        {"cx_m_s": 0.1, "cy_m_s": -0.05},
+    ),
+    "lag": (replace(UPRIGHT, lag_s=0.15), "servo-lag", {"time_constant_s": 0.15}),
+    "none": (UPRIGHT, None, {}),
+}
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Parameters of the vehicle from an earlier day."""
+    import swimid as library
+
+    folder = tmp_path_factory.mktemp("vehicle")
+    trials = vehicle.write_trials(folder, UPRIGHT, seed=5)
+    library.fit_graybox(trials, output=folder / "vehicle.yaml")
+    return folder / "vehicle.yaml"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CHANGES)
+def test_diagnosis_of_a_vehicle(case, fitted, swimid, tmp_path):
+    truth, cause, sizes = CHANGES[case]
+    trials = vehicle.write_trials(tmp_path, truth, seed=20 + list(CHANGES).index(case))
+
+    ran = swimid("diagnose", trials, "--params", fitted, "-o", tmp_path / "gap.yaml", "--json")
+
+    found = ran.json["result"]
+    if cause is None:
+        assert (found["verdict"], found["causes"]) == ("none", [])
+        return
+    assert found["verdict"] == "explained"
+    assert [one["effect"] for one in found["causes"]] == [cause]
+    for name, value in sizes.items():
+        estimate = found["causes"][0]["parameters"][name]
+        assert estimate["value"] == pytest.approx(value, abs=3.0 * estimate["stderr"] + 0.002 * abs(value))
+        assert estimate["stderr"] < 0.05 * abs(value)
+
+
+PENDULUM = """
+format: swimid-robot/1
+name: pendulum
+multilink:
+  plane: horizontal
+  base: fixed
+  coefficients:
+    k: {value: 0.30, unit: N m/rad, bounds: [0, 5], meaning: stiffness of the spring}
+    c: {value: 0.02, unit: N m s/rad, bounds: [0, 1], scale: 0.02, meaning: damping of the hinge}
+    g: {value: 1.0, bounds: [0, 5], meaning: torque for a current of 1 A}
+  inputs:
+    motor: {column: motor_A}
+  links:
+    - {name: frame, length_m: 0.1, mass_kg: 1.0, com_m: 0.05, inertia_kg_m2: 1.0e-2, inertia_about: com}
+    - {name: arm, length_m: 0.2, mass_kg: 0.5, com_m: 0.1, inertia_kg_m2: 2.0e-3, inertia_about: com}
+  joints:
+    - name: hinge
+      parent: frame
+      child: arm
+      passive: {stiffness_N_m_rad: k, damping_N_m_s_rad: c}
+      torque: {input: motor, gain_N_m: g}
+"""
+
+
+def _swings(time: np.ndarray, torque: Callable[[float], float]) -> np.ndarray:
+    """Return the angle of an arm of 0.007 kg m2 about its hinge with a spring and a damper, by SciPy."""
+    inertia, stiffness, damping = 2.0e-3 + 0.5 * 0.1**2, 0.30, 0.02
+
+    def slope(now: float, state: np.ndarray) -> list[float]:
+        angle, rate = state
+        return [rate, (torque(now) - stiffness * angle - damping * rate) / inertia]
+
+    found = solve_ivp(slope, (time[0], time[-1]), [0.0, 0.0], "DOP853", time, rtol=1e-9, max_step=0.01)
+    return np.asarray(found.y[0])
+
+
+def test_bench_driven_by_a_measured_torque(swimid, tmp_path):
+    rng = np.random.default_rng(6)
+    (tmp_path / "pendulum.yaml").write_text(PENDULUM)
+    rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: pendulum.yaml", "trials:"]
+    time = np.arange(0.0, 10.0, 0.01)
+    for k, frequency in enumerate((0.6, 1.1, 1.7)):
+        current = 0.2 * np.sin(2.0 * np.pi * frequency * time) + 0.1 * np.sin(2.0 * np.pi * 0.31 * time)
+        angle = _swings(time, lambda now, c=current: float(np.interp(now, time, c)))
+        seen = np.column_stack([time, angle + rng.normal(0.0, 0.002, len(time)), current])
+        np.savetxt(
+            tmp_path / f"run{k}.csv", seen, delimiter=",", header="t_s,joint1_rad,motor_A", comments=""
+        )
+        rows.append(f"  - {{log: run{k}.csv, start_state: rest}}")
+    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
+
+    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "bench.yaml")
+
+    assert ran.status == 0, ran.err
+    found = parameters.read(tmp_path / "bench.yaml").parameters
+    for name, value in {"k": 0.30, "c": 0.02, "g": 1.0}.items():
+        assert found[name].value == pytest.approx(value, abs=3.0 * found[name].stderr)
+        assert found[name].stderr < 0.02 * value
+
+
+def test_torque_between_links_does_not_turn_the_whole(tmp_path):
+    # without water, the total momentum of a free robot stays zero
+    text = PENDULUM.replace("base: fixed", "base: free")
+    (tmp_path / "free.yaml").write_text(text)
+    _, model = robot_model(str(tmp_path / "free.yaml"))
+    time = np.linspace(0.0, 1.0, 101)
+    swim = SwimInput(inputs={"motor": lambda t: 0.2 * np.sin(5.0 * t)}, pose=(0.0, 0.0, 0.0))
+    values = np.array([p.start for p in model.parameters])
+
+    found = model.simulate(values, Trial("run", "fit", time, {}, swim=swim))
+
+    heading, joint = found["yaw_rad"], found["joint1_rad"]
+    front = np.column_stack([found["x_m"], found["y_m"]])
+    centre_frame = front - 0.05 * np.column_stack([np.cos(heading), np.sin(heading)])
+    hinge = front - 0.1 * np.column_stack([np.cos(heading), np.sin(heading)])
+    centre_arm = hinge - 0.1 * np.column_stack([np.cos(heading + joint), np.sin(heading + joint)])
+    centre = (1.0 * centre_frame + 0.5 * centre_arm) / 1.5
+    assert np.ptp(joint) > 0.1
+    assert centre == pytest.approx(np.tile(centre[0], (len(time), 1)), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("torque: {input: motor", "torque: {input: moter", "did you mean 'motor'"),
+        (
+            "      passive: {stiffness_N_m_rad: k, damping_N_m_s_rad: c}\n",
+            "",
+            "has a torque but is not passive",
+        ),
+        ("gain_N_m: g", "gain_N_m: h", "there is no coefficient 'h'"),
+    ],
+)
+def test_faults_of_a_robot_with_inputs(old, new, said, tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.write_text(PENDULUM.replace(old, new))
+
+    with pytest.raises(InputError) as caught:
+        robot_model(str(path))
+
+    assert said in str(caught.value) + str(caught.value.hint)
+
+
+def test_faults_of_logs_with_inputs(swimid, tmp_path):
+    (tmp_path / "pendulum.yaml").write_text(PENDULUM)
+    head = "format: swimid-trials/1\nexperiment: free-swim\nrobot: pendulum.yaml\ntrials:\n  - {log: a.csv}\n"
+    (tmp_path / "trials.yaml").write_text(head)
+    rows = "".join(f"{0.01 * k:.2f},{0.001 * (k % 7)}\n" for k in range(100))
+    (tmp_path / "a.csv").write_text("t_s,joint1_rad\n" + rows)
+
+    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "fit.yaml")
+    assert ran.status == 3
+    assert "a.csv" in ran.err
+    assert "motor_A" in ran.err
+
+    ran = swimid("simulate", "--robot", tmp_path / "pendulum.yaml", "--duration-s", "5")
+    assert ran.status == 2
+    assert "--input" in ran.err
+    assert "motor_A" in ran.err
+
+
+def test_simulation_with_recorded_inputs(swimid, tmp_path):
+    (tmp_path / "pendulum.yaml").write_text(PENDULUM)
+    time = np.arange(0.0, 3.0, 0.01)
+    current = 0.2 * np.sin(4.0 * time)
+    table = np.column_stack([time, current])
+    np.savetxt(tmp_path / "motor.csv", table, delimiter=",", header="t_s,motor_A", comments="")
+
+    ran = swimid(
+        "simulate", "--robot", tmp_path / "pendulum.yaml", "--input", tmp_path / "motor.csv",
+        "-o", tmp_path / "sim.csv",
+    )  # fmt: skip
+
+    assert ran.status == 0, ran.err
+    found = log.read(tmp_path / "sim.csv")
+    assert found["joint1_rad"] == pytest.approx(
+        _swings(time, lambda t: float(np.interp(t, time, current))), abs=1e-5
+    )
