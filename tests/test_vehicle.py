@@ -73,8 +73,9 @@ def test_law_of_an_actuator():
         assert found[name] == pytest.approx(expected[name], abs=2e-4 * max(np.ptp(expected[name]), 1.0))
 
 
+@pytest.mark.slow
 def test_fit_of_a_vehicle(swimid, tmp_path):
-    trials = vehicle.write_trials(tmp_path, UPRIGHT, seed=3, trials=2, held_out=0, duration_s=10.0)
+    trials = vehicle.write_trials(tmp_path, UPRIGHT, seed=3, trials=2, held_out=0, duration_s=15.0)
 
     ran = swimid("fit-graybox", trials, "-o", tmp_path / "vehicle.yaml")
 
