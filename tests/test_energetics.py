@@ -66,7 +66,7 @@ def test_torques_of_random_trees(base: str) -> None:
         rate, scratch = np.empty(2 * n), tuple(np.zeros(shape) for shape in engine.shapes(tables)[1])
         engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
         expected = oracle.torque(q, qd, np.r_[oracle.acceleration(q, qd, told), told])
-        torque = engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
+        torque, _ = engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
         found = torque[0, [a.link for a in tree.driven]]
         size = np.abs(torque).max()
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
@@ -97,7 +97,7 @@ def test_torques_in_space_follow_the_laws_of_passive_hinges() -> None:
     rate = np.empty(size)
     scratch = tuple(np.zeros(shape) for shape in space_engine.shapes(tables)[1])
     space_engine.derivative(state, row, *tables.values(), None, 0.0, *scratch, rate)
-    torque = space_engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
+    torque, _ = space_engine.torques(state[None], rate[None], row[None], tuple(tables.values()))
     (axis,) = model.passive
     expected = -2.0 * state[7] - 0.3 * state[-1]
     assert torque[0, axis.link] == pytest.approx(expected, abs=1e-9 * np.abs(torque).max())

@@ -298,7 +298,7 @@ def test_the_torques_of_a_pulled_fish_balance() -> None:
     hooks = acting.hooks(np.concatenate([start(model), own]), trial)
     run = model.request(start(model), trial, hooks)
     trajectory = model.trajectory(start(model), trial, hooks)
-    torques = model.torques(run, trajectory, 0)
+    torques, _ = model.torques(run, trajectory, 0)
     assert np.abs(torques[:, 0]).max() < 1e-9 * np.abs(torques).max()
     pulled = model.with_energetics([(start(model), trial)], [1.0], [hooks])[0][1]
     free = model.with_energetics([(start(model), trial)], [1.0])[0][1]

@@ -413,11 +413,19 @@ class Reference(yamlio.Document):
     offset_m: float = 0.0
 
 
+class Holder(yamlio.Document):
+    """Holder of a robot on a fixed base, between the robot and the load cell: a damped resonance."""
+
+    natural_frequency_hz: Quantity
+    damping_ratio: Quantity = 0.05
+
+
 class Multilink(yamlio.Document):
     """Robot that moves in a plane: a tree of links with their joints and hydrodynamic elements."""
 
     plane: Literal["horizontal", "vertical"]
     base: Literal["free", "fixed"] = "free"
+    holder: Holder | None = None
     #: Heading of the first link if its base is fixed to the world, counter-clockwise, degrees.
     heading_deg: float = 0.0
     reference: Reference = Reference()

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import Coefficients, Connection, Input, OnLink, Quantity
+from swimid.robots.planar import Coefficients, Connection, Holder, Input, OnLink, Quantity
 
 #: Type of a vector with three physical quantities as components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -266,6 +266,7 @@ class Multibody(yamlio.Document):
     """Robot that moves in 3-D: a tree of links with their hinges, hydrodynamic elements and strokes."""
 
     base: Literal["free", "fixed"] = "free"
+    holder: Holder | None = None
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
     #: Height z of the water surface in the world frame, m. Without this entry, the robot is always under

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.signal import cont2discrete, lfilter
 
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
 from swimid.notices import Progress, silent
@@ -20,7 +22,7 @@ from swimid.swimmer.drive import DrivenJoints, DrivenMotion, Grid, TrialCache, j
 from swimid.swimmer.lanes import LANES, Kernels, Room
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar.engine import outside, sampled
-from swimid.swimmer.tree import Axis, Tree, coefficients, law_of
+from swimid.swimmer.tree import Axis, Polynomial, Tree, coefficients, law_of
 
 if TYPE_CHECKING:
     from swimid.files.atomic import Checkpoint
@@ -140,6 +142,8 @@ class Swimmer(Model):
     #: Channels of the pose and of the velocity of the reference point.
     pose: tuple[str, ...]
     velocity: tuple[str, ...]
+    #: Channels of force and torque on the holder of a fixed base. They are about the reference point.
+    reactions: tuple[str, ...]
     #: Numbers of coordinates and of velocities of the base in a state vector. The passive joint angles follow
     #: the coordinates, and the passive joint rates follow the velocities.
     coordinates: int
@@ -165,6 +169,7 @@ class Swimmer(Model):
         self.channels = _channels(self)
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         views = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
+        views |= {f"{word}_{name}" for word in ("offset", "drift") for name in self.reactions}
         self._dynamic = np.array([i for i, p in enumerate(self.parameters) if p.name not in views])
         self._angles, self._speeds = (
             np.array([self._at[f"initial_{word}_{axis.name}"] for axis in self.passive], dtype=int)
@@ -218,6 +223,10 @@ class Swimmer(Model):
     @abstractmethod
     def _begin(self, start: Array, values: Array, trial: Trial, begin_s: float, hooks: Hooks) -> None:
         """Write the initial pose and velocity of the base into the state vector ``start``."""
+
+    @abstractmethod
+    def at_reference(self, wrench: Array) -> Array:
+        """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
 
     def attitude(self) -> list[int]:
         """Return the indices, in a state vector, of base angles that affect the motion."""
@@ -487,15 +496,52 @@ class Swimmer(Model):
         )
         return states, rates
 
-    def torques(self, run: Run, trajectory: Trajectory, first: int) -> Array:
-        """Return the torques on the links from step ``first`` of a trajectory on, shape (m, links), N m."""
+    def torques(self, run: Run, trajectory: Trajectory, first: int) -> tuple[Array, Array]:
+        """Return the torques on the links, and the wrench on the base, from step ``first`` on.
+
+        The torques have the shape (m, links), N m. The wrench is force (N) and moment (N m) at the origin of
+        the base, in the axes of the base.
+        """
         tables, grid = tuple(self._tables(run.values, run.hooks).values()), trajectory.grid
         drive = trajectory.drive.table[::2][first:]
         more: tuple[Any, ...] = ()
         if run.hooks.force:
             more = self._forced(run), grid.begin_s + first * grid.step_s, grid.step_s
-        found = self.engine.torques(trajectory.states[first:], trajectory.rates[first:], drive, tables, *more)
-        return np.asarray(found)
+        torque, wrench = self.engine.torques(
+            trajectory.states[first:], trajectory.rates[first:], drive, tables, *more
+        )
+        return np.asarray(torque), np.asarray(wrench)
+
+    def _held(
+        self, values: Array, trial: Trial, hooks: Hooks, trajectory: Trajectory, time_s: Array
+    ) -> dict[str, Array]:
+        """Return the force and torque of the robot on its holder as a load cell measures them, by channel.
+
+        They are about the reference point. The holder answers like a damped resonance. Each channel has an
+        offset and a drift in each trial.
+        """
+        grid = trajectory.grid
+        run = Run(values, trial, hooks, (), grid, trajectory)
+        _, wrench = self.torques(run, trajectory, 0)
+        steps = grid.times(1)
+        found = {}
+        for name, force in zip(self.reactions, self.at_reference(-wrench).T, strict=True):
+            if self.tree.body.holder is not None:
+                force = self._resonant(values, force, grid.step_s)
+            seen = np.asarray(make_interp_spline(steps, force, k=3)(np.clip(time_s, steps[0], steps[-1])))
+            offset, drift = (self.value(values, f"{word}_{name}") for word in ("offset", "drift"))
+            found[name] = seen + offset + drift * (trial.time_s - trial.time_s[0])
+        return found
+
+    def _resonant(self, values: Array, force: Array, step_s: float) -> Array:
+        """Return a force behind the holder. It is exact for a force that is linear between the steps."""
+        named = dict(zip(self.tree.names, values, strict=False))
+        holder = self.tree.body.holder
+        omega = 2.0 * math.pi * Polynomial.of(holder.natural_frequency_hz).at(named)
+        damping = Polynomial.of(holder.damping_ratio).at(named)
+        law = ([omega**2], [1.0, 2.0 * damping * omega, omega**2])
+        numerator, denominator, _ = cont2discrete(law, step_s, method="foh")
+        return np.asarray(force[0] + lfilter(numerator.ravel(), denominator, force - force[0]))
 
     def value(self, values: Array, name: str) -> float:
         """Return the value of a parameter, or 0 if the model does not have the parameter."""
@@ -574,11 +620,13 @@ class Swimmer(Model):
         if self.driven:
             columns = (axis.column for axis in self.driven)
             found.update(zip(columns, run.drive.sampled(time, run.grid), strict=True))
+        if not self.free_base and (not trial.measured or trial.measured.keys() & set(self.reactions)):
+            found |= self._held(values, trial, hooks, run, time)
         return hooks.seen(found, trial.time_s) if hooks.output else found
 
 
 #: Units of channels by the ending of their name.
-UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_m": "m"}
+UNITS = {"_N_m": "N m", "_N": "N", "_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_m": "m"}
 #: Typical scales of the start pose and velocity of a free base, by unit.
 SCALES = {"m": 0.01, "rad": 0.05, "m/s": 0.1, "rad/s": 0.5}
 
@@ -601,13 +649,18 @@ def _trial_parameters(model: Swimmer) -> list[Parameter]:
         for name, word, column in zip(model.starts, model.places, model.pose, strict=True):
             meaning = f"{word} of the start against the first sample"
             view.append(trial_parameter(name, _unit(column), SCALES[_unit(column)], meaning))
+    else:
+        for name in model.reactions:
+            unit, channel = _unit(name), name.removesuffix("_N_m").removesuffix("_N").replace("_", " ")
+            view.append(trial_parameter(f"offset_{name}", unit, 0.1, f"offset of the {channel}"))
+            view.append(trial_parameter(f"drift_{name}", f"{unit}/s", 0.01, f"drift of the {channel}"))
     for axis in model.passive:
         for word, unit, scale in (("angle", "rad", 0.1), ("rate", "rad/s", 1.0)):
             meaning = f"{word} of {axis.name} at the first sample"
             initial.append(trial_parameter(f"initial_{word}_{axis.name}", unit, scale, meaning))
     phase = trial_parameter("drive_phase", "rad", 1.0, "phase of the beat at time zero")
     clock = trial_parameter("clock_offset", "s", 0.01, "the log's clock ahead of the drive's")
-    return [*initial, phase, *view, clock, *model.camera[: len(view)]]
+    return [*initial, phase, *view, clock, *model.camera[: len(view) * model.free_base]]
 
 
 def _channels(model: Swimmer) -> tuple[Channel, ...]:
@@ -621,6 +674,11 @@ def _channels(model: Swimmer) -> tuple[Channel, ...]:
         for name, word in zip(names, words, strict=True):
             meaning = word.replace("_", " ") + " speed" * (_unit(name) == "m/s")
             found.append(Channel(name, _unit(name), meaning))
+
+    else:
+        for name in model.reactions:
+            label = name.removesuffix("_N_m").removesuffix("_N").replace("_", " along ")
+            found.append(Channel(name, _unit(name), f"{label} on the holder"))
 
     def position(axis: Axis) -> tuple[int, str]:
         return len(axis.column), axis.column
@@ -636,7 +694,7 @@ def _energetics(model: Swimmer, run: Run, trajectory: Trajectory, last_s: float)
     """Return torques and powers of the driven joints over the last ``last_s`` seconds of a trajectory."""
     steps = max(round(last_s / trajectory.grid.step_s), 1)
     first = max(len(trajectory.states) - 1 - steps, 0)
-    torque = model.torques(run, trajectory, first)[:, [a.link for a in model.driven]]
+    torque = model.torques(run, trajectory, first)[0][:, [a.link for a in model.driven]]
     rates = trajectory.drive.table[::2][first:, : len(model.driven), 1]
     return Energetics(trajectory.grid.times(1)[first:], torque, rates)
 

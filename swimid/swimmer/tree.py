@@ -260,7 +260,7 @@ def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
 
     In the path, a member of a list has its name, or its index if it has no name.
     """
-    yield from _leaves(body.model_dump(include={"links", "joints", "elements", "inputs"}), part)
+    yield from _leaves(body.model_dump(include={"links", "joints", "elements", "inputs", "holder"}), part)
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, float | str]]:
@@ -376,11 +376,6 @@ class Tree(ABC):
             for k, axis in enumerate(moved):
                 self.topology[axis.link, column] = k
         self.free_base = body.base == "free"
-        if not self.free_base and not self.passive:
-            raise InputError(
-                "a robot on a fixed base without a passive joint has nothing to simulate",
-                column=f"{self.part}.base",
-            )
         self.constants = {"free_base": self.free_base}
         self._evaluated = lru_cache(MAX_TABLES)(self._evaluate)
 

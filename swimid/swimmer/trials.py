@@ -374,6 +374,8 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
         # for a robot in 3-D, a side view that shows only part of the pose is sufficient
         complete = len(pose) == 3 or (model.in_space and len(pose) > 1)
         chosen = (complete and pose) or logged(model.velocity) or pose
+    else:
+        chosen = logged(model.reactions)
     chosen += logged([a.column for a in model.passive])
     chosen += logged([a.column for a in model.driven if a.driven and a.driven.servo])
     if not chosen:
@@ -475,6 +477,9 @@ def _with_starts(recordings: Sequence[Recording], model: Swimmer) -> list[Trial]
     free = set()
     if model.free_base:
         free = {name for name, column in zip(model.starts, model.pose, strict=True) if column in measured}
+    else:
+        channels = [name for name in model.reactions if name in measured]
+        free = {f"{word}_{name}" for word in ("offset", "drift") for name in channels}
     for r in recordings:
         if _lacks_heading(model, r.log) and model.pose[0] in r.trial.measured:
             free.add(model.starts[2])

@@ -560,10 +560,11 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # type: ignore[no-untyped-def]
-    """Return the joint torques in a simulation by inverse dynamics, shape (m, links), N m.
+    """Return the joint torques in a simulation and the wrench on the base, by inverse dynamics.
 
     The torque of a link is the moment that its parent exerts on it. It is the generalised force of a driven
-    joint, or the torque from the law of a passive joint. For a free base it is zero up to rounding.
+    joint, or the torque from the law of a passive joint. The wrench is what holds the base, at its origin and
+    in its axes. For a free base both are zero up to rounding.
 
     Parameters
     ----------
@@ -577,12 +578,18 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
         Forces of effects (see :func:`derivative`).
     begin, step : float, s
         Time of the first state, and time between two states. Only forces of effects depend on them.
+
+    Returns
+    -------
+    torques : ndarray, shape (m, links), N m
+    wrench : ndarray, shape (m, 3), N and N m
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, foil_link, foil, force_link, force, wake_link, wake = tables[4:12]
     load_link, load, load_input = tables[12:15]
     links = topology.shape[0]
     found, work = np.empty((states.shape[0], links)), np.zeros((links, 19))
+    wrench = np.empty((states.shape[0], 3))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
         _drag(drag_link, drag, work)
@@ -596,7 +603,8 @@ def torques(states, rates, table, tables, forced=None, begin=0.0, step=0.0):  # 
             found[t, i] = work[i, 10]
             if i > 0:
                 _to_parent(i, topology[i, 0], joint, work)
-    return found
+        wrench[t] = work[0, 8:11]
+    return found, wrench
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:

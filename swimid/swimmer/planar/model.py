@@ -694,6 +694,7 @@ class MultilinkModel(Swimmer):
         self.pose = ("x_m", f"{second}_m", f"{turn}_rad")
         self.velocity = ("u_m_s", f"{v}_m_s", f"{turn}_rate_rad_s")
         self.places, self.rates = ("x", second, turn), ("surge", sideways, f"{turn}_rate")
+        self.reactions = ("force_x_N", f"force_{second}_N", f"torque_{turn}_N_m")
         return Assembly(self.links, self.robot.fluid)
 
     def _offsets(self) -> tuple[str, ...]:
@@ -781,6 +782,13 @@ class MultilinkModel(Swimmer):
     def _heading(self, values: Array, trial: Trial) -> float:
         """Return the heading at the first sample of a trial, with its estimated offset, rad."""
         return float(trial.swim.posed()[2]) + self.value(values, self.starts[2])
+
+    def at_reference(self, wrench: Array) -> Array:
+        """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
+        fx, fy, moment = wrench.T
+        a, b = self.reference_m
+        along, across = turned(fx, fy, math.radians(self.links.heading_deg))
+        return np.column_stack([along, across, moment - a * fy + b * fx])
 
     def _mounts(self) -> list[float]:
         return [math.radians(a.joint.mount_deg) for a in self.driven]

@@ -550,15 +550,17 @@ def integrate(start, step, table, tables, forced, begin):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
-    """Return the hinge torques in a simulation by inverse dynamics, shape (m, links), N m.
+    """Return the hinge torques in a simulation and the wrench on the base, by inverse dynamics.
 
-    See :func:`swimid.swimmer.planar.engine.torques`. The torque of a base is zero.
+    See :func:`swimid.swimmer.planar.engine.torques`. The wrench has the shape (m, 6), and the torque of the
+    base is zero.
     """
     topology, joint, inertia = tables[:3]
     drag_link, drag, damping_link, damping, foil_link, foil, force_link, force = tables[4:12]
     load_link, load, load_input, surface = tables[12:16]
     links = topology.shape[0]
     found, work = np.zeros((states.shape[0], links)), np.zeros((links, _WORK))
+    wrench = np.empty((states.shape[0], 6))
     for t in range(states.shape[0]):
         _outwards(states[t], table[t], topology, joint, inertia, rates[t], work)
         _drags(drag_link, drag, surface, work)
@@ -569,7 +571,8 @@ def torques(states, rates, table, tables):  # type: ignore[no-untyped-def]
         for i in range(links - 1, 0, -1):
             found[t, i] = _dot(_at(joint[i], 3), _at(work[i], _M))
             _to_parent(i, topology[i, 0], joint, work)
-    return found
+        wrench[t] = work[0, _F : _F + 6]
+    return found, wrench
 
 
 def shapes(tables: Mapping[str, Any]) -> tuple[int, list[tuple[int, ...]]]:

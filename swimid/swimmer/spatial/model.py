@@ -339,6 +339,7 @@ class MultibodyModel(Swimmer):
     engine = engine
     pose = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
     velocity = ("u_m_s", "v_m_s", "w_m_s", "roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s")
+    reactions = (*(f"force_{c}_N" for c in "xyz"), *(f"torque_{c}_N_m" for c in "xyz"))
     places = ("x", "y", "z", "roll", "pitch", "yaw")
     rates = ("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate")
     tree: Assembly
@@ -427,6 +428,11 @@ class MultibodyModel(Swimmer):
             if place not in measured and speed not in measured
         ]
         return [p.name for p in self.parameters if p.name.startswith("initial_") and p.name not in blind]
+
+    def at_reference(self, wrench: Array) -> Array:
+        """Return a wrench at the origin of a fixed base as one at the reference point, in world axes."""
+        force, moment = wrench[:, :3], wrench[:, 3:]
+        return np.hstack([force, moment - np.cross(self.tree.reference, force)])
 
     def _posed(self, values: Array, trial: Trial) -> Array:
         """Return the pose of the reference point at the first sample, with estimated offsets, shape (6,)."""
