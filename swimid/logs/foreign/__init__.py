@@ -16,6 +16,7 @@ import math
 import pkgutil
 import re
 import unicodedata
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -90,6 +91,10 @@ _SPELLED = {
     "us": ("micros", "usec"),
     "ns": ("nsec", "nanoseconds"),
     "m": ("metre", "metres", "meter", "meters"),
+    "cm": ("centimetre", "centimetres", "centimeter", "centimeters"),
+    "mm": ("millimetre", "millimetres", "millimeter", "millimeters"),
+    "in": ("inch", "inches"),
+    "ft": ("foot", "feet"),
     "rad": ("radians",),
     "deg": ("degree", "degrees", "°"),
     "deg/s": ("dps",),
@@ -97,7 +102,10 @@ _SPELLED = {
     "g": ("gs", "gee"),
     "G": ("gauss",),
     "kn": ("knots",),
-    "Nm": ("N m", "N·m", "N*m"),
+    "N": ("newton", "newtons"),
+    "Nm": ("N m", "N·m", "N*m", "N.m", "N-m"),
+    "Nmm": ("N mm", "N·mm", "N*mm", "N.mm", "N-mm"),
+    "V": ("volt", "volts"),
     "degC": ("C", "°C", "celsius"),
     "px": ("pixel", "pixels"),
     "tick": ("ticks",),
@@ -470,6 +478,27 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
     return factors[name], name if name == "px" else "m"
 
 
+def in_si(name: str, unit: str, values: Array) -> tuple[str, Array]:
+    """Return the name in the log of a channel whose unit the file states, and its values in SI units.
+
+    A channel keeps its name and its values if its unit is unknown, or is a unit of several quantities (``g``,
+    ``rpm``), unless the name of the channel states the quantity.
+
+    >>> in_si("Fx 1", "mN", np.array([5.0])), in_si("load_kg", "g", np.array([2.0]))
+    (('Fx_1_N', array([0.005])), ('load_kg', array([0.002])))
+    >>> in_si("load", "g", np.array([2.0]))
+    ('load', array([2.]))
+    """
+    known = canonical(unit)
+    quantities = [quantity for quantity, units in UNITS.items() if known in units]
+    if quantity_of(name) in quantities:
+        return name, values * unit_factor(known, name)
+    if len(quantities) != 1 or quantity_of(name) is not None:
+        return name, values
+    units = UNITS[quantities[0]]
+    return f"{safe(name)}_{next(iter(units)).replace('/', '_')}", values * units[known]
+
+
 def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
     """Return the column name in the log for each component of a vector, by the name in the file.
 
@@ -496,10 +525,20 @@ def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
 
 
-def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
+def numbers(
+    path: Path,
+    start: int,
+    delimiter: str,
+    width: int,
+    *,
+    count: int | None = None,
+    decimal: str = ".",
+    encoding: str = "utf-8",
+) -> tuple[Array, NDArray[np.int64]]:
     """Return the numbers in a text file after the first ``start`` lines, and their line numbers.
 
-    The numbers have the shape (n, width). Empty cells become NaN.
+    The numbers have the shape (n, width). Empty cells become NaN, and cells beyond ``width`` are left out.
+    ``count`` is the maximum number of lines to read.
 
     Raises
     ------
@@ -509,11 +548,36 @@ def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, 
     import pandas as pd
 
     layout = {"sep": delimiter, "skiprows": start, "names": range(width), "index_col": False}
-    table = pd.read_csv(path, skip_blank_lines=False, **layout)
+    form = {"decimal": decimal, "encoding": encoding, "encoding_errors": "replace"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # of cells beyond the width
+        table = pd.read_csv(path, skip_blank_lines=False, nrows=count, **layout, **form)
     table = table.apply(pd.to_numeric).dropna(how="all")
     if table.empty:
         raise InputError("holds no samples under its header", file=path)
     return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1
+
+
+def complete(path: Path, stated: str | None, rows: int, last_line: int) -> None:
+    """Raise an error if a file has fewer rows than its header states.
+
+    Parameters
+    ----------
+    stated : str or None
+        Number of rows as the header states it; None if it does not.
+    rows : int
+        Number of rows in the file.
+    last_line : int
+        Line number of the last row.
+
+    Raises
+    ------
+    InputError
+        Rows are missing.
+    """
+    if stated is not None and stated.strip().isdecimal() and rows < int(stated):
+        text = f"the header states {int(stated)} frames, and the file ends after {rows}"
+        raise InputError(text, file=path, line=last_line, hint="export or copy the file again")
 
 
 # ---------------------------------------------------------------- formats

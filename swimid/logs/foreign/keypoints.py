@@ -22,20 +22,23 @@ _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
 
 
-def points(found: Mapping[str, Array]) -> dict[str, Array]:
-    """Convert columns of tracked points to those of a log: pixels with y up, and likelihoods.
+def points(found: Mapping[str, Array], unit: str = "px", y_axis: str = "down") -> dict[str, Array]:
+    """Convert columns of tracked points to those of a log: coordinates with y up, and likelihoods.
+
+    A point is named ``<point>.x``, or ``x`` if the file has only one. ``unit`` is the unit of the
+    coordinates, px or m, and ``y_axis`` the direction of y in the file, ``down`` or ``up``.
 
     >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
     {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}
     """
     columns: dict[str, Array] = {}
     for name, values in found.items():
-        point, _, what = name.rpartition(".")
-        if what == "y":
+        point, dot, what = name.rpartition(".")
+        if what == "y" and y_axis == "down":
             values = -values
         if what not in ("likelihood", "score"):
-            what += "_px"
-        columns[f"{safe(point)}_{what}"] = values
+            what += f"_{unit}"
+        columns[f"{safe(point)}_{what}" if dot else what] = values
     return columns
 
 
@@ -69,7 +72,9 @@ def _read_deeplabcut(path: Path, options: Options, select: str | None) -> Table:
     if isinstance(frame.index, pd.MultiIndex) or not pd.api.types.is_numeric_dtype(frame.index):
         text = "its rows are labelled pictures, not the frames of a film"
         raise InputError(text, file=path, hint="import the table that analyze_videos writes")
-    found = {f"{key[-2]}.{key[-1]}": cells.to_numpy(dtype=float) for key, cells in frame.items()}
+    # Leave out other columns of a point, such as the variances that Lightning Pose adds.
+    known = [key for key in frame.columns if key[-1] in ("x", "y", "likelihood")]
+    found = {f"{key[-2]}.{key[-1]}": frame[key].to_numpy(dtype=float) for key in known}
     columns = {"frame": frame.index.to_numpy(dtype=float), **points(found)}
     return Table(columns, metadata={"y_axis": "up, from the upper edge of the frame"}, lines=lines)
 

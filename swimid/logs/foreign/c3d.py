@@ -1,0 +1,77 @@
+"""Reader of C3D files, by the library ezc3d: points, and analogue channels.
+
+The file states rates and units. A point with a negative residual is missing. The parameter ``Y_SCREEN`` of
+the group POINT states the vertical axis: ``+Z`` or ``+Y``. In the second case y becomes z, and z becomes -y.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.logs.foreign import Array, Format, Options, Table, choose, in_si, length, safe
+from swimid.logs.kinematics import from_y_up
+from swimid.logs.log import TIME
+
+#: Second byte of every C3D file. The first byte is the block of the parameters, which is usually 2.
+_MAGIC = (b"\x02\x50",)
+
+
+def _read(path: Path, options: Options, select: str | None) -> Table:
+    import ezc3d
+
+    file = ezc3d.c3d(str(path))
+    groups, data = file["parameters"], file["data"]
+    samples = {"points": data["points"], "analog": data["analogs"]}
+    there = [name for name, values in samples.items() if values.size]
+    start = float(file["header"]["points"]["first_frame"])
+    if choose(select, there, "kind of data", path) == "analog":
+        return _analog(data["analogs"][0], groups, start)
+    return _points(data, groups, start, options, path)
+
+
+def _values(groups: Any, group: str, name: str) -> list[Any]:
+    """Return the values of a parameter, also of those that continue in ``LABELS2``; empty if it is not there."""
+    found: list[Any] = []
+    for ending in ("", "2", "3", "4"):
+        if group in groups and f"{name}{ending}" in groups[group]:
+            found += list(groups[group][f"{name}{ending}"]["value"])
+    return found
+
+
+def _points(data: Any, groups: Any, start: float, options: Options, path: Path) -> Table:
+    stated = next(iter(_values(groups, "POINT", "UNITS")), "")
+    factor, unit = length(options.length_unit or str(stated), path)
+    rate = float(next(iter(_values(groups, "POINT", "RATE")), 0.0))
+    if not rate > 0:
+        raise InputError("states no rate of the points", file=path)
+    vertical, notes = str(next(iter(_values(groups, "POINT", "Y_SCREEN")), "")), []
+    if vertical not in ("+Z", "+Y"):
+        notes.append("the file does not state its vertical axis; z is taken as up")
+    cells = data["points"][:3] * factor
+    residuals = data["meta_points"]["residuals"][0]
+    cells[:, residuals < 0] = np.nan
+    columns: dict[str, Array] = {TIME: (start + np.arange(cells.shape[2])) / rate}
+    for name, place in zip(_values(groups, "POINT", "LABELS"), np.moveaxis(cells, 1, 0), strict=False):
+        if vertical == "+Y":
+            place = from_y_up(*place)
+        columns |= {f"{safe(name)}_{axis}_{unit}": v for axis, v in zip("xyz", place, strict=True)}
+    return Table(columns, notes=notes)
+
+
+def _analog(cells: Array, groups: Any, start: float) -> Table:
+    rate = float(_values(groups, "ANALOG", "RATE")[0])
+    points = float(next(iter(_values(groups, "POINT", "RATE")), rate)) or rate
+    columns: dict[str, Array] = {TIME: start / points + np.arange(cells.shape[1]) / rate}
+    names, units = _values(groups, "ANALOG", "LABELS"), _values(groups, "ANALOG", "UNITS")
+    units += [""] * len(names)
+    for k, values in enumerate(cells):
+        name, converted = in_si(str(names[k]), str(units[k]), values)
+        columns[name] = converted
+    return Table(columns)
+
+
+C3D = Format("c3d", "C3D file", _read, endings=(".c3d",), magic=_MAGIC, extra="c3d")
