@@ -558,26 +558,20 @@ def numbers(
     return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1
 
 
-def complete(path: Path, stated: str | None, rows: int, last_line: int) -> None:
-    """Raise an error if a file has fewer rows than its header states.
+def complete(path: Path, stated: str | int | None, held: int, line: int | None = None) -> None:
+    """Raise an error if a file has fewer frames than its header states.
 
-    Parameters
-    ----------
-    stated : str or None
-        Number of rows as the header states it; None if it does not.
-    rows : int
-        Number of rows in the file.
-    last_line : int
-        Line number of the last row.
+    ``stated`` is the number in the header, or None if there is none. ``held`` is the number of frames in the
+    file, and ``line`` the line number of the last one.
 
     Raises
     ------
     InputError
-        Rows are missing.
+        Frames are missing.
     """
-    if stated is not None and stated.strip().isdecimal() and rows < int(stated):
-        text = f"the header states {int(stated)} frames, and the file ends after {rows}"
-        raise InputError(text, file=path, line=last_line, hint="export or copy the file again")
+    if stated is not None and held < int(stated):
+        text = f"its header states {int(stated)} frames, and it ends after {held}"
+        raise InputError(text, file=path, line=line, hint="export or copy the file again")
 
 
 # ---------------------------------------------------------------- formats

@@ -6,13 +6,14 @@ the group POINT states the vertical axis: ``+Z`` or ``+Y``. In the second case y
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Table, choose, in_si, length, safe
+from swimid.logs.foreign import Array, Format, Options, Table, choose, complete, in_si, length, safe
 from swimid.logs.kinematics import from_y_up
 from swimid.logs.log import TIME
 
@@ -25,12 +26,28 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
 
     file = ezc3d.c3d(str(path))
     groups, data = file["parameters"], file["data"]
+    header = file["header"]["points"]
+    complete(path, _stated_frames(path), header["last_frame"] - header["first_frame"] + 1)
     samples = {"points": data["points"], "analog": data["analogs"]}
     there = [name for name, values in samples.items() if values.size]
-    start = float(file["header"]["points"]["first_frame"])
+    start = float(header["first_frame"])
     if choose(select, there, "kind of data", path) == "analog":
         return _analog(data["analogs"][0], groups, start)
     return _points(data, groups, start, options, path)
+
+
+def _stated_frames(path: Path) -> int | None:
+    """Return the number of frames that the header of a file states; None if they are too many for its field.
+
+    The library reads a file that is cut off without an error, and changes the number in its header.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(512)
+        stream.seek(512 * (head[0] - 1) + 3)
+        processor = stream.read(1)
+    order = ">" if processor == b"\x56" else "<"  # 86 stands for the byte order of MIPS
+    first, last = struct.unpack(f"{order}HH", head[6:10])
+    return last - first + 1 if last < 0xFFFF else None
 
 
 def _values(groups: Any, group: str, name: str) -> list[Any]:

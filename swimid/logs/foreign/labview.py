@@ -6,6 +6,7 @@ belongs to one quantity only. Otherwise it keeps its name and its values, and a 
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 from typing import Any
@@ -88,8 +89,12 @@ LVM = Format(
 
 def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     from nptdms import TdmsFile
+    from nptdms.log import log_manager
 
+    log_manager.set_level(logging.ERROR)  # the library prints a warning of a file that is cut off
     file = TdmsFile.read(path)
+    if file.file_status.incomplete_final_segment:
+        raise InputError("is cut off within its samples", file=path, hint="copy the file again")
     groups = {group.name: [c for c in group.channels() if len(c)] for group in file.groups()}
     there = [name for name, channels in groups.items() if channels]
     name = choose(select, there, "group", path)

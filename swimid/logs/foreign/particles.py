@@ -97,7 +97,7 @@ def _read_idtracker(path: Path, options: Options, select: str | None) -> Table:
             tracks, attributes = np.asarray(file["trajectories"], dtype=float), dict(file.attrs)
     if tracks.ndim != 3 or tracks.shape[2] != 2:
         raise InputError(f"has the shape {tracks.shape}; it must be (frames, individuals, 2)", file=path)
-    labels = [str(label) for label in attributes.get("identities_labels") or ()]
+    labels = [str(label) for label in attributes.get("identities_labels", ())]
     if len(labels) != tracks.shape[1]:
         labels = [str(k) for k in range(1, tracks.shape[1] + 1)]
     x, y = tracks[:, labels.index(choose(select, labels, "individual", path))].T

@@ -64,8 +64,8 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         columns = _body(parts[choose(select, names, "body", path)], unit, factor)
     else:
         for name, part in parts.items():
-            part[(part == 0).all(axis=1)] = np.nan
-            columns |= {f"{safe(name)}_{axis}_{unit}": v * factor for axis, v in zip("xyz", part.T, strict=True)}
+            part = np.where((part == 0).all(axis=1)[:, None], np.nan, part * factor)
+            columns |= {f"{safe(name)}_{axis}_{unit}": v for axis, v in zip("xyz", part.T, strict=True)}
     return Table({**clock, **columns}, lines=rows)
 
 

@@ -38,7 +38,8 @@ def topics(path: Path) -> dict[str, str]:
     """Return the topics of a recording, each with the message type that the file states."""
     if Peek.of(path).head.startswith(DB3_MAGIC):
         with _bag(path) as bag:
-            return {one.topic: one.msgtype for one in bag.connections if one.msgcount}
+            kinds = {one.topic: one.msgtype for one in bag.connections if one.msgcount}
+        return dict(sorted(kinds.items()))
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
