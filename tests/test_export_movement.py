@@ -46,7 +46,9 @@ def test_movement_opens_an_exported_log(swimid: Run, tmp_path: Path) -> None:
     assert np.allclose(one.position.sel(space="y"), -Y)
     assert np.allclose(data.confidence.sel(keypoints="nose", individuals="tfish"), likelihood)
     assert np.allclose(data["yaw_rad"], 0.1 * T)
-    velocity = kinematics.compute_velocity(data.position).sel(space="x", keypoints="nose", individuals="tfish")
+    velocity = kinematics.compute_velocity(data.position).sel(
+        space="x", keypoints="nose", individuals="tfish"
+    )
     assert np.allclose(velocity, 0.2)
 
 
@@ -57,7 +59,9 @@ def test_an_exported_log_is_imported_again(swimid: Run, tmp_path: Path) -> None:
     ran = swimid("import", tmp_path / "run.nc", "-o", tmp_path / "again.csv")
     assert ran.status == 0, ran.err
     again = pd.read_csv(tmp_path / "again.csv", comment="#")
-    assert np.allclose(again[["t_s", "reference_x_m", "reference_y_m", "reference_z_m"]].to_numpy().T, [T, X, Y, -0.1 * T])
+    assert np.allclose(
+        again[["t_s", "reference_x_m", "reference_y_m", "reference_z_m"]].to_numpy().T, [T, X, Y, -0.1 * T]
+    )
 
 
 def test_a_log_in_the_vertical_plane(swimid: Run, tmp_path: Path) -> None:

@@ -47,6 +47,13 @@ def _cut(path: Path, share: float = 0.5) -> Path:
     return cut
 
 
+def _shortened(path: Path) -> Path:
+    """Write a text file without its last ten lines to another one."""
+    cut = path.with_name(f"short{path.suffix}")
+    cut.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:-10]))
+    return cut
+
+
 def _hidden(values: np.ndarray) -> np.ndarray:
     values = values.copy()
     values[GAP] = np.nan
@@ -116,7 +123,9 @@ def test_movement_that_is_cut_off(swimid: Run, tmp_path: Path) -> None:
 
 def _coco() -> dict[str, Any]:
     """Annotations in the COCO format: the pictures are every second frame of a film, one is not annotated."""
-    images = [{"id": 7 + k, "file_name": f"film_{2 * k:06d}.png", "width": 640, "height": 480} for k in range(N)]
+    images = [
+        {"id": 7 + k, "file_name": f"film_{2 * k:06d}.png", "width": 640, "height": 480} for k in range(N)
+    ]
     annotations = []
     for k in reversed(range(N)):
         if k == 50:
@@ -145,7 +154,9 @@ def test_coco(imported: Imported, swimid: Run, tmp_path: Path) -> None:
 
 def test_coco_individuals(imported: Imported, swimid: Run, tmp_path: Path) -> None:
     content = _coco()
-    other = [{**one, "keypoints": [value + 1 for value in one["keypoints"]]} for one in content["annotations"]]
+    other = [
+        {**one, "keypoints": [value + 1 for value in one["keypoints"]]} for one in content["annotations"]
+    ]
     content["annotations"] += other
     (tmp_path / "a.json").write_text(json.dumps(content))
     assert "2 individuals in one picture" in _refused(swimid, tmp_path / "a.json", "--rate-hz", "50")
@@ -212,7 +223,9 @@ def test_idtracker_hdf5(imported: Imported, swimid: Run, tmp_path: Path) -> None
         file.create_group("identities_groups")
         file.create_dataset("trajectories", data=_trajectories(), compression="gzip")
         file.create_dataset("id_probabilities", data=np.ones((N, 2)))
-        file.attrs.update({"version": "6.0.14", "frames_per_second": RATE, "body_length": 41.5, "length_unit": -1})
+        file.attrs.update(
+            {"version": "6.0.14", "frames_per_second": RATE, "body_length": 41.5, "length_unit": -1}
+        )
         file.attrs["identities_labels"] = ["ann", "bob"]
     assert "ann, bob" in _refused(swimid, path)
     record, ran = imported(path, "--select", "bob")
@@ -275,7 +288,9 @@ def test_kinovea_text(imported: Imported, tmp_path: Path) -> None:
     lines = ["#Kinovea Trajectory data export", "#T X Y", "", "# nose"]
     lines += [f"{1000 * t:.2f} {x:.5f} {y:.5f}" for t, x, y in zip(T, X_M, Y_M, strict=True)]
     lines += ["", "# tail"]
-    lines += [f"{1000 * t:.2f} {x - 0.08:.5f} {y:.5f}" for t, x, y in zip(T[5:], X_M[5:], Y_M[5:], strict=True)]
+    lines += [
+        f"{1000 * t:.2f} {x - 0.08:.5f} {y:.5f}" for t, x, y in zip(T[5:], X_M[5:], Y_M[5:], strict=True)
+    ]
     (tmp_path / "a.txt").write_text("\n".join([*lines, ""]) + "\n")
     (tmp_path / "map.yaml").write_text(
         "format: swimid-mapping/1\nas: kinovea\ntime: {source: Time, unit: ms}\nreader: {length_unit: m}\n"
@@ -296,11 +311,14 @@ def test_kinovea_annotations(imported: Imported, swimid: Run, tmp_path: Path) ->
             for k, (x, y) in enumerate(zip(X_PX, Y_PX, strict=True))
             if k != 7
         )
-        return f'<Track id="{name}" name="{name}"><TrackPointList Count="{N - 1}">{points}</TrackPointList></Track>'
+        listed = f'<TrackPointList Count="{N - 1}">{points}</TrackPointList>'
+        return f'<Track id="{name}" name="{name}">{listed}</Track>'
 
     body = f"<Tracks>{track('nose', 0)}{track('tail', -80)}</Tracks>"
     head = "<AverageTimeStampsPerFrame>512</AverageTimeStampsPerFrame><CaptureFramerate>50</CaptureFramerate>"
-    text = f'<?xml version="1.0" encoding="utf-8"?>\n<KinoveaVideoAnalysis>{head}{body}</KinoveaVideoAnalysis>'
+    text = (
+        f'<?xml version="1.0" encoding="utf-8"?>\n<KinoveaVideoAnalysis>{head}{body}</KinoveaVideoAnalysis>'
+    )
     (tmp_path / "a.kva").write_text(text)
     assert "nose, tail" in _refused(swimid, tmp_path / "a.kva")
     record, _ = imported(tmp_path / "a.kva", "--select", "tail")
@@ -356,15 +374,22 @@ def _motive(path: Path, form: str, bodies: tuple[str, ...] = ("fish",)) -> None:
         add("Rigid Body", name, "Rotation", axes, cells)
         add("Rigid Body", name, "Position", "XYZ", place + 100 * k)
         add("Rigid Body Marker", f"{name}:Marker1", "Position", "XYZ", place + 7)
-    add("Marker", f"{bodies[0]}:nose tip", "Position", "XYZ", turn.apply(np.column_stack([X_M, Y_M, Z_M]) * 1000))
+    add(
+        "Marker",
+        f"{bodies[0]}:nose tip",
+        "Position",
+        "XYZ",
+        turn.apply(np.column_stack([X_M, Y_M, Z_M]) * 1000),
+    )
     add("Marker", "Unlabeled 1021", "Position", "XYZ", place)
     values = np.column_stack(blocks)
     values[GAP, : len(axes) + 3] = np.nan
-    head = (
-        "Format Version,1.25,Take Name,swim,Take Notes,,Capture Frame Rate,50.000000,Export Frame Rate,50.000000,"
-        f"Total Frames in Take,{N},Total Exported Frames,{N},Rotation Type,{form},Length Units,Millimeters,"
-        "Coordinate Space,Global"
-    )
+    stated = {
+        "Format Version": 1.25, "Take Name": "swim", "Take Notes": "", "Capture Frame Rate": 50,
+        "Export Frame Rate": 50, "Total Frames in Take": N, "Total Exported Frames": N, "Rotation Type": form,
+        "Length Units": "Millimeters", "Coordinate Space": "Global",
+    }  # fmt: skip
+    head = ",".join(f"{key},{value}" for key, value in stated.items())
     lines = [head, "", *(",".join(row) for row in rows)]
     for k, row in enumerate(values):
         lines.append(",".join([str(k), f"{T[k]:.6f}", *("" if np.isnan(v) else f"{v:.6f}" for v in row)]))
@@ -389,8 +414,9 @@ def test_optitrack_bodies_and_a_cut_file(imported: Imported, swimid: Run, tmp_pa
     assert "fish, buoy" in _refused(swimid, tmp_path / "a.csv")
     record, _ = imported(tmp_path / "a.csv", "--select", "buoy")
     assert np.allclose(record["x_m"], X_M + 0.1, atol=2e-9)
-    cut = _cut(tmp_path / "a.csv", 0.8)
-    assert f"states {N} frames" in _refused(swimid, cut, "--select", "buoy")
+    short = _shortened(tmp_path / "a.csv")
+    assert f"states {N} frames, and it ends after {N - 10}" in _refused(swimid, short, "--select", "buoy")
+    assert "ends within a line" in _refused(swimid, _cut(tmp_path / "a.csv", 0.8), "--select", "buoy")
 
 
 @pytest.mark.parametrize("headings", [True, False])
@@ -418,14 +444,20 @@ def test_qualisys_markers(headings: bool, imported: Imported, swimid: Run, tmp_p
     assert np.allclose(record["nose_z_m"], _hidden(Z_M), atol=1e-6, equal_nan=True)
     assert np.isnan(record["tail_tip_x_m"][50])
     assert np.allclose(np.delete(record["tail_tip_x_m"], 50), np.delete(X_M - 0.08, 50), atol=1e-6)
-    assert "states 120 frames" in _refused(swimid, _cut(tmp_path / "a.tsv", 0.7))
+    assert f"states {N} frames" in _refused(swimid, _shortened(tmp_path / "a.tsv"))
 
 
 def test_qualisys_bodies(imported: Imported, tmp_path: Path) -> None:
     """Rows of a real export have Rot[1] = sin(yaw): the matrix stands column by column."""
     angles = [f"Rot[{k}]" for k in range(9)]
     names = ["fish X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *angles]
-    lines = [f"NO_OF_FRAMES\t{N}", "NO_OF_BODIES\t1", "FREQUENCY\t50", "DATA_INCLUDED\t6D", "BODY_NAMES\tfish"]
+    lines = [
+        f"NO_OF_FRAMES\t{N}",
+        "NO_OF_BODIES\t1",
+        "FREQUENCY\t50",
+        "DATA_INCLUDED\t6D",
+        "BODY_NAMES\tfish",
+    ]
     lines.append("\t".join(["Frame", "Time", *names]))
     matrices = _pose().as_matrix()
     for k in range(N):
@@ -444,7 +476,10 @@ def test_qualisys_bodies(imported: Imported, tmp_path: Path) -> None:
 def test_vicon(mark: str, imported: Imported, swimid: Run, tmp_path: Path) -> None:
     """A plate sampled ten times a frame, and two markers, from frame 11 on."""
     lines = ["Devices", "500", mark.join(["", "", "Plate #1 - Force", "", "", "Pot - Voltage"])]
-    lines += [mark.join(["Frame", "Sub Frame", "Fx", "Fy", "Mz", "1"]), mark.join(["", "", "N", "mN", "N.mm", "V"])]
+    lines += [
+        mark.join(["Frame", "Sub Frame", "Fx", "Fy", "Mz", "1"]),
+        mark.join(["", "", "N", "mN", "N.mm", "V"]),
+    ]
     time = np.arange(10 * N) / 500
     for k, t in enumerate(time):
         cells = [f"{np.sin(9 * t):.6f}", f"{1000 * t:.4f}", f"{500 * t:.4f}", "1.5"]
@@ -470,6 +505,9 @@ def test_vicon(mark: str, imported: Imported, swimid: Run, tmp_path: Path) -> No
     assert np.allclose(plate["Plate_1_Force_Fy_N"], time, atol=1e-6)
     assert np.allclose(plate["Plate_1_Force_Mz_Nm"], 0.5 * time, atol=1e-6)
     assert np.allclose(plate["Pot_Voltage_1_V"], 1.5)
+    assert "ends within a line" in _refused(
+        swimid, _cut(tmp_path / "a.csv", 0.9995), "--select", "Trajectories"
+    )
 
 
 def _c3d(path: Path, vertical: str, *, analog: bool) -> None:
@@ -563,8 +601,8 @@ def test_lvm(form: str, decimal: str, imported: Imported, swimid: Run, tmp_path:
         f"Decimal_Separator\t{decimal}", "Multi_Headings\tNo", f"X_Columns\t{form}", "Time_Pref\tRelative",
         "Operator\tann", "Date\t2019/07/22", f"Time\t17:18:18{decimal}938945", "***End_of_Header***\t", "\t",
         "Channels\t2\t\t", f"Samples\t{N}\t{N}\t", "Y_Unit_Label\tNewtons\tmm\t", "X_Dimension\tTime\tTime\t",
-        f"X0\t{number(0.5)}\t{number(0.5)}\t", f"Delta_X\t{number(0.02)}\t{number(0.02)}\t", "***End_of_Header***\t\t\t",
-        "X_Value\tFx\tcarriage\tComment",
+        f"X0\t{number(0.5)}\t{number(0.5)}\t", f"Delta_X\t{number(0.02)}\t{number(0.02)}\t",
+        "***End_of_Header***\t\t\t", "X_Value\tFx\tcarriage\tComment",
     ]  # fmt: skip
     for k in range(N):
         x = number(0.5 + T[k]) if form == "One" else ""
@@ -621,7 +659,9 @@ def test_ros2_database(imported: Imported, swimid: Run, tmp_path: Path) -> None:
             time = make("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
             header = make("std_msgs/msg/Header", time, "world")
             turn = make("geometry_msgs/msg/Quaternion", 0.0, 0.0, np.sin(YAW[k] / 2), np.cos(YAW[k] / 2))
-            pose = make("geometry_msgs/msg/Pose", make("geometry_msgs/msg/Point", X_M[k], Y_M[k], Z_M[k]), turn)
+            pose = make(
+                "geometry_msgs/msg/Pose", make("geometry_msgs/msg/Point", X_M[k], Y_M[k], Z_M[k]), turn
+            )
             still = make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
             moving = make("geometry_msgs/msg/Vector3", 0.2, 0.0, 0.0)
             twist = make("geometry_msgs/msg/Twist", moving, still)

@@ -89,10 +89,15 @@ def export(
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('tfish', [])
     """
-    if options.to == "movement":
-        if options.draws or options.draw:
-            raise UsageError("a log has no random samples of parameters", hint="leave out --draws and --draw")
-        return movement.export(params, output)
+    if options.to != "movement":
+        return _to_simulator(params, options, output)
+    if options.draws or options.draw:
+        raise UsageError("a log has no random samples of parameters", hint="leave out --draws and --draw")
+    return movement.export(params, output)
+
+
+def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None) -> Text:
+    """Write a parameter file in the format of a simulator."""
     title, write = TARGETS[options.to]
     source = load(params)
     out = None if output is None or str(output) == "-" else Path(output)

@@ -1,8 +1,8 @@
 """Export of a log to a dataset of the Python package ``movement``: netCDF, written by xarray.
 
 The dataset has the points of one individual. The track ``x_m``, ``y_m`` is the point ``reference``, and a
-column such as ``nose_x_m`` belongs to the point ``nose``. Like ``movement``, a dataset in two dimensions has y
-down. In the vertical plane this is the direction of -z. All other columns are variables over time.
+column such as ``nose_x_m`` belongs to the point ``nose``. In two dimensions ``movement`` has y down, and so
+has the dataset. In the vertical plane this is the direction of -z. All other columns are variables over time.
 """
 
 from __future__ import annotations
@@ -110,7 +110,12 @@ def _content(record: Log, path: Path) -> tuple[dict[str, Any], dict[str, Any], d
     coordinates = {
         "time": record.time_s, "space": list(space), "keypoints": list(places), "individuals": [individual]
     }  # fmt: skip
-    attributes = {"ds_type": "poses", "time_unit": "seconds", "source_software": "swimid", "source_file": path.name}
+    attributes: dict[str, Any] = {
+        "ds_type": "poses",
+        "time_unit": "seconds",
+        "source_software": "swimid",
+        "source_file": path.name,
+    }
     if not find_uneven(record.time_s)[0]:
         attributes["fps"] = 1.0 / usual_step(record.time_s)
     return variables, coordinates, attributes

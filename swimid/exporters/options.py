@@ -21,7 +21,8 @@ class ExportOptions(
     PARAMS is a parameter file of a robot with links in one plane. Its causes are the effects that a diagnosis
     found. A warning names each thing that the simulator cannot carry. Beside tfish.xml, tfish_mjcf_causes.py
     filters the commands if the simulator lacks a law of the servos, and tfish_draws.csv has the samples of
-    --draws. With --to movement, PARAMS is a log, which becomes a netCDF dataset of the Python package movement.
+    --draws. With --to movement, PARAMS is a log, which becomes a netCDF dataset of the Python package
+    movement.
 
     Examples:
       swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml

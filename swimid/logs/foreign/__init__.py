@@ -18,10 +18,10 @@ import re
 import unicodedata
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -460,6 +460,19 @@ def safe(name: str) -> str:
     return words if words[:1].isalpha() else f"p{words}"
 
 
+def unique(names: Iterable[str]) -> list[str]:
+    """Return names with letters, digits and underscores only (:func:`safe`) that differ from each other.
+
+    >>> unique(["Fx 1", "Fx-1", "Fy"])
+    ['Fx_1', 'Fx_1_2', 'Fy']
+    """
+    found: list[str] = []
+    for name in map(safe, names):
+        others = (f"{name}_{k}" for k in count(2))
+        found.append(next(one for one in chain([name], others) if one not in found))
+    return found
+
+
 def length(unit: str | None, path: Path) -> tuple[float, str]:
     """Return the factor from a unit of length to SI or pixels, and the resulting unit, "m" or "px".
 
@@ -531,27 +544,35 @@ def numbers(
     delimiter: str,
     width: int,
     *,
-    count: int | None = None,
+    most: int | None = None,
     decimal: str = ".",
     encoding: str = "utf-8",
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return the numbers in a text file after the first ``start`` lines, and their line numbers.
 
     The numbers have the shape (n, width). Empty cells become NaN, and cells beyond ``width`` are left out.
-    ``count`` is the maximum number of lines to read.
+    ``most`` is the maximum number of lines to read.
 
     Raises
     ------
     InputError
-        There are no numbers after the header.
+        There are no numbers after the header, or the file ends within a line.
     """
     import pandas as pd
+
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - (1 << 16)))
+        last = stream.read().rpartition(b"\n")[2]
+    cells = last.count(delimiter.encode()) + 1
+    if len(delimiter) == 1 and last.strip() and cells < width:
+        text = f"ends within a line, after {cells} of {width} cells"
+        raise InputError(text, file=path, hint="export or copy the file again")
 
     layout = {"sep": delimiter, "skiprows": start, "names": range(width), "index_col": False}
     form = {"decimal": decimal, "encoding": encoding, "encoding_errors": "replace"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", pd.errors.ParserWarning)  # of cells beyond the width
-        table = pd.read_csv(path, skip_blank_lines=False, nrows=count, **layout, **form)
+        table = pd.read_csv(path, skip_blank_lines=False, nrows=most, **layout, **form)
     table = table.apply(pd.to_numeric).dropna(how="all")
     if table.empty:
         raise InputError("holds no samples under its header", file=path)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Table, choose, complete, in_si, length, safe
+from swimid.logs.foreign import Array, Format, Options, Table, choose, complete, in_si, length, unique
 from swimid.logs.kinematics import from_y_up
 from swimid.logs.log import TIME
 
@@ -51,7 +51,7 @@ def _stated_frames(path: Path) -> int | None:
 
 
 def _values(groups: Any, group: str, name: str) -> list[Any]:
-    """Return the values of a parameter, also of those that continue in ``LABELS2``; empty if it is not there."""
+    """Return the values of a parameter and of its continuations, such as ``LABELS2``; empty if missing."""
     found: list[Any] = []
     for ending in ("", "2", "3", "4"):
         if group in groups and f"{name}{ending}" in groups[group]:
@@ -72,10 +72,11 @@ def _points(data: Any, groups: Any, start: float, options: Options, path: Path) 
     residuals = data["meta_points"]["residuals"][0]
     cells[:, residuals < 0] = np.nan
     columns: dict[str, Array] = {TIME: (start + np.arange(cells.shape[2])) / rate}
-    for name, place in zip(_values(groups, "POINT", "LABELS"), np.moveaxis(cells, 1, 0), strict=False):
+    names = unique(map(str, _values(groups, "POINT", "LABELS")))
+    for name, place in zip(names, np.moveaxis(cells, 1, 0), strict=False):
         if vertical == "+Y":
             place = from_y_up(*place)
-        columns |= {f"{safe(name)}_{axis}_{unit}": v for axis, v in zip("xyz", place, strict=True)}
+        columns |= {f"{name}_{axis}_{unit}": v for axis, v in zip("xyz", place, strict=True)}
     return Table(columns, notes=notes)
 
 
@@ -83,10 +84,11 @@ def _analog(cells: Array, groups: Any, start: float) -> Table:
     rate = float(_values(groups, "ANALOG", "RATE")[0])
     points = float(next(iter(_values(groups, "POINT", "RATE")), rate)) or rate
     columns: dict[str, Array] = {TIME: start / points + np.arange(cells.shape[1]) / rate}
-    names, units = _values(groups, "ANALOG", "LABELS"), _values(groups, "ANALOG", "UNITS")
+    names = unique(map(str, _values(groups, "ANALOG", "LABELS")))
+    units = _values(groups, "ANALOG", "UNITS")
     units += [""] * len(names)
     for k, values in enumerate(cells):
-        name, converted = in_si(str(names[k]), str(units[k]), values)
+        name, converted = in_si(names[k], str(units[k]), values)
         columns[name] = converted
     return Table(columns)
 

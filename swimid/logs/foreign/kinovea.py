@@ -52,7 +52,9 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     elif _is_table(peek):
         time, found = _of_csv(path)
     else:
-        raise InputError("is no export of tracks", file=path, hint="export the tracks as CSV, or save a KVA file")
+        raise InputError(
+            "is no export of tracks", file=path, hint="export the tracks as CSV, or save a KVA file"
+        )
     factor, unit = length(options.length_unit, path)
     scaled = {name: values * factor for name, values in found.items()}
     steps = np.diff(time)
@@ -89,7 +91,7 @@ def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
     tracks = []
     for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
         decimal = "," if "," in lines[min(start + 1, end - 1)] else "."
-        cells, _ = numbers(path, start + 1, " ", 3, count=end - start - 1, decimal=decimal)
+        cells, _ = numbers(path, start + 1, " ", 3, most=end - start - 1, decimal=decimal)
         name = lines[start][2:].strip()
         tracks.append(pd.DataFrame(cells[:, 1:], index=cells[:, 0], columns=[f"{name}.x", f"{name}.y"]))
     if not tracks:
@@ -101,7 +103,7 @@ def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
 
 def _of_kva(path: Path, select: str | None) -> Table:
     root = ElementTree.parse(path).getroot()
-    tracks = {}
+    tracks: dict[str, Array] = {}
     for track in root.iter("Track"):
         cells = [(point.text or "").split(";") for point in track.iter("TrackPoint")]
         name = track.get("name") or track.findtext("Label/Text") or track.get("id") or str(len(tracks) + 1)

@@ -8,13 +8,25 @@ from __future__ import annotations
 
 import logging
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import UNITS, Array, Format, Options, Table, canonical, choose, in_si, numbers
+from swimid.logs.foreign import (
+    UNITS,
+    Array,
+    Format,
+    Options,
+    Table,
+    canonical,
+    choose,
+    in_si,
+    numbers,
+    unique,
+)
 from swimid.logs.log import TIME
 
 _END = "***End_of_Header***"
@@ -44,7 +56,7 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
         if key.strip() == "Separator":
             mark = _SEPARATORS.get("".join(cells).strip(), "\t")
     # The first header describes the file, each other one a segment.
-    starts = {str(k): (before + 1, end) for k, (before, end) in enumerate(zip(ends, ends[1:], strict=False), start=1)}
+    starts = {str(k): (before + 1, end) for k, (before, end) in enumerate(pairwise(ends), start=1)}
     if not starts:
         raise InputError("has no segment with samples", file=path, hint=f"a segment follows a line {_END}")
     begin, end = starts[choose(select, list(starts), "segment", path)]
@@ -56,7 +68,7 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
     if not names or last == end + 2:
         raise InputError("ends before its samples", file=path, line=len(lines))
     decimal = "".join(head.get("Decimal_Separator", ["."])).strip() or "."
-    values, rows = numbers(path, end + 2, mark, len(names), count=last - end - 2, decimal=decimal)
+    values, rows = numbers(path, end + 2, mark, len(names), most=last - end - 2, decimal=decimal)
 
     def stated(key: str, at: int) -> str:
         cells = segment.get(key, [])
@@ -72,16 +84,14 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
             columns[TIME] = values[:, 0]
         elif stated("Delta_X", 0):
             start, step = (float(stated(key, 0).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
-            columns[TIME] = start + step * np.arange(len(values))
-    for at, name in enumerate(names[1:]):
+            columns[TIME] = start + step * np.arange(len(values), dtype=float)
+    for at, name in enumerate(unique(names[1:])):
         column, converted = in_si(name, stated("Y_Unit_Label", at), values[:, at + 1])
         columns[column] = converted
     return Table(_clock(columns, len(values)), lines=rows)
 
 
-LVM = Format(
-    "lvm", "LabVIEW measurement file", _read_lvm, endings=(".lvm",), magic=(b"LabVIEW Measurement",)
-)
+LVM = Format("lvm", "LabVIEW measurement file", _read_lvm, endings=(".lvm",), magic=(b"LabVIEW Measurement",))
 
 
 # ---------------------------------------------------------------- TDMS
@@ -99,16 +109,21 @@ def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     there = [name for name, channels in groups.items() if channels]
     name = choose(select, there, "group", path)
     columns: dict[str, Array] = {}
-    for channel in groups[name]:
+    names = unique(channel.name for channel in groups[name])
+    for shown, channel in zip(names, groups[name], strict=True):
         unit = str(channel.properties.get("unit_string", ""))
         values = channel[:]
         if values.dtype.kind == "M":
             nanoseconds = values.astype("datetime64[ns]").astype(np.int64)
             columns.setdefault(TIME, (nanoseconds - nanoseconds[0]) * 1e-9)
-        elif values.dtype.kind in "iufb" and _TIME_NAME.fullmatch(channel.name) and canonical(unit) in UNITS["time"]:
+        elif (
+            values.dtype.kind in "iufb"
+            and _TIME_NAME.fullmatch(channel.name)
+            and canonical(unit) in UNITS["time"]
+        ):
             columns[TIME] = values.astype(float) * UNITS["time"][canonical(unit)]
         elif values.dtype.kind in "iufb":
-            column, converted = in_si(channel.name, unit, values.astype(float))
+            column, converted = in_si(shown, unit, values.astype(float))
             columns[column] = converted
     if TIME not in columns:
         columns = _waveform_times(groups[name], path) | columns
@@ -131,7 +146,10 @@ def _waveform_times(channels: list[Any], path: Path) -> dict[str, Array]:
         steps = ", ".join(f"{step:g} s" for _, step in sorted(clocks))
         hint = "write channels of one rate to one group"
         raise InputError(f"channels have different times: intervals {steps}", file=path, hint=hint)
-    return {TIME: start + step * np.arange(len(channels[0])) for start, step in clocks}
+    if not clocks:
+        return {}
+    start, step = clocks.pop()
+    return {TIME: start + step * np.arange(len(channels[0]), dtype=float)}
 
 
 TDMS = Format("tdms", "TDMS file", _read_tdms, endings=(".tdms",), magic=(b"TDSm",), extra="tdms")

@@ -3,8 +3,8 @@
 A dataset holds the points (dimension ``keypoints``) of one or several animals (``individuals``), and the
 confidence of each. In two dimensions, coordinates count from the upper left corner of the picture, with y
 down, also after ``movement.transforms.scale`` has converted them to a unit of length (attribute
-``space_unit``). They are converted to y up. Coordinates in three dimensions keep their axes. Times are seconds
-or frame numbers (attribute ``time_unit``).
+``space_unit``). They are converted to y up. Coordinates in three dimensions keep their axes. Times are
+seconds or frame numbers (attribute ``time_unit``).
 """
 
 from __future__ import annotations
@@ -65,7 +65,9 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         text = f"its attribute time_unit is {data.attrs.get('time_unit')!r}"
         raise InputError(text, file=path, hint="it must be 'seconds' or 'frames'")
     kept = ("source_software", "source_file", "fps")
-    metadata = {name: data.attrs[name] for name in kept if isinstance(data.attrs.get(name), str | float | int)}
+    metadata = {
+        name: data.attrs[name] for name in kept if isinstance(data.attrs.get(name), str | float | int)
+    }
     columns = {clock: data["time"].to_numpy().astype(float), **points(found, unit, y_axis)}
     return Table(columns, metadata=metadata)
 

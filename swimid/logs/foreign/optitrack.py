@@ -20,7 +20,7 @@ from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, com
 from swimid.logs.kinematics import AXES, from_y_up, with_angles
 from swimid.logs.log import TIME
 
-#: Types of the columns in a file. Solved markers of rigid bodies and bones are positions that a model expects.
+#: Types of the columns that are read. ``Rigid Body Marker`` and ``Bone Marker`` are expected positions.
 _BODY, _MARKER = "Rigid Body", "Marker"
 _ORDER = re.compile(r"[XYZ]{3}")
 #: Number of lines of a file among which the names of the columns are searched.

@@ -45,10 +45,14 @@ def _read_trackpy(path: Path, options: Options, select: str | None) -> Table:
     particle = table.columns["particle"].astype(float)
     known, counts = np.unique(particle[np.isfinite(particle)], return_counts=True)
     # List the longest tracks first, because a table holds many short ones.
-    names = [f"{known[k]:g}" for k in np.argsort(-counts, kind="stable")]
+    names = [f"{known[k]:.0f}" for k in np.argsort(-counts, kind="stable")]
     table = rows(table, particle == float(choose(select, names, "particle", path)))
     order = np.argsort(table.columns["frame"], kind="stable")
-    found = {name: table.columns[name].astype(float)[order] for name in ("x", "y", "z", "ep") if name in table.columns}
+    found: dict[str, Array] = {
+        name: table.columns[name].astype(float)[order]
+        for name in ("x", "y", "z", "ep")
+        if name in table.columns
+    }
     ep = found.pop("ep", None)
     columns = {"frame": table.columns["frame"].astype(float)[order], **points(found)}
     if ep is not None:
@@ -79,7 +83,7 @@ def _is_idtracker(peek: Peek) -> bool:
 
 def _read_idtracker(path: Path, options: Options, select: str | None) -> Table:
     peek = Peek.of(path)
-    lines, attributes = None, {}
+    lines, time_s, attributes = None, None, {}
     if peek.head.startswith(_NUMPY):
         tracks = _of_numpy(path)
     elif peek.lines:
@@ -88,6 +92,7 @@ def _read_idtracker(path: Path, options: Options, select: str | None) -> Table:
         if names[:2] != ["x1", "y1"] or len(names) % 2:
             hint = "trajectories of idtracker.ai have the columns x1, y1, x2, y2, ..."
             raise InputError("is no table of trajectories", file=path, hint=hint)
+        time_s = next((table.columns[name] for name in ("time", "seconds") if name in table.columns), None)
         cells = np.column_stack([table.columns[name].astype(float) for name in names])
         tracks, lines = cells.reshape(len(cells), -1, 2), table.lines
     else:
@@ -106,6 +111,8 @@ def _read_idtracker(path: Path, options: Options, select: str | None) -> Table:
     rate = attributes.get("frames_per_second")
     if rate:
         clock = {TIME: frames / float(rate)}
+    elif time_s is not None:
+        clock = {TIME: time_s}
     kept = {name: attributes[name] for name in ("body_length", "version") if name in attributes}
     metadata = {f"idtrackerai_{name}": np.asarray(value).item() for name, value in kept.items()}
     return Table({**clock, **points({"x": x, "y": y})}, metadata=metadata, lines=lines)
@@ -121,9 +128,11 @@ def _of_numpy(path: Path) -> Array:
     """
     if b"'|O'" in Peek.of(path).head[:128]:
         text = "holds a Python pickle, which can run any program when it is loaded"
-        hint = f"export it as HDF5, in the environment of idtracker.ai: idtrackerai_format {path.name} --formats h5"
+        hint = f"export HDF5 where idtracker.ai is installed: idtrackerai_format {path.name} --formats h5"
         raise InputError(text, file=path, hint=hint)
     return np.asarray(np.load(path, allow_pickle=False), dtype=float)
 
 
-IDTRACKER = Format("idtrackerai", "trajectory file of idtracker.ai", _read_idtracker, _is_idtracker, extra="hdf5")
+IDTRACKER = Format(
+    "idtrackerai", "trajectory file of idtracker.ai", _read_idtracker, _is_idtracker, extra="hdf5"
+)

@@ -8,17 +8,19 @@ the definition of the angles is a setting of the program.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, complete, length, numbers, safe
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, complete, length, numbers, unique
 from swimid.logs.kinematics import AXES, with_angles
 from swimid.logs.log import TIME
 
 #: Number of columns of a body, with the column of its residual and the first column of its matrix.
 _WIDTH, _RESIDUAL, _MATRIX = 16, 6, 7
+_KEY = re.compile(r"(?!NULL\b)[A-Z][A-Z_]+(\s|$)")
 
 
 def _recognises(peek: Peek) -> bool:
@@ -28,14 +30,9 @@ def _recognises(peek: Peek) -> bool:
 
 def _read(path: Path, options: Options, select: str | None) -> Table:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    head: dict[str, list[str]] = {}
-    start = 0
     # The header ends before the names of the columns, or before the first row of numbers.
-    for start, line in enumerate(lines):
-        key, *cells = line.rstrip().split("\t")
-        if not key.isupper() or not key.replace("_", "").isalpha():
-            break
-        head[key] = cells
+    start = next((at for at, line in enumerate(lines) if not _KEY.match(line)), len(lines))
+    head = {key: cells for key, *cells in (line.rstrip().split("\t") for line in lines[:start])}
     kind = head.get("DATA_INCLUDED", [""])[0]
     if kind not in ("3D", "6D"):
         hint = "export 3D or 6DOF data, with the header"
@@ -58,14 +55,14 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     elif rate.replace(".", "").isdecimal() and float(rate) > 0:
         clock = {TIME: clock["frame"] / float(rate)}
     factor, unit = length(options.length_unit or "mm", path)
-    parts = dict(zip(names, np.split(values[:, timed:], len(names), axis=1), strict=True))
+    parts = np.split(values[:, timed:], len(names), axis=1)
     columns: dict[str, Array] = {}
     if kind == "6D":
-        columns = _body(parts[choose(select, names, "body", path)], unit, factor)
+        columns = _body(parts[names.index(choose(select, names, "body", path))], unit, factor)
     else:
-        for name, part in parts.items():
+        for name, part in zip(unique(names), parts, strict=True):
             part = np.where((part == 0).all(axis=1)[:, None], np.nan, part * factor)
-            columns |= {f"{safe(name)}_{axis}_{unit}": v for axis, v in zip("xyz", part.T, strict=True)}
+            columns |= {f"{name}_{axis}_{unit}": v for axis, v in zip("xyz", part.T, strict=True)}
     return Table({**clock, **columns}, lines=rows)
 
 

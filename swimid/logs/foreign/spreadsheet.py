@@ -22,7 +22,9 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
     book.close()
-    filled = {name: rows for name, rows in sheets.items() if any(cell is not None for row in rows for cell in row)}
+    filled = {
+        name: rows for name, rows in sheets.items() if any(cell is not None for row in rows for cell in row)
+    }
     rows = filled[choose(select, list(filled), "sheet", path)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -11,10 +11,8 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, in_si, numbers, safe
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, in_si, numbers, unique
 from swimid.logs.log import TIME
 
 
@@ -64,21 +62,24 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         raise InputError("has no section with samples", file=path, hint=hint)
     part = sections[choose(select, list(sections), "section", path)]
     width = max(k for k, cell in enumerate(part.columns) if cell.strip()) + 1
-    values, rows = numbers(path, part.start, mark, width, count=part.count)
+    values, rows = numbers(path, part.start, mark, width, most=part.count)
     each = int(values[:, 1].max()) + 1
     time_s = ((values[:, 0] - 1) * each + values[:, 1]) / part.rate_hz
     columns: dict[str, Array] = {TIME: time_s}
-    names, units = (cells + [""] * width for cells in (part.names, part.units))
-    owner, several = "", len({name.split(":")[0] for name in names if ":" in name}) > 1
+    owners, units = (cells + [""] * width for cells in (part.names, part.units))
+    several = len({owner.split(":")[0] for owner in owners if ":" in owner}) > 1
+    names, shown = [], ""
     for k in range(2, width):
-        # The name of an object stands above its first column.
-        owner = names[k].strip() or owner
-        shown = owner if several else owner.split(":")[-1]
+        # The name of an object stands above its first column, after the name of its subject.
+        if owners[k].strip():
+            shown = owners[k] if several else owners[k].split(":")[-1]
         column = part.columns[k].strip()
         if column in ("X", "Y", "Z"):
             column = column.lower()
-        name, cells = in_si(f"{safe(shown)}_{column}", units[k].strip(), values[:, k])
-        columns[name] = cells
+        names.append(f"{shown} {column}")
+    for k, name in enumerate(unique(names), start=2):
+        target, cells = in_si(name, units[k].strip(), values[:, k])
+        columns[target] = cells
     return Table(columns, lines=rows)
 
 
