@@ -29,6 +29,8 @@ KINDS = {
     "parquet": "",
     "mcap": "/pose",
     "ulog": "",
+    "db3": "/pose",
+    "xlsx": "",
 }
 
 
@@ -65,7 +67,7 @@ def test_mutated_files(kind: str, folder: Path) -> None:
     run()
 
 
-@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".mcap", ".ulg", ".h5"])
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".mcap", ".ulg", ".h5", ".c3d", ".xlsx"])
 def test_arbitrary_files(ending: str, folder: Path) -> None:
     path = folder / f"y{ending}"
     heads = [
@@ -77,6 +79,15 @@ def test_arbitrary_files(ending: str, folder: Path) -> None:
         b"\x89MCAP0\r\n",
         b"ULog\x01\x12\x35",
         b'{"',
+        b"CDF\x01",
+        b"SQLite format 3\x00",
+        b"TDSm",
+        b"\x93NUMPY\x01\x00v\x00{'descr': '|O'",
+        b"PK\x03\x04",
+        b"LabVIEW Measurement\n",
+        b"Format Version,1.25,Take Name,a\n",
+        b"NO_OF_FRAMES\t3\nDATA_INCLUDED\t3D\n",
+        b"Trajectories\n50\n,,a\nFrame,Sub Frame,X\n",
     ]
 
     @examples(30)

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Table, choose, complete, in_si, length, unique
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, complete, in_si, length, unique
 from swimid.logs.kinematics import from_y_up
 from swimid.logs.log import TIME
 
-#: Second byte of every C3D file. The first byte is the block of the parameters, which is usually 2.
-_MAGIC = (b"\x02\x50",)
+
+def _recognises(peek: Peek) -> bool:
+    # The first byte is the block of the parameters, which is usually 2. The second one is always 80.
+    return peek.head[1:2] == b"P" and (peek.head[:1] == b"\x02" or peek.path.suffix.lower() == ".c3d")
 
 
 def _read(path: Path, options: Options, select: str | None) -> Table:
@@ -93,4 +95,4 @@ def _analog(cells: Array, groups: Any, start: float) -> Table:
     return Table(columns)
 
 
-C3D = Format("c3d", "C3D file", _read, endings=(".c3d",), magic=_MAGIC, extra="c3d")
+PROFILE = Format("c3d", "C3D file", _read, _recognises, extra="c3d")

@@ -29,7 +29,7 @@ MAX_ROUNDING = 0.2
 
 def _header(peek: Peek) -> list[str]:
     """Return the names of the columns in the first line of a file, which commas or semicolons separate."""
-    line = (peek.lines or [""])[0]
+    line = (peek.lines or [""])[0].replace("\r", " ")
     mark = ";" if ";" in line else ","
     return next(csv.reader([line], delimiter=mark), [])
 

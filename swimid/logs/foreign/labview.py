@@ -20,6 +20,7 @@ from swimid.logs.foreign import (
     Array,
     Format,
     Options,
+    Peek,
     Table,
     canonical,
     choose,
@@ -43,6 +44,10 @@ def _clock(columns: dict[str, Array], rows: int) -> dict[str, Array]:
 
 
 # ---------------------------------------------------------------- LVM
+
+
+def _is_lvm(peek: Peek) -> bool:
+    return bool(peek.lines) and peek.lines[0].startswith("LabVIEW Measurement")
 
 
 def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
@@ -91,10 +96,14 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
     return Table(_clock(columns, len(values)), lines=rows)
 
 
-LVM = Format("lvm", "LabVIEW measurement file", _read_lvm, endings=(".lvm",), magic=(b"LabVIEW Measurement",))
+LVM = Format("lvm", "LabVIEW measurement file", _read_lvm, _is_lvm)
 
 
 # ---------------------------------------------------------------- TDMS
+
+
+def _is_tdms(peek: Peek) -> bool:
+    return peek.head.startswith(b"TDSm")
 
 
 def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
@@ -152,4 +161,4 @@ def _waveform_times(channels: list[Any], path: Path) -> dict[str, Array]:
     return {TIME: start + step * np.arange(len(channels[0]), dtype=float)}
 
 
-TDMS = Format("tdms", "TDMS file", _read_tdms, endings=(".tdms",), magic=(b"TDSm",), extra="tdms")
+TDMS = Format("tdms", "TDMS file", _read_tdms, _is_tdms, extra="tdms")
