@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from swimid.notices import SwimidWarning
 from tests.conftest import Ran
 from tests.test_fuzz_readers import _ends_in_order, examples, mutated, rewritten
 from tests.test_import import FILES, MAP
+from tests.test_import_formats import _c3d, _coco, _motive, _tdms
 
 #: One file of each kind of reader, small enough to try many.
 KINDS = {
@@ -63,6 +65,35 @@ def test_mutated_files(kind: str, folder: Path) -> None:
     def run(content: bytes) -> None:
         path.write_bytes(content)
         _through(path, KINDS[kind])
+
+    run()
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "topic"),
+    [
+        ("a.c3d", lambda path: _c3d(path, "+Y", analog=True), "points"),
+        ("a.tdms", _tdms, "balance"),
+        ("a.csv", lambda path: _motive(path, "Quaternion"), ""),
+        ("a.json", lambda path: path.write_text(json.dumps(_coco())), ""),
+    ],
+)
+def test_mutated_files_of_profiles(
+    name: str, make: Callable[[Path], object], topic: str, folder: Path
+) -> None:
+    make(folder / name)
+    valid = (folder / name).read_bytes()
+    path = folder / f"z{Path(name).suffix}"
+
+    @examples(30)
+    @given(content=mutated(valid))
+    def run(content: bytes) -> None:
+        path.write_bytes(content)
+        stated = {"select": topic} if topic else {}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SwimidWarning)
+            with contextlib.suppress(SwimidError):
+                mapping.apply(None, path, stated)
 
     run()
 

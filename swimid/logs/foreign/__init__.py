@@ -299,8 +299,8 @@ class Peek:
     def holds(self, *names: str) -> bool:
         """Return whether the file is HDF5 and contains data sets or groups with all given names."""
         if self.head.startswith(b"\x89HDF"):
-            # Ignore a missing h5py here. The reader of HDF5 then names the extra to install.
-            with contextlib.suppress(OSError, ImportError):
+            # Ignore a missing h5py and a damaged file here. The reader of HDF5 then raises the error.
+            with contextlib.suppress(OSError, RuntimeError, KeyError, ImportError):
                 import h5py
 
                 with h5py.File(self.path, "r") as file:

@@ -1,4 +1,4 @@
-"""Reader of C3D files, by the library ezc3d: points, and analogue channels.
+"""Reader of C3D files, by the library c3d: points, and analogue channels.
 
 The file states rates and units. A point with a negative residual is missing. The parameter ``Y_SCREEN`` of
 the group POINT states the vertical axis: ``+Z`` or ``+Y``. In the second case y becomes z, and z becomes -y.
@@ -6,14 +6,25 @@ the group POINT states the vertical axis: ``+Z`` or ``+Y``. In the second case y
 
 from __future__ import annotations
 
-import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, complete, in_si, length, unique
+from swimid.logs.foreign import (
+    Array,
+    Format,
+    Options,
+    Peek,
+    Table,
+    choose,
+    complete,
+    in_si,
+    length,
+    unique,
+)
 from swimid.logs.kinematics import from_y_up
 from swimid.logs.log import TIME
 
@@ -24,75 +35,54 @@ def _recognises(peek: Peek) -> bool:
 
 
 def _read(path: Path, options: Options, select: str | None) -> Table:
-    import ezc3d
+    import c3d
 
-    file = ezc3d.c3d(str(path))
-    groups, data = file["parameters"], file["data"]
-    header = file["header"]["points"]
-    complete(path, _stated_frames(path), header["last_frame"] - header["first_frame"] + 1)
-    samples = {"points": data["points"], "analog": data["analogs"]}
-    there = [name for name, values in samples.items() if values.size]
-    start = float(header["first_frame"])
+    with path.open("rb") as stream, warnings.catch_warnings(action="ignore"):
+        file = c3d.Reader(stream)
+        frames = list(file.read_frames(copy=True))
+    complete(path, file.frame_count, len(frames))
+    there = [name for name, used in (("points", file.point_used), ("analog", file.analog_used)) if used]
+    start = float(file.first_frame - 1)
     if choose(select, there, "kind of data", path) == "analog":
-        return _analog(data["analogs"][0], groups, start)
-    return _points(data, groups, start, options, path)
+        return _analog(file, np.concatenate([frame[2] for frame in frames], axis=1), start)
+    return _points(file, np.array([frame[1] for frame in frames]), start, options, path)
 
 
-def _stated_frames(path: Path) -> int | None:
-    """Return the number of frames that the header of a file states; None if they are too many for its field.
+def _texts(file: Any, name: str, size: int) -> list[str]:
+    """Return the texts of a parameter and of its continuations, such as ``LABELS2``.
 
-    The library reads a file that is cut off without an error, and changes the number in its header.
+    The list has ``size`` items. Missing ones are empty.
     """
-    with path.open("rb") as stream:
-        head = stream.read(512)
-        stream.seek(512 * (head[0] - 1) + 3)
-        processor = stream.read(1)
-    order = ">" if processor == b"\x56" else "<"  # 86 stands for the byte order of MIPS
-    first, last = struct.unpack(f"{order}HH", head[6:10])
-    return last - first + 1 if last < 0xFFFF else None
+    parts = [file.get(f"{name}{ending}") for ending in ("", "2", "3", "4")]
+    found = [str(text).strip() for part in parts if part is not None for text in np.ravel(part.string_array)]
+    return [*found, *[""] * size][:size]
 
 
-def _values(groups: Any, group: str, name: str) -> list[Any]:
-    """Return the values of a parameter and of its continuations, such as ``LABELS2``; empty if missing."""
-    found: list[Any] = []
-    for ending in ("", "2", "3", "4"):
-        if group in groups and f"{name}{ending}" in groups[group]:
-            found += list(groups[group][f"{name}{ending}"]["value"])
-    return found
-
-
-def _points(data: Any, groups: Any, start: float, options: Options, path: Path) -> Table:
-    stated = next(iter(_values(groups, "POINT", "UNITS")), "")
-    factor, unit = length(options.length_unit or str(stated), path)
-    rate = float(next(iter(_values(groups, "POINT", "RATE")), 0.0))
-    if not rate > 0:
+def _points(file: Any, cells: Array, start: float, options: Options, path: Path) -> Table:
+    factor, unit = length(options.length_unit or _texts(file, "POINT:UNITS", 1)[0], path)
+    if not file.point_rate > 0:
         raise InputError("states no rate of the points", file=path)
-    vertical, notes = str(next(iter(_values(groups, "POINT", "Y_SCREEN")), "")), []
+    vertical, notes = _texts(file, "POINT:Y_SCREEN", 1)[0], []
     if vertical not in ("+Z", "+Y"):
         notes.append("the file does not state its vertical axis; z is taken as up")
-    cells = data["points"][:3] * factor
-    residuals = data["meta_points"]["residuals"][0]
-    cells[:, residuals < 0] = np.nan
-    columns: dict[str, Array] = {TIME: (start + np.arange(cells.shape[2])) / rate}
-    names = unique(map(str, _values(groups, "POINT", "LABELS")))
-    for name, place in zip(names, np.moveaxis(cells, 1, 0), strict=False):
+    labels = _texts(file, "POINT:LABELS", cells.shape[1])
+    names = unique(label or f"point {k}" for k, label in enumerate(labels, start=1))
+    columns: dict[str, Array] = {TIME: (start + np.arange(len(cells))) / file.point_rate}
+    for k, name in enumerate(names):
+        residuals = cells[:, k, 3]
+        place = np.where(residuals < 0, np.nan, cells[:, k, :3].T * factor)
         if vertical == "+Y":
-            place = from_y_up(*place)
+            place = np.array(from_y_up(*place))
         columns |= {f"{name}_{axis}_{unit}": v for axis, v in zip("xyz", place, strict=True)}
     return Table(columns, notes=notes)
 
 
-def _analog(cells: Array, groups: Any, start: float) -> Table:
-    rate = float(_values(groups, "ANALOG", "RATE")[0])
-    points = float(next(iter(_values(groups, "POINT", "RATE")), rate)) or rate
-    columns: dict[str, Array] = {TIME: start / points + np.arange(cells.shape[1]) / rate}
-    names = unique(map(str, _values(groups, "ANALOG", "LABELS")))
-    units = _values(groups, "ANALOG", "UNITS")
-    units += [""] * len(names)
-    for k, values in enumerate(cells):
-        name, converted = in_si(names[k], str(units[k]), values)
-        columns[name] = converted
-    return Table(columns)
+def _analog(file: Any, cells: Array, start: float) -> Table:
+    time_s = start / file.point_rate + np.arange(cells.shape[1]) / file.analog_rate
+    labels, units = (_texts(file, f"ANALOG:{name}", len(cells)) for name in ("LABELS", "UNITS"))
+    names = unique(label or f"channel {k}" for k, label in enumerate(labels, start=1))
+    converted = [in_si(*channel) for channel in zip(names, units, cells.astype(float), strict=True)]
+    return Table({TIME: time_s, **dict(converted)})
 
 
 PROFILE = Format("c3d", "C3D file", _read, _recognises, extra="c3d")
