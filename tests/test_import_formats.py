@@ -411,7 +411,9 @@ def test_optitrack(form: str, imported: Imported, tmp_path: Path) -> None:
 
 def test_optitrack_bodies_and_a_cut_file(imported: Imported, swimid: Run, tmp_path: Path) -> None:
     _motive(tmp_path / "a.csv", "Quaternion", ("fish", "buoy"))
-    assert "fish, buoy" in _refused(swimid, tmp_path / "a.csv")
+    said = _refused(swimid, tmp_path / "a.csv")
+    assert "2 rigid bodies" in said
+    assert "fish, buoy" in said
     record, _ = imported(tmp_path / "a.csv", "--select", "buoy")
     assert np.allclose(record["x_m"], X_M + 0.1, atol=2e-9)
     short = _shortened(tmp_path / "a.csv")

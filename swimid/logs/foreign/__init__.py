@@ -398,7 +398,8 @@ def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> s
         raise InputError(f"holds no {what} with samples", file=path)
     if select is None and len(known) > 1:
         hint = f"--select with one of: {', '.join(known[:20])}"
-        raise InputError(f"holds {len(known)} {what}s; name one", file=path, hint=hint)
+        plural = re.sub("ys$", "ies", f"{what}s")
+        raise InputError(f"holds {len(known)} {plural}; name one", file=path, hint=hint)
     if select is not None and select not in known:
         hint = suggestion(select, list(known), "it holds")
         raise InputError(f"holds no {what} '{select}'", file=path, hint=hint)

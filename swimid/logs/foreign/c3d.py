@@ -43,7 +43,7 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     complete(path, file.frame_count, len(frames))
     there = [name for name, used in (("points", file.point_used), ("analog", file.analog_used)) if used]
     start = float(file.first_frame - 1)
-    if choose(select, there, "kind of data", path) == "analog":
+    if choose(select, there, "data set", path) == "analog":
         return _analog(file, np.concatenate([frame[2] for frame in frames], axis=1), start)
     return _points(file, np.array([frame[1] for frame in frames]), start, options, path)
 
