@@ -114,6 +114,7 @@ def _content(record: Log, path: Path) -> tuple[dict[str, Any], dict[str, Any], d
         "ds_type": "poses",
         "time_unit": "seconds",
         "source_software": "swimid",
+        "made_by": "swimid export",
         "source_file": path.name,
     }
     if not find_uneven(record.time_s)[0]:
