@@ -93,6 +93,20 @@ def test_movement(imported: Imported, tmp_path: Path) -> None:
     assert record.metadata["source_software"] == "SLEAP"
 
 
+def test_movement_with_singular_dimensions_and_one_confidence_for_an_animal(
+    imported: Imported, tmp_path: Path
+) -> None:
+    """The form of version 0.17."""
+    data = _dataset(RATE, ["fish"])
+    data = data.rename({name: name[:-1] for name in ("keypoints", "individuals") if name in data.dims})
+    data["confidence"] = data["confidence"].min("keypoint")
+    data.to_netcdf(tmp_path / "a.nc")
+    record, _ = imported(tmp_path / "a.nc")
+    assert np.isnan(record["nose_x_px"][10:15]).all()
+    assert np.isnan(record["tail_tip_x_px"][10:15]).all()
+    assert np.allclose(record["tail_tip_x_px"][15:], (X_PX - 80)[15:])
+
+
 def test_movement_of_several_individuals_by_frame(imported: Imported, swimid: Run, tmp_path: Path) -> None:
     _dataset(None, ["ann", "bob"]).to_netcdf(tmp_path / "a.nc", engine="scipy")
     assert "ann, bob" in _refused(swimid, tmp_path / "a.nc", "--rate-hz", "50")
@@ -339,6 +353,31 @@ def test_tables_of_lightning_pose_are_those_of_deeplabcut(imported: Imported, tm
     assert ran.json["result"]["profile"] == "deeplabcut"
     assert np.allclose(record["nose_y_px"], -Y_PX)
     assert list(record.columns) == ["t_s", "nose_x_px", "nose_y_px", "nose_likelihood"]
+
+
+@pytest.mark.parametrize("unit", ["mm", ""])
+def test_anipose(unit: str, imported: Imported, swimid: Run, tmp_path: Path) -> None:
+    """A table of triangulated points, as Anipose writes it."""
+    score = np.full(N, 0.9)
+    score[10:15] = 0.1
+    cells: dict[str, Any] = {}
+    for name, shift in (("nose", 0.0), ("tail_tip", -80.0)):
+        place = {"x": 1000 * X_M + shift, "y": 1000 * Y_M, "z": 1000 * Z_M}
+        cells |= {f"{name}_{axis}": _hidden(values) for axis, values in place.items()}
+        cells |= {f"{name}_error": np.full(N, 0.4), f"{name}_ncams": np.full(N, 3.0), f"{name}_score": score}
+    cells |= {f"M_{k}{j}": float(k == j) for k in range(3) for j in range(3)}
+    cells |= {f"center_{k}": 0.0 for k in range(3)}
+    pd.DataFrame({**cells, "fnum": np.arange(N)}).to_csv(tmp_path / "a.csv", index=False)
+    if not unit:
+        assert "--length-unit" in _refused(swimid, tmp_path / "a.csv", "--rate-hz", "50")
+        return
+    record, ran = imported(tmp_path / "a.csv", "--rate-hz", "50", "--length-unit", unit)
+    assert ran.json["result"]["profile"] == "anipose"
+    true = _hidden(Z_M)
+    true[10:15] = np.nan
+    assert np.allclose(record.time_s, T)
+    assert np.allclose(record["tail_tip_z_m"], true, equal_nan=True)
+    assert ran.json["result"]["unlikely"] == {"nose_score": 5, "tail_tip_score": 5}
 
 
 # ---------------------------------------------------------------- motion capture

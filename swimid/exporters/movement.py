@@ -1,7 +1,8 @@
 """Export of a log to a dataset of the Python package ``movement``: netCDF, written by xarray.
 
 The dataset has the points of one individual. The track ``x_m``, ``y_m`` is the point ``reference``, and a
-column such as ``nose_x_m`` belongs to the point ``nose``. In two dimensions ``movement`` has y down, and so
+column such as ``nose_x_m`` belongs to the point ``nose``. The names of the dimensions are those of version
+0.17. In two dimensions ``movement`` has y down, and so
 has the dataset. In the vertical plane this is the direction of -z. All other columns are variables over time.
 """
 
@@ -67,9 +68,9 @@ def export(source: LogLike, output: str | Path | None) -> Dataset:
         import xarray
 
     data = xarray.Dataset(*_content(record, path_of(given)))
-    points, frames = (data.sizes[name] for name in ("keypoints", "time"))
+    points, frames = (data.sizes[name] for name in ("keypoint", "time"))
     text = f"{record.path.name} as a dataset of movement: points {points}, frames {frames}"
-    found = {"target": "movement", "points": data["keypoints"].values.tolist(), "frames": frames}
+    found = {"target": "movement", "points": data["keypoint"].values.tolist(), "frames": frames}
     return Dataset("export", text, found, document=data).saved(output)
 
 
@@ -102,13 +103,13 @@ def _content(record: Log, path: Path) -> tuple[dict[str, Any], dict[str, Any], d
             confidence[:, k, 0] = record[name]
             taken.append(name)
     variables = {
-        "position": (("time", "space", "keypoints", "individuals"), position, {"space_unit": unit}),
-        "confidence": (("time", "keypoints", "individuals"), confidence),
+        "position": (("time", "space", "keypoint", "individual"), position, {"space_unit": unit}),
+        "confidence": (("time", "keypoint", "individual"), confidence),
         **{name: ("time", values) for name, values in record.signals.items() if name not in taken},
     }
     individual = str(record.metadata.get("robot", "id_0"))
     coordinates = {
-        "time": record.time_s, "space": list(space), "keypoints": list(places), "individuals": [individual]
+        "time": record.time_s, "space": list(space), "keypoint": list(places), "individual": [individual]
     }  # fmt: skip
     attributes: dict[str, Any] = {
         "ds_type": "poses",

@@ -1,9 +1,12 @@
-"""Readers of tracked points in images: tables of DeepLabCut, and analysis files of SLEAP.
+"""Readers of tracked points in images: tables of DeepLabCut and Anipose, and analysis files of SLEAP.
 
 A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. The levels
 of its column header are scorer, (individuals,) bodyparts and coords. SLEAP writes HDF5 (array ``tracks`` with
 axes tracks, x and y, nodes, frames) and CSV (``node.x``, ``node.y``). In the files, coordinates are pixels
 from the upper left corner, with y down. They are converted to y up. Neither format states a frame rate.
+
+Anipose writes x, y and z of points that several cameras see (CSV). The unit is that of its calibration board,
+and the axes are those of its calibration. The file states neither.
 """
 
 from __future__ import annotations
@@ -16,7 +19,19 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, is_text, open_table, rows, safe
+from swimid.logs.foreign import (
+    Array,
+    Format,
+    Options,
+    Peek,
+    Table,
+    choose,
+    is_text,
+    length,
+    open_table,
+    rows,
+    safe,
+)
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
@@ -79,6 +94,29 @@ def _read_deeplabcut(path: Path, options: Options, select: str | None) -> Table:
     return Table(columns, metadata={"y_axis": "up, from the upper edge of the frame"}, lines=lines)
 
 
+def _is_anipose(peek: Peek) -> bool:
+    return {"fnum", "M_00", "center_0"} <= set(peek.header)
+
+
+def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
+    table = open_table(path)
+    names = [name.removesuffix("_ncams") for name in table.columns if name.endswith("_ncams")]
+    if not names or "fnum" not in table.columns:
+        hint = (
+            "a table of Anipose has columns such as nose_x, nose_y, nose_z, nose_score, nose_ncams, and fnum"
+        )
+        raise InputError("is no table of Anipose", file=path, hint=hint)
+    factor, unit = length(options.length_unit, path)
+    found: dict[str, Array] = {}
+    for name in names:
+        found |= {f"{name}.{axis}": table.columns[f"{name}_{axis}"].astype(float) * factor for axis in "xyz"}
+        if f"{name}_score" in table.columns:
+            found[f"{name}.score"] = table.columns[f"{name}_score"].astype(float)
+    columns = {"frame": table.columns["fnum"].astype(float), **points(found, unit, "up")}
+    notes = [*table.notes, "the axes are those of the calibration; z is taken as up"]
+    return Table(columns, notes=notes, lines=table.lines)
+
+
 def _is_sleap(peek: Peek) -> bool:
     cells = {hit[1] for name in peek.header if (hit := _CELL.fullmatch(name))}
     return ("frame_idx" in peek.header and {"x", "y"} <= cells) or peek.holds("tracks", "node_names")
@@ -127,4 +165,5 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
 
 
 DEEPLABCUT = Format("deeplabcut", "table of DeepLabCut", _read_deeplabcut, _is_deeplabcut, extra="deeplabcut")
+ANIPOSE = Format("anipose", "table of Anipose", _read_anipose, _is_anipose)
 SLEAP = Format("sleap", "analysis file of SLEAP", _read_sleap, _is_sleap, extra="hdf5")

@@ -1,10 +1,11 @@
 """Reader of datasets of the Python package ``movement``: netCDF with ``position(time, space, ...)``.
 
-A dataset holds the points (dimension ``keypoints``) of one or several animals (``individuals``), and the
-confidence of each. In two dimensions, coordinates count from the upper left corner of the picture, with y
-down, also after ``movement.transforms.scale`` has converted them to a unit of length (attribute
-``space_unit``). They are converted to y up. Coordinates in three dimensions keep their axes. Times are
-seconds or frame numbers (attribute ``time_unit``).
+A dataset holds the points (dimension ``keypoint``) of one or several animals (``individual``), and the
+confidence of each point, or of each animal. Before version 0.17 these names were plural. In two dimensions,
+coordinates count from the upper left corner of the picture, with y down, also after
+``movement.transforms.scale`` has converted them to a unit of length (attribute ``space_unit``). They are
+converted to y up. Coordinates in three dimensions keep their axes. Times are seconds or frame numbers
+(attribute ``time_unit``).
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, len
 from swimid.logs.foreign.keypoints import points
 from swimid.logs.log import TIME
 
-#: Names of the dimensions in other versions of ``movement``.
-_RENAMED = {"keypoint": "keypoints", "individual": "individuals"}
+#: Names of the dimensions before version 0.17 of ``movement``, with their present names.
+_RENAMED = {"keypoints": "keypoint", "individuals": "individual"}
 
 
 def _recognises(peek: Peek) -> bool:
@@ -38,24 +39,24 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     if "position" not in data or not {"time", "space"} <= set(data["position"].dims):
         text = "has no variable 'position' with the dimensions 'time' and 'space'"
         raise InputError(text, file=path, hint="movement datasets are saved by ds.to_netcdf(path)")
-    if "individuals" in data.dims:
-        names = [str(name) for name in data["individuals"].values]
-        data = data.isel(individuals=names.index(choose(select, names, "individual", path)))
-    if "keypoints" not in data.dims:
-        data = data.expand_dims(keypoints=[""])
+    if "individual" in data.dims:
+        names = [str(name) for name in data["individual"].values]
+        data = data.isel(individual=names.index(choose(select, names, "individual", path)))
+    if "keypoint" not in data.dims:
+        data = data.expand_dims(keypoint=[""])
     position, space = data["position"], [str(axis) for axis in data["space"].values]
     stated = position.attrs.get("space_unit") or data.attrs.get("space_unit")
     if not stated and "z" not in space:
         stated = "px"
     factor, unit = length(options.length_unit or stated, path)
     found: dict[str, Array] = {}
-    for k, name in enumerate(data["keypoints"].values):
+    for k, name in enumerate(data["keypoint"].values):
         prefix = f"{name}." if str(name) else ""
-        one = position.isel(keypoints=k)
+        one = position.isel(keypoint=k)
         for at, axis in enumerate(space):
             found[f"{prefix}{axis}"] = one.isel(space=at).to_numpy().astype(float) * factor
         if "confidence" in data:
-            confidence = data["confidence"].isel(keypoints=k).to_numpy().astype(float)
+            confidence = data["confidence"].isel(keypoint=k, missing_dims="ignore").to_numpy().astype(float)
             # A confidence that is missing throughout is unknown, and not low.
             if np.isfinite(confidence).any():
                 found[f"{prefix}likelihood"] = confidence
