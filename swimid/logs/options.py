@@ -19,8 +19,9 @@ class ImportOptions(Options):
         flag="--as",
         metavar="FORMAT",
         help="Format of the file: anipose, ardupilot, coco, deeplabcut, dynamixel, idtrackerai, kinovea, "
-        "movement, opensim, optitrack, px4, qualisys, ros2, sleap, swimid, tracker, trackpy, vicon, c3d, db3, "
-        "delimited, hdf5, lvm, mat, mcap, parquet, tdms, ulog, xlsx  [default: recognised by its content].",
+        "movement, opensim, optitrack, px4, qualisys, ros2, sleap, swimid, tracker, trackpy, vicon, c3d, "
+        "db3, delimited, hdf5, lvm, mat, mcap, parquet, tdms, ulog, xlsx  "
+        "[default: recognised by its content].",
     )
     select: str | None = option(
         None,
