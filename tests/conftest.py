@@ -69,6 +69,19 @@ def swimid() -> Callable[..., Ran]:
     return run
 
 
+@pytest.fixture
+def imported(swimid: Callable[..., Ran], tmp_path: Path) -> Callable[..., tuple[Any, Ran]]:
+    """Import a file with options; return the log and what the command said."""
+    from swimid.logs import log
+
+    def run(path: Path, *options: str) -> tuple[Any, Ran]:
+        ran = swimid("import", path, *options, "-o", tmp_path / "out.csv", "--force", "--json")
+        assert ran.status == 0, ran.err
+        return log.read(tmp_path / "out.csv"), ran
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def samples() -> Path:
     """The folder of sample logs."""

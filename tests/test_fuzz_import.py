@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from swimid.notices import SwimidWarning
 from tests.conftest import Ran
 from tests.test_fuzz_readers import _ends_in_order, examples, mutated, rewritten
 from tests.test_import import FILES, MAP
+from tests.test_import_formats import _c3d, _coco, _motive, _tdms
 
 #: One file of each kind of reader, small enough to try many.
 KINDS = {
@@ -29,6 +31,8 @@ KINDS = {
     "parquet": "",
     "mcap": "/pose",
     "ulog": "",
+    "db3": "/pose",
+    "xlsx": "",
 }
 
 
@@ -65,7 +69,36 @@ def test_mutated_files(kind: str, folder: Path) -> None:
     run()
 
 
-@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".mcap", ".ulg", ".h5"])
+@pytest.mark.parametrize(
+    ("name", "make", "topic"),
+    [
+        ("a.c3d", lambda path: _c3d(path, "+Y", analog=True), "points"),
+        ("a.tdms", _tdms, "balance"),
+        ("a.csv", lambda path: _motive(path, "Quaternion"), ""),
+        ("a.json", lambda path: path.write_text(json.dumps(_coco())), ""),
+    ],
+)
+def test_mutated_files_of_profiles(
+    name: str, make: Callable[[Path], object], topic: str, folder: Path
+) -> None:
+    make(folder / name)
+    valid = (folder / name).read_bytes()
+    path = folder / f"z{Path(name).suffix}"
+
+    @examples(30)
+    @given(content=mutated(valid))
+    def run(content: bytes) -> None:
+        path.write_bytes(content)
+        stated = {"select": topic} if topic else {}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SwimidWarning)
+            with contextlib.suppress(SwimidError):
+                mapping.apply(None, path, stated)
+
+    run()
+
+
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".mcap", ".ulg", ".h5", ".c3d", ".xlsx"])
 def test_arbitrary_files(ending: str, folder: Path) -> None:
     path = folder / f"y{ending}"
     heads = [
@@ -77,6 +110,15 @@ def test_arbitrary_files(ending: str, folder: Path) -> None:
         b"\x89MCAP0\r\n",
         b"ULog\x01\x12\x35",
         b'{"',
+        b"CDF\x01",
+        b"SQLite format 3\x00",
+        b"TDSm",
+        b"\x93NUMPY\x01\x00v\x00{'descr': '|O'",
+        b"PK\x03\x04",
+        b"LabVIEW Measurement\n",
+        b"Format Version,1.25,Take Name,a\n",
+        b"NO_OF_FRAMES\t3\nDATA_INCLUDED\t3D\n",
+        b"Trajectories\n50\n,,a\nFrame,Sub Frame,X\n",
     ]
 
     @examples(30)

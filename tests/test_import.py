@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -136,6 +137,30 @@ def _ulog(path: Path) -> None:
     path.write_bytes(b"".join(parts))
 
 
+def _db3(path: Path) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    store, kind = get_typestore(Stores.ROS2_HUMBLE), "geometry_msgs/msg/Vector3"
+    with rosbag2.Writer(path.parent / "bag", version=8) as bag:
+        topics = {name: bag.add_connection(name, kind, typestore=store) for name in ("/pose", "/depth")}
+        for k in range(N):
+            data = store.serialize_cdr(store.types[kind](TIME_MS[k], X_MM[k], YAW_DEG[k]), kind)
+            for topic in topics.values():
+                bag.write(topic, 1_700_000_000_000_000_000 + int(TIME_MS[k] * 1e6), data)
+    (path.parent / "bag" / "bag.db3").rename(path)
+    shutil.rmtree(path.parent / "bag")
+
+
+def _xlsx(path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.create_sheet("empty")
+    for row in [("Time", "X", "Yaw"), ("ms", "mm", "deg"), *zip(TIME_MS, X_MM, YAW_DEG, strict=True)]:
+        book.active.append([cell if isinstance(cell, str) else float(cell) for cell in row])
+    book.save(path)
+
+
 FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] = {
     "comma": ("a.csv", _text, "", ('"Time (ms)"', '"X [mm]"', '"Yaw (°)"')),
     "numbers": ("a.csv", _text, "", ("1", "2", "3")),
@@ -154,6 +179,8 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] 
     "parquet": ("a.parquet", _parquet, "", ("t", "x", "yaw")),
     "mcap": ("a.mcap", _mcap, "select: /pose", ("ms", "at.x", "yaw")),
     "ulog": ("a.ulg", _ulog, "", ("ms", '"p[1]"', '"p[2]"')),
+    "db3": ("a.db3", _db3, "select: /pose", ("x", "y", "z")),
+    "xlsx": ("a.xlsx", _xlsx, "", ("Time", "X", "Yaw")),
 }
 
 
@@ -193,7 +220,7 @@ def test_cells_of_one_length_are_columns(
 
 def test_each_format_without_a_profile_has_a_file_in_these_tests() -> None:
     plain = {name for name, found in formats().items() if found.recognises is None}
-    assert plain == {"delimited", "mat", "hdf5", "parquet", "mcap", "ulog"}
+    assert plain == {"delimited", "mat", "hdf5", "parquet", "mcap", "ulog", "db3", "xlsx"}
 
 
 def test_a_file_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from swimid.logs import log
 from swimid.logs.log import Log
 from tests.conftest import Ran
 
@@ -20,18 +19,6 @@ T = np.arange(N) / RATE
 BEAT = 2 * np.pi * 1.4 * T
 X_PX, Y_PX = 100 + 4.0 * np.arange(N), 200 + 9 * np.sin(BEAT)
 JOINT = np.radians(18) * np.sin(BEAT)
-
-
-@pytest.fixture
-def imported(swimid: Run, tmp_path: Path) -> Callable[..., tuple[Log, Ran]]:
-    """Import a file with options; return the log and what the command said."""
-
-    def run(path: Path, *options: str) -> tuple[Log, Ran]:
-        ran = swimid("import", path, *options, "-o", tmp_path / "out.csv", "--force", "--json")
-        assert ran.status == 0, ran.err
-        return log.read(tmp_path / "out.csv"), ran
-
-    return run
 
 
 def _points() -> pd.DataFrame:

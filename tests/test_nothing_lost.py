@@ -260,6 +260,7 @@ class TestFilesOfOthers:
         trials, params = drops(tmp_path / "rig", "a"), tmp_path / "rig" / "params.yaml"
         out = tmp_path / "out"
         out.mkdir()
+        (out / "track.csv").write_text("# made_by: swimid track video\nt_s,x_m,y_m\n0,0,0\n1,1,0\n")
         for words in (
             ("compare", trials, "--params", params, "-o", out / "c.yaml"),
             ("simulate", "--params", params, "--trials", trials, "--trial", "a", "-o", out / "a.csv"),
@@ -271,6 +272,7 @@ class TestFilesOfOthers:
             ("report", out / "c.yaml", "-o", out / "c.md"),
             ("export", LINKS, "--to", "gazebo", "-o", out / "p.sdf"),
             ("export", LINKS, "--to", "json", "-o", out / "p.json"),
+            ("export", out / "track.csv", "--to", "movement", "-o", out / "p.nc"),
             ("schema", "map", "-o", out / "s.json"),
             ("doctor", "-o", out / "d.json"),
         ):
@@ -282,7 +284,7 @@ class TestFilesOfOthers:
                 writer.write(0.04 * k, np.full((64, 64, 3), 20 * k, dtype=np.uint8))
             writer.close()
         assert [p.name for p in sorted(out.iterdir()) if not provenance.is_own(p)] == []
-        assert len(list(out.iterdir())) == 16
+        assert len(list(out.iterdir())) == 18
 
     def test_a_draft_is_not_replaced(self, swimid: Run, tmp_path: Path, samples: Path) -> None:
         draft = tmp_path / "map.yaml"

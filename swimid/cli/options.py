@@ -15,7 +15,7 @@ class ImportLogOptions(
     argument="FILE",
     output="The log, CSV or Parquet by its ending; with --guess the mapping.",
 ):
-    """Import a log: delimited text, MATLAB, HDF5, Parquet, MCAP, ULog.
+    """Import a log of a tracker, of motion capture, of a robot or of a laboratory, or any table.
 
     A mapping says which source column becomes which column of the log, and in which unit it was
     written. Without one the columns must have the names of the log format already. Beside the log

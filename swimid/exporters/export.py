@@ -13,13 +13,14 @@ from typing import Any
 
 import swimid
 from swimid.errors import InputError, UsageError
-from swimid.exporters import gazebo, mjcf
+from swimid.exporters import gazebo, mjcf, movement
 from swimid.exporters.causes import Cause, filters_text, limits_of
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Exported, Link, Source, central
 from swimid.files import atomic
 from swimid.files.provenance import digests_of, is_own
 from swimid.fitting.model import Parameter
+from swimid.logs.log import LogLike
 from swimid.notices import warn
 from swimid.options import takes
 from swimid.results import numbers, parameters
@@ -45,7 +46,9 @@ CONVENTIONS = (
 
 
 @takes(ExportOptions)
-def export(params: parameters.Source, *, options: ExportOptions, output: str | Path | None = None) -> Text:
+def export(
+    params: parameters.Source | LogLike, *, options: ExportOptions, output: str | Path | None = None
+) -> Text | movement.Dataset:
     """Write the coefficients and causes of a parameter file in the format of a simulator.
 
     Causes are the effects that a diagnosis found. The robot file that the parameter file names is searched in
@@ -55,7 +58,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     Parameters
     ----------
     params : path, ParameterFile or result of a fit
-        Parameters of a robot with links in one plane.
+        Parameters of a robot with links in one plane. For ``movement``, a log: path, DataFrame or Log.
     output : path, optional
         Path of the file to write. With None or ``-`` the text is only returned. Beside ``tfish.xml`` are
         written ``tfish_mjcf_causes.py``, which filters the commands for causes that the simulator cannot
@@ -67,7 +70,7 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
         ``.document`` is the text of the file (XML or JSON), in SI units. ``.data`` has ``target``,
         ``added_mass``, ``causes`` and ``limits``, the effects that the format cannot represent. Each limit is
         also a warning SWM060. If no file is written, ``filters`` is the text of the Python file that filters
-        the commands, or empty.
+        the commands, or empty. For ``movement``, ``.document`` is an ``xarray.Dataset``.
 
     Raises
     ------
@@ -86,6 +89,15 @@ def export(params: parameters.Source, *, options: ExportOptions, output: str | P
     >>> json.loads(made.document)["robot"], made.data["limits"]
     ('tfish', [])
     """
+    if options.to != "movement":
+        return _to_simulator(params, options, output)
+    if options.draws or options.draw:
+        raise UsageError("a log has no random samples of parameters", hint="leave out --draws and --draw")
+    return movement.export(params, output)
+
+
+def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None) -> Text:
+    """Write a parameter file in the format of a simulator."""
     title, write = TARGETS[options.to]
     source = load(params)
     out = None if output is None or str(output) == "-" else Path(output)

@@ -134,6 +134,7 @@ def _head(path: Path) -> str:
     """Return the first bytes of a file (:data:`NEAR`) as text.
 
     For a Parquet file that swimid wrote, the text is ``PAR1`` and the metadata of the file as comment lines.
+    For an HDF5 file with the attribute ``made_by``, it is this attribute as a comment line.
     """
     with file_errors(path), path.open("rb") as stream:
         head = stream.read(NEAR)
@@ -142,6 +143,13 @@ def _head(path: Path) -> str:
         with suppress(pyarrow.ArrowInvalid):
             stored = (pyarrow.parquet.read_schema(path).metadata or {}).get(b"swimid", b"")
             head = b"".join(b"#%b\n" % line for line in stored.splitlines())
+    if head.startswith(b"\x89HDF"):
+        # Take a damaged file, and any file if h5py is missing, for one of another program.
+        with suppress(OSError, RuntimeError, KeyError, ImportError):
+            import h5py
+
+            with h5py.File(path, "r") as file:
+                head = f"# made_by: {file.attrs.get('made_by')}\n".encode()
     return head.decode("utf-8-sig", "replace").replace("\r\n", "\n")
 
 

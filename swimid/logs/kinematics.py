@@ -86,6 +86,14 @@ def from_frd(columns: dict[str, Array]) -> dict[str, Array]:
     return {name: -values if turned.fullmatch(name) else values for name, values in columns.items()}
 
 
+def from_y_up(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+    """Convert a vector from axes with y up to axes with z up: x stays, y becomes z, and z becomes -y.
+
+    The vector part of a quaternion is converted likewise if world and body have the same convention.
+    """
+    return x, -z, y
+
+
 def with_angles(columns: dict[str, Array]) -> dict[str, Array]:
     """Return the columns of a log, with roll, pitch and yaw computed from the quaternion columns.
 

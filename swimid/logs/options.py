@@ -18,13 +18,16 @@ class ImportOptions(Options):
         None,
         flag="--as",
         metavar="FORMAT",
-        help="Format of the file: ardupilot, deeplabcut, dynamixel, opensim, px4, ros2, sleap, swimid, "
-        "tracker, delimited, hdf5, mat, mcap, parquet, ulog  [default: recognised by its content].",
+        help="Format of the file: anipose, ardupilot, coco, deeplabcut, dynamixel, idtrackerai, kinovea, "
+        "movement, opensim, optitrack, px4, qualisys, ros2, sleap, swimid, tracker, trackpy, vicon, c3d, "
+        "db3, delimited, hdf5, lvm, mat, mcap, parquet, tdms, ulog, xlsx  "
+        "[default: recognised by its content].",
     )
     select: str | None = option(
         None,
         metavar="NAME",
-        help="Track, individual, topic, message type, struct or group to take, if the file holds several.",
+        help="Track, individual, rigid body, topic, message type, section, sheet, struct or group to take, "
+        "if the file holds several.",
     )
     rate_hz: float | None = option(
         None, gt=0, help="Frames per second, for a file of a known format that states no times."

@@ -16,11 +16,12 @@ import math
 import pkgutil
 import re
 import unicodedata
+import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -90,6 +91,10 @@ _SPELLED = {
     "us": ("micros", "usec"),
     "ns": ("nsec", "nanoseconds"),
     "m": ("metre", "metres", "meter", "meters"),
+    "cm": ("centimetre", "centimetres", "centimeter", "centimeters"),
+    "mm": ("millimetre", "millimetres", "millimeter", "millimeters"),
+    "in": ("inch", "inches"),
+    "ft": ("foot", "feet"),
     "rad": ("radians",),
     "deg": ("degree", "degrees", "°"),
     "deg/s": ("dps",),
@@ -97,7 +102,10 @@ _SPELLED = {
     "g": ("gs", "gee"),
     "G": ("gauss",),
     "kn": ("knots",),
-    "Nm": ("N m", "N·m", "N*m"),
+    "N": ("newton", "newtons"),
+    "Nm": ("N m", "N·m", "N*m", "N.m", "N-m"),
+    "Nmm": ("N mm", "N·mm", "N*mm", "N.mm", "N-mm"),
+    "V": ("volt", "volts"),
     "degC": ("C", "°C", "celsius"),
     "px": ("pixel", "pixels"),
     "tick": ("ticks",),
@@ -291,8 +299,8 @@ class Peek:
     def holds(self, *names: str) -> bool:
         """Return whether the file is HDF5 and contains data sets or groups with all given names."""
         if self.head.startswith(b"\x89HDF"):
-            # Ignore a missing h5py here. The reader of HDF5 then names the extra to install.
-            with contextlib.suppress(OSError, ImportError):
+            # Ignore a missing h5py and a damaged file here. The reader of HDF5 then raises the error.
+            with contextlib.suppress(OSError, RuntimeError, KeyError, ImportError):
                 import h5py
 
                 with h5py.File(self.path, "r") as file:
@@ -390,7 +398,8 @@ def choose(select: str | None, known: Sequence[str], what: str, path: Path) -> s
         raise InputError(f"holds no {what} with samples", file=path)
     if select is None and len(known) > 1:
         hint = f"--select with one of: {', '.join(known[:20])}"
-        raise InputError(f"holds {len(known)} {what}s; name one", file=path, hint=hint)
+        plural = re.sub("ys$", "ies", f"{what}s")
+        raise InputError(f"holds {len(known)} {plural}; name one", file=path, hint=hint)
     if select is not None and select not in known:
         hint = suggestion(select, list(known), "it holds")
         raise InputError(f"holds no {what} '{select}'", file=path, hint=hint)
@@ -452,6 +461,19 @@ def safe(name: str) -> str:
     return words if words[:1].isalpha() else f"p{words}"
 
 
+def unique(names: Iterable[str]) -> list[str]:
+    """Return names with letters, digits and underscores only (:func:`safe`) that differ from each other.
+
+    >>> unique(["Fx 1", "Fx-1", "Fy"])
+    ['Fx_1', 'Fx_1_2', 'Fy']
+    """
+    found: list[str] = []
+    for name in map(safe, names):
+        others = (f"{name}_{k}" for k in count(2))
+        found.append(next(one for one in chain([name], others) if one not in found))
+    return found
+
+
 def length(unit: str | None, path: Path) -> tuple[float, str]:
     """Return the factor from a unit of length to SI or pixels, and the resulting unit, "m" or "px".
 
@@ -468,6 +490,27 @@ def length(unit: str | None, path: Path) -> tuple[float, str]:
     if name not in factors:
         raise InputError(f"'{name}' is no unit of length", file=path, hint=hint)
     return factors[name], name if name == "px" else "m"
+
+
+def in_si(name: str, unit: str, values: Array) -> tuple[str, Array]:
+    """Return the name in the log of a channel whose unit the file states, and its values in SI units.
+
+    A channel keeps its name and its values if its unit is unknown, or is a unit of several quantities (``g``,
+    ``rpm``), unless the name of the channel states the quantity.
+
+    >>> in_si("Fx 1", "mN", np.array([5.0])), in_si("load_kg", "g", np.array([2.0]))
+    (('Fx_1_N', array([0.005])), ('load_kg', array([0.002])))
+    >>> in_si("load", "g", np.array([2.0]))
+    ('load', array([2.]))
+    """
+    known = canonical(unit)
+    quantities = [quantity for quantity, units in UNITS.items() if known in units]
+    if quantity_of(name) in quantities:
+        return name, values * unit_factor(known, name)
+    if len(quantities) != 1 or quantity_of(name) is not None:
+        return name, values
+    units = UNITS[quantities[0]]
+    return f"{safe(name)}_{next(iter(units)).replace('/', '_')}", values * units[known]
 
 
 def axes(source: str, target: str, letters: str = "xyz", names: str = "") -> dict[str, str]:
@@ -496,24 +539,61 @@ def rows(table: Table, kept: NDArray[np.bool_]) -> Table:
     return replace(table, columns={name: v[kept] for name, v in table.columns.items()}, lines=lines)
 
 
-def numbers(path: Path, start: int, delimiter: str, width: int) -> tuple[Array, NDArray[np.int64]]:
+def numbers(
+    path: Path,
+    start: int,
+    delimiter: str,
+    width: int,
+    *,
+    most: int | None = None,
+    decimal: str = ".",
+    encoding: str = "utf-8",
+) -> tuple[Array, NDArray[np.int64]]:
     """Return the numbers in a text file after the first ``start`` lines, and their line numbers.
 
-    The numbers have the shape (n, width). Empty cells become NaN.
+    The numbers have the shape (n, width). Empty cells become NaN, and cells beyond ``width`` are left out.
+    ``most`` is the maximum number of lines to read.
 
     Raises
     ------
     InputError
-        There are no numbers after the header.
+        There are no numbers after the header, or the file ends within a line.
     """
     import pandas as pd
 
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - (1 << 16)))
+        last = stream.read().rpartition(b"\n")[2]
+    cells = last.count(delimiter.encode()) + 1
+    if len(delimiter) == 1 and last.strip() and cells < width:
+        text = f"ends within a line, after {cells} of {width} cells"
+        raise InputError(text, file=path, hint="export or copy the file again")
+
     layout = {"sep": delimiter, "skiprows": start, "names": range(width), "index_col": False}
-    table = pd.read_csv(path, skip_blank_lines=False, **layout)
+    form = {"decimal": decimal, "encoding": encoding, "encoding_errors": "replace"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # of cells beyond the width
+        table = pd.read_csv(path, skip_blank_lines=False, nrows=most, **layout, **form)
     table = table.apply(pd.to_numeric).dropna(how="all")
     if table.empty:
         raise InputError("holds no samples under its header", file=path)
     return table.to_numpy(dtype=float), table.index.to_numpy() + start + 1
+
+
+def complete(path: Path, stated: str | int | None, held: int, line: int | None = None) -> None:
+    """Raise an error if a file has fewer frames than its header states.
+
+    ``stated`` is the number in the header, or None if there is none. ``held`` is the number of frames in the
+    file, and ``line`` the line number of the last one.
+
+    Raises
+    ------
+    InputError
+        Frames are missing.
+    """
+    if stated is not None and held < int(stated):
+        text = f"its header states {int(stated)} frames, and it ends after {held}"
+        raise InputError(text, file=path, line=line, hint="export or copy the file again")
 
 
 # ---------------------------------------------------------------- formats

@@ -6,7 +6,7 @@ import codecs
 import csv
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, number, parse
 from swimid.logs.foreign import KNOWN, Format, Options, Peek, Table, canonical
+from swimid.logs.foreign.serial import is_serial, to_table
 from swimid.logs.log import TIME
 
 if TYPE_CHECKING:
@@ -73,6 +74,25 @@ class Layout:
 
 def _open(path: Path, options: Options, select: str | None) -> Table:
     text, notes = _read_utf8(path, options)
+    if not is_serial(text[:SAMPLE]):
+        return read_text(text, notes, options, path)
+    text, labels = to_table(text)
+    layout = {"header": False, "delimiter": ",", "decimal": "."}
+    table = read_text(text, notes, options.model_copy(update=layout), path)
+    return replace(table, columns=dict(zip(labels, table.columns.values(), strict=True)))
+
+
+def read_text(text: bytes, notes: list[str], options: Options, path: Path) -> Table:
+    """Return a table of the columns in a text.
+
+    ``text`` is UTF-8 with line feeds, ``notes`` are remarks to which others are appended, and ``path`` is the
+    file for messages.
+
+    Raises
+    ------
+    InputError
+        The text holds no samples, or too many lines have another number of cells than the others.
+    """
     comment = re.compile(rb"(?m)^[ \t]*" + re.escape(options.comment.encode()) + rb"(.*)")
     comments = [line.decode(errors="replace") for line in comment.findall(text[:SAMPLE])]
     lines = comment.sub(b"", text[:SAMPLE]).decode(errors="replace").split("\n")

@@ -1,9 +1,12 @@
-"""Readers of tracked points in images: tables of DeepLabCut, and analysis files of SLEAP.
+"""Readers of tracked points in images: tables of DeepLabCut and Anipose, and analysis files of SLEAP.
 
 A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. The levels
 of its column header are scorer, (individuals,) bodyparts and coords. SLEAP writes HDF5 (array ``tracks`` with
 axes tracks, x and y, nodes, frames) and CSV (``node.x``, ``node.y``). In the files, coordinates are pixels
 from the upper left corner, with y down. They are converted to y up. Neither format states a frame rate.
+
+Anipose writes x, y and z of points that several cameras see (CSV). The unit is that of its calibration board,
+and the axes are those of its calibration. The file states neither.
 """
 
 from __future__ import annotations
@@ -16,26 +19,41 @@ from pathlib import Path
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, is_text, open_table, rows, safe
+from swimid.logs.foreign import (
+    Array,
+    Format,
+    Options,
+    Peek,
+    Table,
+    choose,
+    is_text,
+    length,
+    open_table,
+    rows,
+    safe,
+)
 
 _LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _CELL = re.compile(r"(?!instance\.).+\.(x|y|score)")
 
 
-def points(found: Mapping[str, Array]) -> dict[str, Array]:
-    """Convert columns of tracked points to those of a log: pixels with y up, and likelihoods.
+def points(found: Mapping[str, Array], unit: str = "px", y_axis: str = "down") -> dict[str, Array]:
+    """Convert columns of tracked points to those of a log: coordinates with y up, and likelihoods.
+
+    A point is named ``<point>.x``, or ``x`` if the file has only one. ``unit`` is the unit of the
+    coordinates, px or m, and ``y_axis`` the direction of y in the file, ``down`` or ``up``.
 
     >>> points({"tail tip.y": np.array([2.0]), "tail tip.score": np.array([0.9])})
     {'tail_tip_y_px': array([-2.]), 'tail_tip_score': array([0.9])}
     """
     columns: dict[str, Array] = {}
     for name, values in found.items():
-        point, _, what = name.rpartition(".")
-        if what == "y":
+        point, dot, what = name.rpartition(".")
+        if what == "y" and y_axis == "down":
             values = -values
         if what not in ("likelihood", "score"):
-            what += "_px"
-        columns[f"{safe(point)}_{what}"] = values
+            what += f"_{unit}"
+        columns[f"{safe(point)}_{what}" if dot else what] = values
     return columns
 
 
@@ -69,9 +87,34 @@ def _read_deeplabcut(path: Path, options: Options, select: str | None) -> Table:
     if isinstance(frame.index, pd.MultiIndex) or not pd.api.types.is_numeric_dtype(frame.index):
         text = "its rows are labelled pictures, not the frames of a film"
         raise InputError(text, file=path, hint="import the table that analyze_videos writes")
-    found = {f"{key[-2]}.{key[-1]}": cells.to_numpy(dtype=float) for key, cells in frame.items()}
+    # Leave out other columns of a point, such as the variances that Lightning Pose adds.
+    known = [key for key in frame.columns if key[-1] in ("x", "y", "likelihood")]
+    found = {f"{key[-2]}.{key[-1]}": frame[key].to_numpy(dtype=float) for key in known}
     columns = {"frame": frame.index.to_numpy(dtype=float), **points(found)}
     return Table(columns, metadata={"y_axis": "up, from the upper edge of the frame"}, lines=lines)
+
+
+def _is_anipose(peek: Peek) -> bool:
+    return {"fnum", "M_00", "center_0"} <= set(peek.header)
+
+
+def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
+    table = open_table(path)
+    names = [name.removesuffix("_ncams") for name in table.columns if name.endswith("_ncams")]
+    if not names or "fnum" not in table.columns:
+        hint = (
+            "a table of Anipose has columns such as nose_x, nose_y, nose_z, nose_score, nose_ncams, and fnum"
+        )
+        raise InputError("is no table of Anipose", file=path, hint=hint)
+    factor, unit = length(options.length_unit, path)
+    found: dict[str, Array] = {}
+    for name in names:
+        found |= {f"{name}.{axis}": table.columns[f"{name}_{axis}"].astype(float) * factor for axis in "xyz"}
+        if f"{name}_score" in table.columns:
+            found[f"{name}.score"] = table.columns[f"{name}_score"].astype(float)
+    columns = {"frame": table.columns["fnum"].astype(float), **points(found, unit, "up")}
+    notes = [*table.notes, "the axes are those of the calibration; z is taken as up"]
+    return Table(columns, notes=notes, lines=table.lines)
 
 
 def _is_sleap(peek: Peek) -> bool:
@@ -122,4 +165,5 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
 
 
 DEEPLABCUT = Format("deeplabcut", "table of DeepLabCut", _read_deeplabcut, _is_deeplabcut, extra="deeplabcut")
+ANIPOSE = Format("anipose", "table of Anipose", _read_anipose, _is_anipose)
 SLEAP = Format("sleap", "analysis file of SLEAP", _read_sleap, _is_sleap, extra="hdf5")

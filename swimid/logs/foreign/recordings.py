@@ -1,4 +1,4 @@
-"""Reader of MCAP recordings of ROS 2 or JSON messages, by the library mcap.
+"""Readers of recordings of ROS 2: MCAP, also of JSON messages, by the library mcap, and db3 by rosbags.
 
 ROS 2 has the units and axes of REP 103: SI units, x forward, y left, z up. Quaternions of ROS 2 are x, y, z,
 w from body to world. Times of ROS 2 are those of the message header, which the driver of the sensor sets,
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,15 @@ from swimid.logs.foreign import (
 from swimid.logs.kinematics import with_angles
 from swimid.logs.log import TIME
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
+MCAP_MAGIC, DB3_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"
 
 
 def topics(path: Path) -> dict[str, str]:
-    """Return the topics of an MCAP recording, each with the message type that the file states."""
+    """Return the topics of a recording, each with the message type that the file states."""
+    if Peek.of(path).head.startswith(DB3_MAGIC):
+        with _bag(path) as bag:
+            kinds = {one.topic: one.msgtype for one in bag.connections if one.msgcount}
+        return dict(sorted(kinds.items()))
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
@@ -76,7 +80,11 @@ def _open_mcap(path: Path, options: Options, select: str | None) -> Table:
 
 def _parts(value: Any) -> Any:
     """Convert a message to a dict of its fields, and a time stamp of seconds and nanoseconds to a date."""
-    if hasattr(value, "__slots__"):
+    if is_dataclass(value):
+        value = vars(value)
+    elif isinstance(value, np.ndarray):
+        value = value.tolist()
+    elif hasattr(value, "__slots__"):
         value = {name: getattr(value, name) for name in value.__slots__}
     if isinstance(value, dict) and {"sec", "nanosec"} <= set(value):
         return np.datetime64(int(value["sec"]) * 1_000_000_000 + int(value["nanosec"]), "ns")
@@ -85,6 +93,29 @@ def _parts(value: Any) -> Any:
 
 MCAP_TITLE = "MCAP file of ROS 2 or JSON messages"
 MCAP = Format("mcap", MCAP_TITLE, _open_mcap, endings=(".mcap",), magic=(MCAP_MAGIC,), extra="mcap")
+
+
+def _bag(path: Path) -> Any:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    # Use the message types of a distribution of ROS 2 for a bag without definitions of its types.
+    return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+
+
+def _open_db3(path: Path, options: Options, select: str | None) -> Table:
+    """Return a table of the messages of one topic, with times as ``datetime64[ns]``."""
+    with _bag(path) as bag:
+        kinds = {one.topic: one.msgtype for one in bag.connections if one.msgcount}
+        topic = choose(select, sorted(kinds), "topic", path)
+        records = []
+        for connection, time_ns, data in bag.messages([one for one in bag.connections if one.topic == topic]):
+            message = bag.deserialize(data, connection.msgtype)
+            records.append({"log_time": np.datetime64(time_ns, "ns")} | dict(flat(message, _parts)))
+    return Table(of_records(records), metadata={"topic": topic, "type": kinds[topic]})
+
+
+DB3 = Format("db3", "db3 file of ROS 2", _open_db3, endings=(".db3",), magic=(DB3_MAGIC,), extra="rosbags")
 
 
 # ---------------------------------------------------------------- messages of known types
@@ -150,4 +181,6 @@ def _joints(table: Table) -> dict[str, str]:
     return fields
 
 
-ROS2 = Format("ros2", "MCAP recording of ROS 2", _read_ros2, _recognises, magic=(MCAP_MAGIC,), extra="mcap")
+ROS2 = Format(
+    "ros2", "recording of ROS 2", _read_ros2, _recognises, magic=(MCAP_MAGIC, DB3_MAGIC), extra="mcap,rosbags"
+)

@@ -1,0 +1,124 @@
+"""Reader of tracks of Kinovea: CSV of all tracks, text for Gnuplot, and annotation files (KVA).
+
+CSV has the columns ``Time``, ``track/point/X``, ``track/point/Y``, ... The text has sections, each with the
+name of a track in a comment and with t, x and y. Both have y up, and state neither the unit of length nor
+that of time, which the user chooses in Kinovea. Their times are those of frames, so that the frame numbers
+follow from them. KVA is XML with the coordinates of each track in pixels, y down, and with time stamps.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from swimid.errors import InputError
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, length, numbers, open_table
+from swimid.logs.foreign.keypoints import points
+from swimid.logs.log import TIME
+
+_TEXT = "#Kinovea Trajectory data export"
+_NAME = re.compile(r"(?P<track>.+)/(?P<point>[^/]+)/(?P<axis>[XY])")
+#: Maximum distance of a time from the next multiple of the frame period, in frame periods. Kinovea rounds the
+#: times that it exports.
+MAX_ROUNDING = 0.2
+
+
+def _header(peek: Peek) -> list[str]:
+    """Return the names of the columns in the first line of a file, which commas or semicolons separate."""
+    line = (peek.lines or [""])[0].replace("\r", " ")
+    mark = ";" if ";" in line else ","
+    return next(csv.reader([line], delimiter=mark), [])
+
+
+def _is_table(peek: Peek) -> bool:
+    names = _header(peek)
+    return names[:1] == ["Time"] and len(names) > 2 and all(_NAME.fullmatch(name) for name in names[1:])
+
+
+def _recognises(peek: Peek) -> bool:
+    return b"<KinoveaVideoAnalysis" in peek.head or peek.lines[:1] == [_TEXT] or _is_table(peek)
+
+
+def _read(path: Path, options: Options, select: str | None) -> Table:
+    peek = Peek.of(path)
+    if b"<KinoveaVideoAnalysis" in peek.head:
+        return _of_kva(path, select)
+    if peek.lines[:1] == [_TEXT]:
+        time, found = _of_text(path)
+    elif _is_table(peek):
+        time, found = _of_csv(path)
+    else:
+        raise InputError(
+            "is no export of tracks", file=path, hint="export the tracks as CSV, or save a KVA file"
+        )
+    factor, unit = length(options.length_unit, path)
+    scaled = {name: values * factor for name, values in found.items()}
+    steps = np.diff(time)
+    usual = float(np.median(steps)) if len(steps) else np.nan
+    frames = (time - time[0]) / usual
+    if not (usual > 0 and np.abs(frames - np.round(frames)).max() <= MAX_ROUNDING):
+        hint = "a mapping states the unit of the times: time: {source: Time, unit: ms}"
+        raise InputError("its times are no multiples of a frame", file=path, hint=hint)
+    return Table({"frame": np.round(frames), "Time": time, **points(scaled, unit, "up")})
+
+
+def _of_csv(path: Path) -> tuple[Array, dict[str, Array]]:
+    """Return the times, and the coordinates of the points in a table by ``point.x``."""
+    table = open_table(path)
+    hits = {name: hit for name in table.columns if (hit := _NAME.fullmatch(name))}
+    inner: dict[str, set[str]] = {}
+    for hit in hits.values():
+        inner.setdefault(hit["track"], set()).add(hit["point"])
+    found = {}
+    for name, hit in hits.items():
+        point = hit["track"]
+        if len(inner[point]) > 1:
+            point = f"{point} {hit['point']}"
+        found[f"{point}.{hit['axis'].lower()}"] = table.columns[name].astype(float)
+    return table.columns["Time"].astype(float), found
+
+
+def _of_text(path: Path) -> tuple[Array, dict[str, Array]]:
+    """Return the times of all sections of a text, and the coordinates of their tracks by ``track.x``."""
+    import pandas as pd
+
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    starts = [at for at, line in enumerate(lines) if line.startswith("# ")]
+    tracks = []
+    for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
+        decimal = "," if "," in lines[min(start + 1, end - 1)] else "."
+        cells, _ = numbers(path, start + 1, " ", 3, most=end - start - 1, decimal=decimal)
+        name = lines[start][2:].strip()
+        tracks.append(pd.DataFrame(cells[:, 1:], index=cells[:, 0], columns=[f"{name}.x", f"{name}.y"]))
+    if not tracks:
+        raise InputError("holds no track", file=path)
+    whole = pd.concat(tracks, axis=1).sort_index()
+    found = dict(zip(whole.columns, whole.to_numpy().T, strict=True))
+    return whole.index.to_numpy(), found
+
+
+def _of_kva(path: Path, select: str | None) -> Table:
+    root = ElementTree.parse(path).getroot()
+    tracks: dict[str, Array] = {}
+    for track in root.iter("Track"):
+        cells = [(point.text or "").split(";") for point in track.iter("TrackPoint")]
+        name = track.get("name") or track.findtext("Label/Text") or track.get("id") or str(len(tracks) + 1)
+        tracks[name] = np.array([[float(cell) for cell in row[:3]] for row in cells])
+    chosen = tracks[choose(select, [name for name, cells in tracks.items() if len(cells)], "track", path)]
+    x, y, stamps = chosen.T
+    period = float(root.findtext("AverageTimeStampsPerFrame") or "nan")
+    rate = float(root.findtext("CaptureFramerate") or "nan")
+    if not period > 0:
+        raise InputError("states no AverageTimeStampsPerFrame", file=path)
+    frames = np.round((stamps - stamps[0]) / period)
+    clock = {"frame": frames}
+    if rate > 0:
+        clock = {TIME: (stamps - stamps[0]) / period / rate}
+    return Table({**clock, **points({"x": x, "y": y})})
+
+
+PROFILE = Format("kinovea", "track file of Kinovea", _read, _recognises)
