@@ -33,7 +33,8 @@ multilink:
     z_h: {{value: 0.05, bounds: [0.005, 0.3], meaning: damping ratio of the holder}}
   links:
     - {{name: block, length_m: 0.05, mass_kg: 0.5, com_m: 0.025, inertia_kg_m2: 1.0e-3, inertia_about: com}}
-    - {{name: plate, length_m: 0.1, mass_kg: {MASS}, com_m: {CENTRE}, inertia_kg_m2: {INERTIA}, inertia_about: com}}
+    - {{name: plate, length_m: 0.1, mass_kg: {MASS}, com_m: {CENTRE}, inertia_kg_m2: {INERTIA},
+       inertia_about: com}}
   joints:
     - {{name: axis, parent: block, child: plate, driven: {{gain: 1.0}}}}
   elements:
@@ -107,9 +108,8 @@ def write(folder: Path, rng: np.random.Generator, frequencies: tuple[float, ...]
         table = np.column_stack([time, *seen])
         header = "t_s,force_x_N,force_y_N,torque_yaw_N_m"
         np.savetxt(folder / f"run{k}.csv", table, delimiter=",", header=header, comments="", fmt="%.7g")
-        rows.append(
-            f"  - {{log: run{k}.csv, drive: {{waveform: sine, frequency_hz: {frequency}, amplitude_deg: 22, ramp_s: 1}}}}"
-        )
+        beat = f"waveform: sine, frequency_hz: {frequency}, amplitude_deg: 22, ramp_s: 1"
+        rows.append(f"  - {{log: run{k}.csv, drive: {{{beat}}}}}")
     (folder / "trials.yaml").write_text("\n".join(rows) + "\n")
     return folder / "trials.yaml"
 
