@@ -286,3 +286,17 @@ def test_simulation_with_recorded_inputs(swimid, tmp_path):
     assert found["joint1_rad"] == pytest.approx(
         _swings(time, lambda t: float(np.interp(t, time, current))), abs=1e-5
     )
+
+
+@pytest.mark.parametrize("target", ["json", "mjcf", "gazebo"])
+def test_export_names_the_loads_that_it_leaves_out(target, swimid, tmp_path):
+    (tmp_path / "pendulum.yaml").write_text(PENDULUM)
+    (tmp_path / "params.yaml").write_text(
+        "format: swimid-parameters/1\nmodel: multilink\nrobot: pendulum.yaml\n"
+        "parameters:\n  k: {value: 0.3, stderr: 0.001, unit: N m/rad, status: estimated}\n"
+    )
+
+    ran = swimid("export", tmp_path / "params.yaml", "--to", target, "-o", tmp_path / "out.xml")
+
+    assert ran.status == 0
+    assert "the loads of the input motor are left out" in " ".join(ran.err.split())

@@ -319,7 +319,7 @@ def _to_json(source: Source, _: ExportOptions) -> Exported:
     for kind, name in LISTS.items():
         data[name] = [{"link": links[e.link].name, **e.numbers} for e in source.elements if e.kind == kind]
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    return Exported(text, limits_of(source.causes, [], forces=True), [])
+    return Exported(text, [*source.input_limits, *limits_of(source.causes, [], forces=True)], [])
 
 
 def _cause(cause: Cause) -> dict[str, Any]:

@@ -162,6 +162,11 @@ class Source:
         values = robot | {name: estimate.value for name, estimate in self.parameters.parameters.items()}
         return np.array([values[name] for name in self.assembly.names])
 
+    @property
+    def input_limits(self) -> list[str]:
+        """Sentences on the inputs of the robot, whose loads no format has."""
+        return [f"the loads of the input {name} are left out" for name in self.model.inputs]
+
     @cached_property
     def model(self) -> MultilinkModel:
         """Simulation model of the robot. The start values of its parameters are :attr:`values`."""
@@ -425,7 +430,14 @@ def export_xml(
     """
     added = _added_mass_limits(source, options.added_mass, native)
     causes = limits_of(source.causes, filtered, forces=forces)
-    limits = [*added, *limits, *_joint_limits(source, options.servo_hz), *causes, NO_ERRORS]
+    limits = [
+        *added,
+        *limits,
+        *source.input_limits,
+        *_joint_limits(source, options.servo_hz),
+        *causes,
+        NO_ERRORS,
+    ]
     environment = Environment(
         loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
     )
