@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from swimid.errors import InputError
 from swimid.fitting.model import SwimInput, Trial
@@ -300,3 +302,123 @@ def test_export_names_the_loads_that_it_leaves_out(target, swimid, tmp_path):
 
     assert ran.status == 0
     assert "the loads of the input motor are left out" in " ".join(ran.err.split())
+
+
+def _sdf_motion(text: str, time: np.ndarray, thrusts: Callable[[float], np.ndarray]) -> np.ndarray:
+    """Integrate an SDF vehicle by SciPy, and return position and rotation vector of the robot, shape (n, 6).
+
+    The laws are those of Gazebo: Newton's and Euler's equations with the added mass at the link, the plugins
+    Hydrodynamics and Thruster, and the system Buoyancy.
+    """
+    model = ET.fromstring(text[text.index("<sdf") :]).find("model")
+    assert model is not None
+    hull = model.find("link")
+    assert hull is not None
+
+    def numbers(node: ET.Element | None) -> np.ndarray:
+        return np.array([float(part) for part in (node.text or "").split()])  # type: ignore[union-attr]
+
+    def matrix(parent: ET.Element | None, letters: str, form: str) -> np.ndarray:
+        found = np.zeros((len(letters), len(letters)))
+        for i, a in enumerate(letters):
+            for j, b in enumerate(letters[i:], start=i):
+                found[i, j] = found[j, i] = float(parent.find(form.format(a, b)).text)  # type: ignore
+        return found
+
+    inertial = hull.find("inertial")
+    mass = float(inertial.find("mass").text)  # type: ignore[union-attr,arg-type]
+    total = matrix(inertial.find("fluid_added_mass"), "xyzpqr", "{}{}")  # type: ignore[union-attr]
+    total[:3, :3] += mass * np.eye(3)
+    total[3:, 3:] += matrix(inertial.find("inertia"), "xyz", "i{}{}")  # type: ignore[union-attr]
+    centre = numbers(hull.find("pose"))[:3]
+    boxes = [
+        (numbers(c.find("pose"))[:3], np.prod(numbers(c.find(".//size")))) for c in hull.findall("collision")
+    ]
+    places = {link.attrib["name"]: numbers(link.find("pose"))[:3] for link in model.findall("link")[1:]}
+    places[hull.attrib["name"]] = np.zeros(3)
+    drags = []
+    for plugin in [p for p in model.findall("plugin") if "Hydrodynamics" in p.attrib["name"]]:
+        tags = {one.tag: one.text for one in plugin}
+        coefficients = [
+            [float(tags.get(name, 0.0)) for name in names]
+            for names in (
+                [f + v for f, v in zip("xyzkmn", "UVWPQR", strict=True)],
+                [f"{f}{v}abs{v}" for f, v in zip("xyzkmn", "UVWPQR", strict=True)],
+            )
+        ]
+        drags.append((places[tags["link_name"]], *np.array(coefficients)))
+    joints = [j for j in model.findall("joint") if j.attrib["type"] == "revolute"]
+    mixing = []
+    for joint in joints:
+        axis, place = numbers(joint.find("axis/xyz")), places[str(joint.findtext("child"))]
+        mixing.append(np.concatenate([axis, np.cross(place, axis)]))
+
+    def slope(now: float, state: np.ndarray) -> np.ndarray:
+        turn = Rotation.from_quat(state[3:7]).as_matrix()
+        v, w = state[7:10], state[10:13]
+        nu = state[7:13]
+        momentum = total @ nu
+        force = np.array(mixing).T @ thrusts(now)
+        for place, linear, quadratic in drags:
+            local = np.concatenate([v + np.cross(w, place), w])
+            drag = (linear + quadratic * np.abs(local)) * local
+            force += np.concatenate([drag[:3], drag[3:] + np.cross(place, drag[:3])])
+        force[:3] -= np.cross(w, momentum[:3])
+        force[3:] -= np.cross(w, momentum[3:]) + np.cross(v, momentum[:3])
+        force[:3] += turn.T @ [0.0, 0.0, -mass * 9.82]
+        for place, volume in boxes:
+            lift = turn.T @ [0.0, 0.0, 1000.0 * 9.82 * volume]
+            force += np.concatenate([lift, np.cross(place, lift)])
+        x, y, z, c = state[3:7]
+        p, q, r = w
+        quaternion = 0.5 * np.array(
+            [c * p + y * r - z * q, c * q + z * p - x * r, c * r + x * q - y * p, -x * p - y * q - z * r]
+        )
+        return np.concatenate([turn @ v, quaternion, np.linalg.solve(total, force)])
+
+    begin = np.zeros(13)
+    begin[:3], begin[6] = centre, 1.0
+    found = solve_ivp(
+        slope, (time[0], time[-1]), begin, "DOP853", time, rtol=1e-9, atol=1e-10, max_step=0.05
+    ).y.T
+    turns = Rotation.from_quat(found[:, 3:7])
+    return np.hstack([found[:, :3] - turns.apply(centre), turns.as_rotvec()])
+
+
+def test_exported_vehicle_moves_as_the_model(swimid, tmp_path):
+    # the centre of mass is not at the origin, and drag acts at another point
+    text = robot_format.locate("bluerov2").read_text()
+    text = text.replace(
+        "{name: hull, mass_kg: mass,", "{name: hull, mass_kg: mass, com_m: [0.02, 0.01, -0.03],"
+    )
+    (tmp_path / "rov.yaml").write_text(text)
+    (tmp_path / "params.yaml").write_text(
+        "format: swimid-parameters/1\nmodel: multibody\nrobot: rov.yaml\n"
+        "parameters:\n  q_x: {value: 130.0, stderr: 1.0, unit: N s2/m2, status: estimated}\n"
+    )
+    _, model = robot_model(str(tmp_path / "rov.yaml"))
+    values = np.array([{"q_x": 130.0}.get(p.name, p.start) for p in model.parameters])
+    thrusts, time = vehicle.manoeuvre(np.random.default_rng(8)), np.arange(0.0, 6.01, 0.05)
+
+    ran = swimid("export", tmp_path / "params.yaml", "--to", "gazebo", "-o", tmp_path / "rov.sdf")
+
+    assert ran.status == 0, ran.err
+    found = _sdf_motion((tmp_path / "rov.sdf").read_text(), time, thrusts)
+    expected = model.simulate(values, Trial("run", "fit", time, {}, swim=_inputs(thrusts)))
+    for k, name in enumerate(model.pose[:3]):
+        assert found[:, k] == pytest.approx(expected[name], abs=2e-4), name
+    # pitch is positive nose up, against the rotation about y
+    turn = Rotation.from_euler(
+        "ZYX", np.column_stack([expected["yaw_rad"], -expected["pitch_rad"], expected["roll_rad"]])
+    )
+    assert (turn.inv() * Rotation.from_rotvec(found[:, 3:])).magnitude().max() < 1e-3
+
+
+def test_vehicle_has_only_the_format_of_gazebo(swimid, tmp_path):
+    (tmp_path / "params.yaml").write_text(
+        "format: swimid-parameters/1\nmodel: multibody\nrobot: bluerov2\n"
+        "parameters:\n  q_x: {value: 130.0, stderr: 1.0, unit: N s2/m2, status: estimated}\n"
+    )
+    ran = swimid("export", tmp_path / "params.yaml", "--to", "mjcf", "-o", tmp_path / "rov.xml")
+    assert ran.status == 2
+    assert "--to gazebo" in ran.err

@@ -13,7 +13,7 @@ from typing import Any
 
 import swimid
 from swimid.errors import InputError, UsageError
-from swimid.exporters import gazebo, mjcf, movement
+from swimid.exporters import gazebo, mjcf, movement, vehicle
 from swimid.exporters.causes import Cause, filters_text, limits_of
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Exported, Link, Source, central
@@ -29,7 +29,6 @@ from swimid.results.result import Text
 from swimid.robots import file as robot
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.draws import drawn
-from swimid.swimmer.planar.model import MultilinkModel
 
 FORMAT = "swimid-export/1"
 #: Key of the list of force elements in the JSON document, for each kind of force element.
@@ -98,8 +97,8 @@ def export(
 
 def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None) -> Text:
     """Write a parameter file in the format of a simulator."""
-    title, write = TARGETS[options.to]
     source = load(params)
+    title, write = _format_of(source, options.to)
     out = None if output is None or str(output) == "-" else Path(output)
     if out is not None:
         atomic.check_writable(out, inputs=[parameters.origin(params)])
@@ -153,6 +152,22 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
     return Text("export", summary, result, list(files), document=text)
 
 
+def _format_of(source: Source, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:
+    """Return title and function of a format for a robot in a plane or in 3-D.
+
+    Raises
+    ------
+    UsageError
+        The format has no robots in 3-D.
+    """
+    if not isinstance(source, vehicle.VehicleSource):
+        return TARGETS[target]
+    if target != "gazebo":
+        text = f"the robot '{source.robot.name}' moves in space: --to {target} has robots in one plane"
+        raise UsageError(text, hint="--to gazebo has vehicles with one link")
+    return gazebo.TITLE, vehicle.export
+
+
 def load(params: parameters.Source) -> Source:
     """Read a parameter file and the robot file that it names, and return both as the source of an export.
 
@@ -162,7 +177,12 @@ def load(params: parameters.Source) -> Source:
         A file is invalid, no robot is named, or the parameters are those of another robot.
     """
     path = parameters.place(params)
-    file = parameters.read(params, model="multilink")
+    file = parameters.read(params)
+    kind = Source
+    if file.model == "multibody":
+        kind = vehicle.VehicleSource
+    else:
+        file = parameters.read(params, model="multilink")
     if file.robot is None:
         hint = "write the name of a built-in robot, or the path of a robot file, to this entry"
         raise InputError("names no robot", file=path, column="robot", hint=hint)
@@ -173,7 +193,7 @@ def load(params: parameters.Source) -> Source:
         "version": swimid.__version__,
         "robot": file.robot,
     }
-    source = Source(file, robot.read(file.robot, path.parent, readings=readings), origin, path)
+    source = kind(file, robot.read(file.robot, path.parent, readings=readings), origin, path)
     _check_robot(source, robot.locate(file.robot, path.parent), path)
     return source
 
@@ -184,8 +204,8 @@ def _check_robot(source: Source, place: Path | str, path: Path) -> None:
     The robot must have links in a plane, a valid mass matrix, and all coefficients of the
     parameter file.
     """
-    if source.robot.multilink is None:
-        raise InputError("has no multilink part", file=place, column="multilink")
+    if getattr(source.robot, source.part) is None:
+        raise InputError(f"has no {source.part} part", file=place, column=source.part)
     try:
         source.assembly.check(source.values)
     except InputError as error:
@@ -229,7 +249,7 @@ def _samples(source: Source, count: int, seed: int) -> list[dict[str, float]]:
     NoTrustworthyResult
         Hardly a sample lies within the bounds of the file.
     """
-    model, estimates = MultilinkModel(source.robot), source.parameters.parameters
+    model, estimates = source.new_model(), source.parameters.parameters
     shared = {name: estimate for name, estimate in estimates.items() if "[" not in name}
     own = {p.name: p for p in model.parameters}
     effects = {

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -124,6 +124,9 @@ class Source:
         Path of the parameter file in messages.
     """
 
+    #: Name of the part of the robot file that describes the links.
+    part: ClassVar[str] = "multilink"
+
     parameters: ParameterFile
     robot: Robot
     origin: Mapping[str, str]
@@ -170,9 +173,13 @@ class Source:
     @cached_property
     def model(self) -> MultilinkModel:
         """Simulation model of the robot. The start values of its parameters are :attr:`values`."""
-        model, starts = MultilinkModel(self.robot), dict(zip(self.assembly.names, self.values, strict=True))
+        model, starts = self.new_model(), dict(zip(self.assembly.names, self.values, strict=True))
         model.parameters = tuple(replace(p, start=starts.get(p.name, p.start)) for p in model.parameters)
         return model
+
+    def new_model(self) -> MultilinkModel:
+        """Return a simulation model of the robot as the robot file describes it."""
+        return MultilinkModel(self.robot)
 
     @cached_property
     def causes(self) -> list[Cause]:
@@ -430,14 +437,18 @@ def export_xml(
     """
     added = _added_mass_limits(source, options.added_mass, native)
     causes = limits_of(source.causes, filtered, forces=forces)
-    limits = [
-        *added,
-        *limits,
-        *source.input_limits,
-        *_joint_limits(source, options.servo_hz),
-        *causes,
-        NO_ERRORS,
-    ]
+    joints = _joint_limits(source, options.servo_hz)
+    limits = [*added, *limits, *source.input_limits, *joints, *causes, NO_ERRORS]
+    return xml_text(template, source, limits, filtered, **more)
+
+
+def xml_text(
+    template: str, source: Source, limits: list[str], filtered: list[Cause], **more: Any
+) -> Exported:
+    """Create an XML document from a template, with a comment on its source and the limits of the format.
+
+    See :func:`export_xml` for the parameters.
+    """
     environment = Environment(
         loader=PackageLoader("swimid.exporters"), autoescape=True, undefined=StrictUndefined, finalize=_shown
     )

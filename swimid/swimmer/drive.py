@@ -18,7 +18,6 @@ import numba
 import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 
 from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion
@@ -516,6 +515,8 @@ def act(value: Array, step_s: float, power: float, dead_band: float, reverse: fl
     found = np.where(value < 0.0, -reverse * size, size)
     if lag_s <= 0.0:
         return found
+    from scipy.signal import lfilter
+
     ratio = step_s / lag_s
     kept, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
     # the state of the filter makes the first value of the output that of the input

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.signal import cont2discrete, lfilter
 
 from swimid.fitting.model import NONE, Array, Channel, Hooks, Model, Parameter, Trial, unless_broken
 from swimid.notices import Progress, silent
@@ -535,6 +534,8 @@ class Swimmer(Model):
 
     def _resonant(self, values: Array, force: Array, step_s: float) -> Array:
         """Return a force behind the holder. It is exact for a force that is linear between the steps."""
+        from scipy.signal import cont2discrete, lfilter
+
         named = dict(zip(self.tree.names, values, strict=False))
         holder = self.tree.body.holder
         omega = 2.0 * math.pi * Polynomial.of(holder.natural_frequency_hz).at(named)

@@ -376,6 +376,11 @@ class Tree(ABC):
             for k, axis in enumerate(moved):
                 self.topology[axis.link, column] = k
         self.free_base = body.base == "free"
+        if not self.free_base and not moving:
+            raise InputError(
+                "a robot on a fixed base without a moving joint has nothing to simulate",
+                column=f"{self.part}.base",
+            )
         self.constants = {"free_base": self.free_base}
         self._evaluated = lru_cache(MAX_TABLES)(self._evaluate)
 
