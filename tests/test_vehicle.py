@@ -422,3 +422,104 @@ def test_vehicle_has_only_the_format_of_gazebo(swimid, tmp_path):
     ran = swimid("export", tmp_path / "params.yaml", "--to", "mjcf", "-o", tmp_path / "rov.xml")
     assert ran.status == 2
     assert "--to gazebo" in ran.err
+
+
+def _bag(folder: Path, rng: np.random.Generator, duration_s: float) -> Path:
+    """Write a bag of ROS 2 with odometry at 20 Hz and thrusts at 50 Hz, as the rosbags library writes it."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    make = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+    thrusts, time = vehicle.manoeuvre(rng), np.arange(0.0, duration_s, 0.05)
+    seen = vehicle.columns(time, vehicle.simulate(UPRIGHT, time, thrusts), thrusts)
+    for name, sd in vehicle.NOISE.items():
+        seen[name] = seen[name] + rng.normal(0.0, sd, len(time))
+    # the sign of pitch in ROS is that of a rotation about y, to port
+    angles = np.column_stack([seen["yaw_rad"], -seen["pitch_rad"], seen["roll_rad"]])
+    turns = Rotation.from_euler("ZYX", angles).as_quat()
+    still = make["Vector3"](0.0, 0.0, 0.0)
+    twist = make["TwistWithCovariance"](make["Twist"](still, still), np.zeros(36))
+    begin = 1_700_000_000_000_000_000
+    with rosbag2.Writer(folder / "bag", version=8) as bag:
+        odometry = bag.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
+        array = bag.add_connection("/thrusts", "std_msgs/msg/Float64MultiArray", typestore=store)
+        for now in np.arange(0.0, duration_s, 0.02):
+            layout = make["MultiArrayLayout"]([], 0)
+            message = make["Float64MultiArray"](layout, thrusts(float(now)))
+            data = store.serialize_cdr(message, "std_msgs/msg/Float64MultiArray")
+            bag.write(array, begin + round(1e9 * now), data)
+        for k, now in enumerate(time):
+            stamp = begin + round(1e9 * now)
+            header = make["Header"](make["Time"](stamp // 10**9, stamp % 10**9), "world")
+            place = make["Point"](*(float(seen[name][k]) for name in ("x_m", "y_m", "z_m")))
+            pose = make["PoseWithCovariance"](
+                make["Pose"](place, make["Quaternion"](*turns[k])), np.zeros(36)
+            )
+            message = make["Odometry"](header, "hull", pose, twist)
+            bag.write(odometry, stamp + 2_000_000, store.serialize_cdr(message, "nav_msgs/msg/Odometry"))
+    return next((folder / "bag").glob("*.db3"))
+
+
+BAG_MAPPING = """
+format: swimid-mapping/1
+as: ros2
+select: /odom
+join:
+  - as: db3
+    select: /thrusts
+    time: {source: log_time}
+    columns:
+"""
+
+
+def test_bag_becomes_a_log_with_the_thrusts(swimid, tmp_path):
+    path = _bag(tmp_path, np.random.default_rng(9), 5.0)
+    lines = "".join(f'      - {{source: "data[{k}]", target: thrust{k}_N, unit: N}}\n' for k in range(1, 9))
+    (tmp_path / "map.yaml").write_text(BAG_MAPPING + lines)
+
+    ran = swimid("import", path, "--map", tmp_path / "map.yaml", "--raw", "-o", tmp_path / "run.csv")
+
+    assert ran.status in (0, 4), ran.err
+    found, thrusts = log.read(tmp_path / "run.csv"), vehicle.manoeuvre(np.random.default_rng(9))
+    expected = np.array([thrusts(float(t)) for t in found.time_s])
+    inside = found.time_s < 4.9
+    for k in range(8):
+        # the thrusts are interpolated over 0.02 s
+        assert found[f"thrust{k + 1}_N"][inside] == pytest.approx(expected[inside, k], abs=5e-3)
+
+
+@pytest.mark.slow
+def test_bags_become_coefficients(swimid, tmp_path):
+    lines = "".join(f'      - {{source: "data[{k}]", target: thrust{k}_N, unit: N}}\n' for k in range(1, 9))
+    (tmp_path / "map.yaml").write_text(BAG_MAPPING + lines)
+    rows = ["format: swimid-trials/1", "experiment: multibody", "robot: bluerov2", "trials:"]
+    for k in range(2):
+        (tmp_path / f"day{k}").mkdir()
+        path = _bag(tmp_path / f"day{k}", np.random.default_rng(30 + k), 15.0)
+        swimid("import", path, "--map", tmp_path / "map.yaml", "--raw", "-o", tmp_path / f"run{k}.csv")
+        rows.append(f"  - {{log: run{k}.csv, end_s: 14.9}}")
+    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
+
+    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "vehicle.yaml")
+
+    assert ran.status == 0, ran.err
+    found = parameters.read(tmp_path / "vehicle.yaml").parameters
+    for name, value in {"q_x": 141.0, "q_y": 217.0, "q_z": 190.0, "m_z": 18.68, "z_b": 0.05}.items():
+        assert found[name].value == pytest.approx(value, rel=0.03), name
+
+
+def test_joined_table_of_another_time_is_refused(swimid, tmp_path):
+    rows = "".join(f"{0.1 * k:.1f},{0.01 * k:.3f}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("t,x\n" + rows)
+    late = "".join(f"{100 + 0.1 * k:.1f},{k}\n" for k in range(60))
+    (tmp_path / "b.csv").write_text("t,f\n" + late)
+    (tmp_path / "map.yaml").write_text(
+        "format: swimid-mapping/1\ntime: {source: t}\ncolumns: [{source: x, target: x_m, unit: m}]\n"
+        "join:\n  - {file: b.csv, time: {source: t}, columns: [{source: f, target: force_N, unit: N}]}\n"
+    )
+
+    ran = swimid("import", tmp_path / "a.csv", "--map", tmp_path / "map.yaml", "-o", tmp_path / "run.csv")
+
+    assert ran.status == 3
+    assert "b.csv" in ran.err
+    assert "none of its 60 samples lies within the log" in " ".join(ran.err.split())

@@ -37,6 +37,7 @@ from swimid.logs.foreign import (
 )
 from swimid.logs.kinematics import AXES, rearranged
 from swimid.logs.log import TIME, Log, LogLike, cells_to_numbers, longest_run, metadata_of, written_by
+from swimid.logs.sampling import PAUSE, usual_step
 from swimid.notices import Progress, silent, warn
 from swimid.results.result import Result
 
@@ -180,6 +181,21 @@ class Quaternion(Stated):
     direction: Literal["body-to-world", "world-to-body"] = "body-to-world"
 
 
+class Joined(Stated):
+    """Columns of another topic, struct or file, which are interpolated at the times of the log."""
+
+    #: Path of another file, relative to the folder of the foreign log; by default the same file.
+    file: str | None = None
+    profile: str | None = Field(default=None, alias="as")
+    select: str | int | None = None
+    reader: Options = Options()
+    time: Time | None = None
+    where: dict[str, str | float | int | list[str | float | int]] = {}
+    columns: Annotated[list[Column], Field(min_length=1)]
+    #: Value between two samples: on the line through them, or that of the first, as of a command.
+    between: Literal["line", "hold"] = "line"
+
+
 class Mapping(Stated):
     """Content of a mapping file, which assigns the columns of a foreign file to those of a log."""
 
@@ -197,15 +213,19 @@ class Mapping(Stated):
     where: dict[str, str | float | int | list[str | float | int]] = {}
     quaternion: Quaternion = Quaternion()
     columns: list[Column] = []
+    #: Further topics, structs or files whose columns are added to the log.
+    join: list[Joined] = []
     #: Metadata of the log that are added to those in the file.
     metadata: dict[str, str | float | int | bool | list[str | float | int]] = {}
 
     @model_validator(mode="after")
     def _consistent(self) -> Mapping:
-        targets = [column.target for column in self.columns]
+        columns = [*self.columns, *(column for one in self.join for column in one.columns)]
+        targets = [column.target for column in columns]
         twice = next((name for name in targets if targets.count(name) > 1), None)
         if twice:
             raise ValueError(f"two columns have the target '{twice}'")
+        targets = [column.target for column in self.columns]
         if self.profile is not None:
             return self
         if not self.columns:
@@ -324,8 +344,54 @@ def apply(
     with progress(f"reading {path.name}", total=1) as step:
         select = None if rules.select is None else str(rules.select)
         table = open_table(given, rules.reader, select, rules.profile)
+        found = _mapped(rules, table, path)
+        for joined in rules.join:
+            _join(found, joined, given, path)
         step(1)
-    return _mapped(rules, table, path)
+    return found
+
+
+def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -> None:
+    """Add the columns of another table to a log, interpolated at its times, in place.
+
+    The clock of each table counts from its ``first_stamp_s``, if it has one. Values outside the record of the
+    other table, or in a pause of it, are missing.
+
+    Raises
+    ------
+    InputError
+        The other table cannot be read, or its times do not overlap with those of the log.
+    """
+    place = path
+    if joined.file is not None:
+        given = place = path.parent / joined.file
+    fields = joined.model_dump(by_alias=True, exclude={"file", "between"}, exclude_unset=True)
+    rules = yamlio.validate({"format": FORMAT, **fields}, Mapping, "join")
+    select = None if rules.select is None else str(rules.select)
+    other = _mapped(rules, open_table(given, rules.reader, select, rules.profile), place)
+    begins = [float(one.metadata.get("first_stamp_s", 0.0)) for one in (log, other)]
+    order = in_order(other.time_s, {})
+    time_s = other.time_s[order.index] + (begins[1] - begins[0])
+    ends = np.nanmin(log.time_s), np.nanmax(log.time_s)
+    if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
+        text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
+        hint = "both clocks must be the same: take the stamps of one recorder"
+        raise InputError(text, file=place, column=f"join: {select or joined.file}", hint=hint)
+    outside = ~((log.time_s >= time_s[0]) & (log.time_s <= time_s[-1]))
+    before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 2)
+    if joined.between == "line":
+        outside |= np.diff(time_s)[before] > PAUSE * usual_step(time_s)
+    for name, values in other.columns.items():
+        if name == TIME:
+            continue
+        values = values[order.index]
+        found = values[np.searchsorted(time_s, np.minimum(log.time_s, time_s[-1]), side="right") - 1]
+        if joined.between == "line":
+            found = np.interp(log.time_s, time_s, values)
+        log.columns[name] = np.where(outside, np.nan, found)
+    log.sources.update({name: source for name, source in other.sources.items() if name != TIME})
+    log.unknown.extend(other.unknown)
+    log.notes.extend(other.notes)
 
 
 def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
