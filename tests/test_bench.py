@@ -146,3 +146,45 @@ def test_plate_on_a_load_cell(swimid, tmp_path):
     for name, value in truth.items():
         assert found[name].value == pytest.approx(value, abs=3.0 * found[name].stderr), name
         assert found[name].stderr < 0.05 * value, name
+
+
+THRUSTER = """
+format: swimid-robot/1
+name: thruster
+multilink:
+  plane: horizontal
+  base: fixed
+  coefficients:
+    k: {value: 0.5, bounds: [0, 10], scale: 0.5, meaning: thrust at a speed of 1}
+    m: {value: 1.5, bounds: [0.5, 4], scale: 0.5, meaning: exponent of the speed}
+    d: {value: 0.1, bounds: [0, 0.8], scale: 0.1, meaning: dead band}
+    b: {value: 1.0, bounds: [0.1, 2], scale: 0.5, meaning: thrust in reverse over that ahead}
+  inputs:
+    propeller: {column: speed_1, power: m, dead_band: d, reverse: b}
+  links:
+    - {name: block, length_m: 0.1, mass_kg: 1.0, com_m: 0.05, inertia_kg_m2: 1.0e-2, inertia_about: com}
+  elements:
+    - {kind: load, link: block, input: propeller, forward_N: k}
+"""
+
+
+def test_static_law_of_a_thruster(swimid, tmp_path):
+    (tmp_path / "thruster.yaml").write_text(THRUSTER)
+    rng = np.random.default_rng(11)
+    speed = rng.uniform(-3.0, 3.0, 120)
+    size = 0.8 * np.clip(np.abs(speed) - 0.3, 0.0, None) ** 1.9
+    force = np.where(speed < 0.0, -0.7 * size, size) + rng.normal(0.0, 0.02, len(speed))
+    table = np.column_stack([np.arange(len(speed)), speed, force])
+    np.savetxt(tmp_path / "bench.csv", table, delimiter=",", header="t_s,speed_1,force_x_N", comments="")
+    rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: thruster.yaml", "trials:"]
+    (tmp_path / "trials.yaml").write_text(
+        "\n".join([*rows, "  - {log: bench.csv, start_state: rest}"]) + "\n"
+    )
+
+    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", tmp_path / "law.yaml")
+
+    assert ran.status == 0, ran.err
+    found = parameters.read(tmp_path / "law.yaml").parameters
+    for name, value in {"k": 0.8, "m": 1.9, "d": 0.3, "b": 0.7}.items():
+        assert found[name].value == pytest.approx(value, abs=3.0 * found[name].stderr), name
+        assert found[name].stderr < 0.1 * value, name

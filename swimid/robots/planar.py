@@ -194,7 +194,7 @@ class Input(yamlio.Document):
     column: str
     #: Whether the column was measured behind the actuator. Effects of actuators then do not apply.
     measured: bool = False
-    power: PositiveFloat = 1.0
+    power: Quantity = 1.0
     #: Absolute value of the column up to which the loads are zero, in the unit of the column.
     dead_band: Quantity = 0.0
     #: Factor on the loads for negative values of the column, for example of a propeller in reverse.

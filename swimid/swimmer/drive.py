@@ -30,8 +30,8 @@ Value = TypeVar("Value")
 #: Natural frequency (Hz) and damping ratio of the servo of each driven joint; None for a joint without a
 #: servo.
 Servos = tuple[tuple[float, float] | None, ...]
-#: Dead band, factor for negative values, and time constant (s) of each input.
-Laws = tuple[tuple[float, float, float], ...]
+#: Power, dead band, factor for negative values, and time constant (s) of each input.
+Laws = tuple[tuple[float, ...], ...]
 #: Maximum remaining fraction of the initial transient of a servo when a simulation begins in steady swimming.
 SERVO_RTOL = 1e-10
 #: Maximum number of cached joint motions per trial. The finite differences of a Jacobian use the same few
@@ -147,7 +147,7 @@ class DrivenJoints:
         self.inputs = inputs
         self._servos = [_servo(axis) for axis in axes]
         self._laws = [
-            tuple(Polynomial.of(entry) for entry in (law.dead_band, law.reverse, law.lag_s))
+            [Polynomial.of(entry) for entry in (law.power, law.dead_band, law.reverse, law.lag_s)]
             for law in inputs.values()
         ]
         self._motions: TrialCache[DrivenMotion] = TrialCache(MAX_MOTIONS)
@@ -212,7 +212,7 @@ class DrivenJoints:
         if any(self._servos) or self._laws:
             named = dict(zip(self._names, values, strict=False))
         servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
-        laws: Laws = tuple((a.at(named), b.at(named), c.at(named)) for a, b, c in self._laws)
+        laws: Laws = tuple(tuple(entry.at(named) for entry in law) for law in self._laws)
         key = (grid, phase_rad, servos, laws, hooks.command_key)
         found = self._motions.get(trial.id, key)
         if found is None:
@@ -238,7 +238,7 @@ class DrivenJoints:
             value = given_inputs[name](half)
             if hooks.command and not law.measured:
                 value = hooks.actuated(half, value, len(self.axes) + k)
-            rows[:, k, 0] = act(value, 0.5 * grid.step_s, law.power, *own)
+            rows[:, k, 0] = act(value, 0.5 * grid.step_s, *own)
         return DrivenMotion(np.concatenate([found.table, rows], axis=1), found.joints)
 
     def _moved(

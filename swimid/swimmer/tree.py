@@ -376,9 +376,9 @@ class Tree(ABC):
             for k, axis in enumerate(moved):
                 self.topology[axis.link, column] = k
         self.free_base = body.base == "free"
-        if not self.free_base and not moving:
+        if not (self.free_base or moving or body.inputs):
             raise InputError(
-                "a robot on a fixed base without a moving joint has nothing to simulate",
+                "a robot on a fixed base without a moving joint or an input has nothing to simulate",
                 column=f"{self.part}.base",
             )
         self.constants = {"free_base": self.free_base}
