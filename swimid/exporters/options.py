@@ -19,10 +19,10 @@ class ExportOptions(
     """Write coefficients and causes for MuJoCo or Gazebo or as JSON, or a log for movement.
 
     PARAMS is a parameter file of a robot with links in one plane, or for Gazebo of a vehicle with one link.
-    Its causes are the effects that a diagnosis found. A warning names each thing that the simulator cannot carry. Beside tfish.xml, tfish_mjcf_causes.py
-    filters the commands if the simulator lacks a law of the servos, and tfish_draws.csv has the samples of
-    --draws. With --to movement, PARAMS is a log, which becomes a netCDF dataset of the Python package
-    movement.
+    Its causes are the effects that a diagnosis found. A warning names each thing that the simulator cannot
+    carry. Beside tfish.xml, tfish_mjcf_causes.py filters the commands if the simulator lacks a law of the
+    servos, and tfish_draws.csv has the samples of --draws. With --to movement, PARAMS is a log, which becomes
+    a netCDF dataset of the Python package movement.
 
     Examples:
       swimid export tfish.yaml --to mjcf --added-mass fold -o tfish.xml
