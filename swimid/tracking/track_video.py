@@ -17,6 +17,7 @@ from swimid.files import atomic, provenance
 from swimid.logs import kinematics, log
 from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
+from swimid.logs.plane import Plane, plane_of
 from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
@@ -26,7 +27,7 @@ from swimid.tracking import frames, pose
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Array, Frame, RawTrack, Video
 from swimid.tracking.options import TrackVideoOptions
-from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose, Smoothed
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose, Smoothed
 from swimid.tracking.setup import Setup
 from swimid.tracking.tracker import Run, follow
 
@@ -178,7 +179,7 @@ def _evaluate(
     The painter draws the track into the frames of the film.
     """
     track, video, rules = run.track, run.video, run.setup
-    plane = pose.plane_of(rules, video.width, video.height, file=str(provenance.path_of(source)))
+    plane = plane_of(rules, video.width, video.height, file=str(provenance.path_of(source)))
     _demand_markers(run)
     plane = pose.facing(track, rules, plane)
     made = pose.build(track, rules, plane)
