@@ -12,8 +12,8 @@ from swimid.logs.tracks import Estimate
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Length of a window in which a sine is fitted to the lateral motion, in cycles; minimum number of windows, and
-#: minimum number of frames in one.
+#: Length of a window in which a sine is fitted to the lateral motion, in cycles; minimum number of windows,
+#: and minimum number of frames in one.
 CYCLES, MIN_WINDOWS, MIN_FRAMES = 2, 3, 12
 
 
@@ -26,7 +26,7 @@ class Wave:
     behind : ndarray, shape (k,)
         Distance of each station behind the front end along the straight body, in the unit of the positions.
     amplitude, phase : list of Estimate, one for each station
-        Amplitude of the lateral motion, and phase behind the front end, rad. A phase lag is positive.
+        Amplitude of the lateral motion, and phase lag behind the station that moves most, rad.
     length, speed : Estimate or None
         Wavelength, and speed of the wave along the body in units per s; None if the phase does not increase
         towards the rear significantly.
@@ -84,13 +84,13 @@ def measure(
     if len(found) < MIN_WINDOWS:
         return None
     waves = np.array(found)
-    # Refer the phases to the station that moves most. The front end may be close to a node.
+    # The phase of the station that moves most is the most accurate. The front end may be close to a node.
     most = int(np.argmax(np.abs(waves).mean(axis=0)))
     waves *= (np.conj(waves[:, most]) / np.abs(waves[:, most]))[:, None]
     mean = waves.mean(axis=0)
     usual = np.unwrap(np.angle(mean))
     phases = usual + np.angle(waves * np.conj(mean))
-    lags = phases[:, :1] - phases
+    lags = phases[:, most : most + 1] - phases
     weight = np.abs(mean) ** 2
     centre = weight @ behind / weight.sum()
     off = weight * (behind - centre)

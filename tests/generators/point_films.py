@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 
 Array = np.ndarray
 #: Lengths of the rods of the tendon fish, m, and the names of its links.
@@ -137,3 +138,36 @@ def _spoil(
     made.column[gone] = made.row[gone] = np.nan
     made.likelihood[gone] = 0.0
     made.faults = faults
+
+
+# ---------------------------------------------------------------- files
+
+
+def write_deeplabcut(made: Film, path: Path) -> Path:
+    """Write the points as a CSV table of DeepLabCut."""
+    parts = {}
+    for p, name in enumerate(made.names):
+        parts[name, "x"], parts[name, "y"] = made.column[:, p], made.row[:, p]
+        parts[name, "likelihood"] = made.likelihood[:, p]
+    keys = pd.MultiIndex.from_tuples(
+        [("DLC_resnet50", *key) for key in parts], names=["scorer", "bodyparts", "coords"]
+    )
+    pd.DataFrame(np.column_stack(list(parts.values())), columns=keys).to_csv(path)
+    return path
+
+
+def write_sleap(made: Film, path: Path) -> Path:
+    """Write the points as a CSV table of SLEAP."""
+    parts = {"track": "fish", "frame_idx": np.arange(len(made.time)), "instance.score": 0.9}
+    for p, name in enumerate(made.names):
+        parts[f"{name}.x"], parts[f"{name}.y"] = made.column[:, p], made.row[:, p]
+        parts[f"{name}.score"] = made.likelihood[:, p]
+    pd.DataFrame(parts).to_csv(path, index=False)
+    return path
+
+
+def write_points(path: Path, places: Places = PLACES, extra: str = "") -> Path:
+    """Write a points file that places the points as they are, or as ``places`` says."""
+    rows = [f"  {name}: {{link: {link}, at_m: [{x:.6f}, {y:.6f}]}}" for name, (link, x, y) in places.items()]
+    path.write_text("\n".join(["format: swimid-points/1", "points:", *rows, extra, ""]))
+    return path
