@@ -148,6 +148,7 @@ def fit(film: Film, linkage: Linkage) -> Fit:
         estimate.refine()
         if (estimate.used == before).all():
             break
+    estimate.unfold()
     estimate.remove_bias()
     found = estimate.residuals()
     faults = _faults(estimate, found)
@@ -332,12 +333,32 @@ class _Estimate:
             values = (squares.sum(axis=0) + PRIOR_VALUES * pooled) / (freedom.sum(axis=0) + PRIOR_VALUES)
             new = np.maximum(np.sqrt(values), self.floor)
             old_exponent = self.exponent
-            self.exponent = self._exponent(squares / new**2, freedom)
+            self.exponent = self._exponent(squares * relative / new**2, freedom)
             change = np.abs(new / self.noise - 1.0).max()
             self.noise = new
             if max(change, abs(self.exponent - old_exponent)) < NOISE_RTOL and moved < STEP_SE:
                 break
         self._solve()
+
+    def unfold(self) -> None:
+        """Choose the solution nearest to that of neighbouring frames in frames that lack points.
+
+        Without the points of two successive links these may be bent to either side. The solution nearest to
+        neighbouring frames is taken, unless its sum of squares is significantly larger.
+        """
+        whole: Flags = np.asarray(self.used.all(axis=1))
+        rows: Flags = np.asarray(~whole & self.used.any(axis=1))
+        if not (whole.any() and rows.any()):
+            return
+        weight, seen = np.where(self.used, 1.0 / self.variance, 0.0)[rows], self.film.seen[rows]
+        near = links.bridged(self.film.time_s, self.state, whole)[rows]
+        near = links.solve(self.linkage, seen, weight, near)
+        costs = [
+            np.sum(weight * np.abs(seen - links.predicted(self.linkage, state)) ** 2, axis=1)
+            for state in (near, self.state[rows])
+        ]
+        chosen = costs[0] < costs[1] + float(special.chdtri(1.0, 0.05))
+        self.state[np.flatnonzero(rows)[chosen]] = near[chosen]
 
     def remove_bias(self) -> None:
         """Remove the bias that noise gives the global quantities, and compute their covariance.

@@ -88,6 +88,16 @@ class Linkage:
         return float(np.abs(self.shape(np.zeros((1, len(self.parent))))[2]).max())
 
     @property
+    def redundancy(self) -> int:
+        """Number of coordinates of the points in a frame beyond those that determine a bent linkage."""
+        angles = np.random.default_rng(0).uniform(-1.0, 1.0, (1, len(self.parent)))
+        slopes = _derivatives(replace(self, free=frozenset()), State(np.zeros(1, dtype=complex), angles))[1][
+            0
+        ]
+        real = np.concatenate([slopes.real, slopes.imag])
+        return len(real) - int(np.linalg.matrix_rank(real))
+
+    @property
     def carries(self) -> Flags:
         """Whether each link is that of each point, or lies ahead of it, shape (links, points)."""
         found = np.zeros((len(self.parent), len(self.link)), dtype=bool)

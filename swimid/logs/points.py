@@ -43,6 +43,8 @@ MAX_BIAS = 0.5
 WRONG_DISTANCE = 0.01
 #: Maximum relative standard error of a scale that is estimated from the links of a robot.
 MAX_SCALE_SE = 0.05
+#: Hint of an error about a scale that the points do not determine.
+SCALE_HINT = "state it in the points file: scale: {metres_per_pixel: 0.0005}"
 #: Maximum number of frames that a message lists.
 MAX_LISTED = 5
 
@@ -529,7 +531,7 @@ def pose_of(columns: dict[str, Array], request: Request, path: Path) -> Posed:
         error = math.sqrt(float(fit.linkage.covariance[0, 0]))
         if not 0 < error < MAX_SCALE_SE:
             text = f"the points do not determine the scale: its standard error is {100 * error:.2g} %"
-            raise InputError(text, file=where, hint="state it: scale: {metres_per_pixel: 0.0005}")
+            raise InputError(text, file=where, hint=SCALE_HINT)
         known_scale = (1.0 / fit.linkage.scale, error / fit.linkage.scale)
         source = "from the links of the robot"
         unit = "m"
@@ -576,8 +578,9 @@ def _linkage(
     estimated = unit == "px"
     free = {"scale"} if estimated else set()
     if estimated:
-        if np.ptp(np.abs(linkage.shape(np.zeros((1, len(linkage.parent))))[2])) == 0 and len(names) < 3:
-            raise InputError("all points have the same place", file=where, column="points")
+        if linkage.redundancy < 1:
+            text = f"{len(names)} points with this number of joints do not determine the scale"
+            raise InputError(text, file=where, hint=SCALE_HINT)
         linkage = replace(linkage, scale=_start_scale(linkage, film.seen, film.there))
     return replace(linkage, free=frozenset(free | ({"places"} if calibrate else set()))), estimated
 
