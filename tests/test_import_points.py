@@ -1,4 +1,4 @@
-"""``swimid import --robot --points``: pose and joint angles from tracked points of films with known motion."""
+"""``swimid import --points``: pose and joint angles from tracked points of films with known motion."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import pytest
 
 from swimid.logs import log
 from swimid.logs.log import Log
+from swimid.results import parameters
 from tests.conftest import Ran
-from tests.generators import point_films
+from tests.generators import point_films, swimmer
 from tests.generators.point_films import PLACES, Film
 
 Run = Callable[..., Ran]
@@ -220,7 +221,8 @@ def test_two_points_give_a_heading(imported: Imported, tmp_path: Path) -> None:
         "scale: {metres_per_pixel: 0.0006666666666666667}",
         "scale: {between: [snout, back], distance_m: 0.2202271554554524}",
         "scale: {points_px: [[0, 0], [1500, 0]], distance_m: 1.0}",
-        "scale: {points_px: [[0, 0], [1500, 0], [1500, 900], [0, 900]], points_m: [[0, 0], [1, 0], [1, -0.6], [0, -0.6]]}",
+        "scale: {points_px: [[0, 0], [1500, 0], [1500, 900], [0, 900]], "
+        "points_m: [[0, 0], [1, 0], [1, -0.6], [0, -0.6]]}",
         "scale: {metres_per_pixel: 0.0005, refraction: 1.3333333333333333}",
     ],
     ids=["factor", "tracked points", "two points", "homography", "refraction"],
@@ -328,3 +330,30 @@ def test_body_wave(imported: Imported, tmp_path: Path) -> None:
     assert np.abs(off[1:]).max() < 0.1
     assert (low <= high).all()
     assert wave["wavelength_m"] * 1.2 == pytest.approx(wave["wave_speed_m_s"], rel=0.01)
+
+
+@pytest.mark.slow
+def test_the_log_is_fitted_without_an_edit(swimid: Run, imported: Imported, tmp_path: Path) -> None:
+    """Films of the independent simulator become logs, which a gray-box fit takes as they are."""
+    truth = {**swimmer.TFISH, "c_ma": 1.0, "c_Ia": 1.45, "c_d0": 4.1, "c_d13": 0.5}
+    places = point_films.write_points(tmp_path / "points.yaml")
+    rows = ["format: swimid-trials/1", "experiment: free-swim", "robot: tfish", "trials:"]
+    for k, (frequency, amplitude, bias) in enumerate([(1.0, 30, 10), (1.6, 25, -10)]):
+        drive = {"frequency_hz": frequency, "amplitude_deg": amplitude, "bias_deg": bias}
+        run = swimmer.simulate("tfish", truth, drive, 5.0, rate_hz=RATE_HZ, rtol=1e-6)
+        joints = np.column_stack([run[f"joint{j}_rad"] for j in range(1, 5)])
+        motion = (run["t_s"], run["x_m"] + 0.6, run["y_m"] - 0.5, run["yaw_rad"], joints)
+        made = point_films.film(seed=37 + k, motion=motion, missing=0.02, strays=0.005)
+        imported(made, "--robot", "tfish", "--points", places)
+        (tmp_path / "run.csv").rename(tmp_path / f"run{k}.csv")
+        rows.append(f"  - {{log: run{k}.csv, drive: {{{', '.join(f'{n}: {v}' for n, v in drive.items())}}}}}")
+    (tmp_path / "trials.yaml").write_text("\n".join(rows) + "\n")
+    out = tmp_path / "fit.yaml"
+    ran = swimid("fit-graybox", tmp_path / "trials.yaml", "-o", out)
+    assert ran.status == 0, ran.err
+    fit = parameters.read(out)
+    assert {"x_m", "y_m", "yaw_rad", "joint4_rad"} <= set(fit.fit.channels)
+    for name in ("c_ma", "c_Ia", "c_d0"):
+        one = fit.parameters[name]
+        assert one.status == "estimated"
+        assert abs(one.value - truth[name]) < 3.5 * one.stderr, name

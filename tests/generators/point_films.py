@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -69,8 +70,9 @@ def film(
     places: Places = PLACES,
     amplitudes_deg: Sequence[float] = (9.0, 11.0, 13.0, 18.0),
     turn_rad_s: float = 0.12,
+    motion: tuple[Array, ...] | None = None,
 ) -> Film:
-    """Make a film of a fish on a gentle curve.
+    """Make a film of a fish on a gentle curve, or of the ``motion`` (time, x, y, yaw, joints).
 
     ``missing`` and ``strays`` are fractions of all tracked points. ``swaps`` and ``merges`` are fractions of
     the frames. The noise is proportional to the likelihood to the power of minus ``likelihood_slope``.
@@ -86,6 +88,9 @@ def film(
         [np.radians(a) * np.sin(phase - 0.7 * (k + 1)) for k, a in enumerate(amplitudes_deg)]
     )
     joints = joints[:, : len(lengths) - 1]
+    if motion is not None:
+        time, x, y, yaw, joints = motion
+        frames = len(time)
     names, links = list(places), list(lengths)
     column, row = np.empty((2, frames, len(names)))
     for f in range(frames):
