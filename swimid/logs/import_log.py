@@ -294,6 +294,9 @@ def _posed(source: MappedLog, request: Request | None, metadata: dict[str, Any])
     if request is None:
         return None
     columns = source.columns
+    if log.written_by(metadata, "swimid track"):
+        metadata["tracked_by"] = metadata.pop("made_by")
+        points.keep_markers(columns)
     found = points.pose_of(columns, request, source.path)
     metadata |= found.metadata
     source.sources.update(dict.fromkeys(found.columns, ("tracked points", 1.0, 0.0)))

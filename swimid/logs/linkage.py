@@ -332,6 +332,8 @@ class Residuals:
     covariance : ndarray, shape (n, d, d)
         Covariance of the state of each frame, with that of the global quantities; 0 in directions that the
         points do not determine.
+    alone : ndarray, shape (n, d)
+        Variances of the state if the global quantities were known.
     cross : ndarray, shape (n, d, m)
         Covariance of the state and the global quantities.
     known : ndarray of bool, shape (n, d)
@@ -343,6 +345,7 @@ class Residuals:
     normalised: Array
     freedom: NDArray[np.int64]
     covariance: Array
+    alone: Array
     cross: Array
     known: Flags
 
@@ -408,7 +411,8 @@ def _residuals(linkage: Linkage, seen: Complex, weight: Array, variance: Array, 
     along = np.einsum("npij,npi->npj", axes, pair)
     tested = (values > MIN_SHARE) & (values < UNKNOWN)
     normalised = np.where(tested, along / np.sqrt(np.where(tested, values, 1.0) * variance[..., None]), 0.0)
-    return Residuals(value, values, normalised, tested.sum(axis=2), covariance, cross, known)
+    alone = np.einsum("nii->ni", pseudo)
+    return Residuals(value, values, normalised, tested.sum(axis=2), covariance, alone, cross, known)
 
 
 def _of_points(slopes: Complex, covariance: Array) -> Array:

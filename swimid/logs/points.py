@@ -8,6 +8,7 @@ estimate; this module reads the files, makes the columns of the log, and examine
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
@@ -371,6 +372,24 @@ def _tracked(columns: Mapping[str, Array]) -> dict[str, tuple[str, str, str]]:
     return found
 
 
+def keep_markers(columns: dict[str, Array]) -> None:
+    """Keep only times and markers in the columns of a log of ``swimid track video``, in place.
+
+    The pose of head and tail is left out. Pixels, which have y down in such a log, are turned to y up.
+    """
+    markers = _tracked(columns)
+    for name in list(columns):
+        point = next((one for one in markers if name.startswith(f"{one}_")), None)
+        if name != TIME and (point is None or not re.fullmatch(_OF_MARKER, name.removeprefix(f"{point}_"))):
+            del columns[name]
+        elif name.endswith("_y_px"):
+            columns[name] = -columns[name]
+
+
+#: Pattern of the rest of the name of a marker's column after the name of the marker.
+_OF_MARKER = r"[xyz]_(px|m)|confidence"
+
+
 def _chosen(
     columns: Mapping[str, Array], names: list[str], optional: bool, where: str, path: Path
 ) -> tuple[list[str], str]:
@@ -602,8 +621,10 @@ def _columns(
         variance[:, :2] += (xy * stated[1] / stated[0]) ** 2
     sd = np.sqrt(np.maximum(variance, 0.0))
     limit = np.full(sd.shape[1], MAX_ANGLE_SD)
-    limit[:2] *= linkage.size
-    known: Flags = np.array(found.known & fit.used.any(axis=1, keepdims=True) & (sd < limit))
+    limit[:2] *= linkage.scale * linkage.size
+    # An unknown place of a point shifts the zero of an angle in all frames. It leaves none of them empty.
+    sharp = np.sqrt(np.maximum(found.alone, 0.0)) < limit
+    known: Flags = np.array(found.known & fit.used.any(axis=1, keepdims=True) & sharp)
     known[:, 0] = known[:, 1] = known[:, 0] & known[:, 1]
     angles = (fit.state.angles + np.pi) % (2 * np.pi) - np.pi
     yaw = known[:, 2]
