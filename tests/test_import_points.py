@@ -13,7 +13,7 @@ from swimid.logs import log
 from swimid.logs.log import Log
 from swimid.results import parameters
 from tests.conftest import Ran
-from tests.generators import point_films, swimmer
+from tests.generators import disc_film, point_films, swimmer, three_link
 from tests.generators.point_films import PLACES, Film
 
 Run = Callable[..., Ran]
@@ -357,3 +357,56 @@ def test_the_log_is_fitted_without_an_edit(swimid: Run, imported: Imported, tmp_
         one = fit.parameters[name]
         assert one.status == "estimated"
         assert abs(one.value - truth[name]) < 3.5 * one.stderr, name
+
+
+MARKERS = {
+    "red": ("link1", -0.015, 0.0),
+    "yellow": ("link1", -0.09, 0.0),
+    "green": ("link2", -0.10, 0.0),
+    "magenta": ("link3", -0.10, 0.0),
+}
+COLOURS = {"red": (38, 38, 205), "yellow": (45, 200, 225), "green": (60, 190, 60), "magenta": (190, 50, 190)}
+MARKER_SETUP = """format: swimid-setup/1
+markers:
+  - {name: red, hsv: {hue_deg: [345, 15], saturation: [0.45, 1], value: [0.3, 1]}}
+  - {name: yellow, hsv: {hue_deg: [40, 75], saturation: [0.4, 1], value: [0.35, 1]}}
+  - {name: green, hsv: {hue_deg: [100, 140], saturation: [0.4, 1], value: [0.35, 1]}}
+  - {name: magenta, hsv: {hue_deg: [285, 320], saturation: [0.4, 1], value: [0.35, 1]}}
+head: red
+tail: yellow
+scale: {metres_per_pixel: 0.001}
+"""
+
+
+def test_markers_of_a_film_on_all_links(swimid: Run, tmp_path: Path) -> None:
+    """A rendered film is tracked, and the log of its markers becomes pose and joint angles."""
+    time = np.arange(90) / 30.0
+    turn = 2 * np.pi * 1.5 * time
+    joints = np.radians(20) * np.column_stack([np.sin(turn), np.sin(turn - 1.2)])
+    yaw = 0.1 * np.sin(turn + 0.5)
+    motion = (time, 0.40 + 0.02 * time, -0.16 + 0.01 * np.sin(turn), yaw, joints)
+    rods = dict.fromkeys(("link1", "link2", "link3"), 0.12)
+    made = point_films.film(motion=motion, lengths=rods, places=MARKERS, pixels_per_m=1000.0, noise_px=0.0)
+
+    def at(k: int) -> Callable[[float], tuple[float, float]]:
+        return lambda t: (made.column[round(30 * t), k], made.row[round(30 * t), k])
+
+    discs = tuple(disc_film.Disc(at(k), 7.0, COLOURS[name]) for k, name in enumerate(made.names))
+    disc_film.Film(discs, 3.0, 520, 320).write(tmp_path / "film.mp4")
+    (tmp_path / "setup.yaml").write_text(MARKER_SETUP)
+    robot = three_link.robot(tmp_path)
+    tracked = tmp_path / "markers.csv"
+    ran = swimid("track", "video", tmp_path / "film.mp4", "--setup", tmp_path / "setup.yaml", "-o", tracked)
+    assert ran.status == 0, ran.err
+    places = point_films.write_points(tmp_path / "points.yaml", MARKERS)
+    ran = swimid("import", tracked, "--robot", robot, "--points", places, "-o", tmp_path / "run.csv")
+    assert ran.status == 0, ran.err
+    record = log.read(tmp_path / "run.csv")
+    # the log of the camera counts y from the lowest row
+    truth = {"x_m": made.x, "y_m": made.y + 0.319, "yaw_rad": made.yaw}
+    truth |= {"joint1_rad": joints[:, 0], "joint2_rad": joints[:, 1]}
+    for name, values in truth.items():
+        # the centre of a disc is measured to 0.2 px, and the shortest arm of a joint has 75 px
+        limit = 0.0004 if name.endswith("_m") else 0.01
+        assert np.sqrt(np.mean((record[name] - values) ** 2)) < limit, name
+    assert "u_m_s" not in record
