@@ -35,7 +35,11 @@ MIN_NOISE = 1e-5
 #: standard deviations (graduated non-convexity, Yang et al. 2020, doi:10.1109/LRA.2020.2965893); number of
 #: steps with each of them; and number of the last thresholds that are used if neighbouring frames give the
 #: start values.
-THRESHOLDS, STEPS, NEAR = (200.0, 80.0, 40.0, 20.0, 10.0, 6.0), 3, 3
+THRESHOLDS, STEPS, NEAR = (200.0, 80.0, 40.0, 20.0, 10.0, 6.0), 3, 2
+#: Difference of the weighted sums of squares of two solutions for a frame, up to which the solution nearer to
+#: neighbouring frames is taken: the quantile of the chi-square distribution with one degree of freedom at
+#: 0.1 %.
+MUCH_WORSE = 10.83
 #: Maximum exponent with which the noise may fall with the likelihood.
 MAX_EXPONENT = 5.0
 #: Seed of the simulated noise by which the bias of the global quantities is estimated, and number of pairs of
@@ -281,6 +285,7 @@ class _Estimate:
         found = [self._annealed(starts[0], THRESHOLDS)]
         found += [self._annealed(begin, THRESHOLDS[-NEAR:]) for begin in starts[1:]]
         costs = np.array([cost for _, cost in found])
+        costs[1:] -= MUCH_WORSE
         best = np.argmin(costs, axis=0)
         for k, (state, _) in enumerate(found):
             self.state[best == k] = state[best == k]
@@ -357,7 +362,7 @@ class _Estimate:
             np.sum(weight * np.abs(seen - links.predicted(self.linkage, state)) ** 2, axis=1)
             for state in (near, self.state[rows])
         ]
-        chosen = costs[0] < costs[1] + float(special.chdtri(1.0, 0.05))
+        chosen = costs[0] < costs[1] + MUCH_WORSE
         self.state[np.flatnonzero(rows)[chosen]] = near[chosen]
 
     def remove_bias(self) -> None:

@@ -548,7 +548,7 @@ def pose_of(columns: dict[str, Array], request: Request, path: Path) -> Posed:
     fit = bundle.fit(film, linkage)
     if estimated:
         error = math.sqrt(float(fit.linkage.covariance[0, 0]))
-        if not 0 < error < MAX_SCALE_SE:
+        if not error < MAX_SCALE_SE:
             text = f"the points do not determine the scale: its standard error is {100 * error:.2g} %"
             raise InputError(text, file=where, hint=SCALE_HINT)
         known_scale = (1.0 / fit.linkage.scale, error / fit.linkage.scale)

@@ -157,8 +157,8 @@ class Robot(yamlio.Document):
     def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
         """Return the positions of markers and of points of the first link, relative to the reference point.
 
-        They are in m. A position has the components forward and to port, or forward and up for the vertical plane. The
-        reference point is the point whose pose is logged.
+        They are in m. A position has the components forward and to port, or forward and up for the vertical
+        plane. The reference point is the point whose pose is logged.
         """
         if self.multibody is not None:
             aside = {"horizontal": 1, "vertical": 2}[plane]
