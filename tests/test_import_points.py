@@ -332,6 +332,38 @@ def test_body_wave(imported: Imported, tmp_path: Path) -> None:
     assert wave["wavelength_m"] * 1.2 == pytest.approx(wave["wave_speed_m_s"], rel=0.01)
 
 
+@pytest.mark.parametrize("facing", ["right", "left"])
+def test_the_vertical_plane(facing: str, imported: Imported, tmp_path: Path) -> None:
+    """A film from the side: heights, pitch, and a picture that is mirrored if the robot faces left."""
+    rods = dict.fromkeys(("link1", "link2", "link3"), 0.12)
+    points = {
+        "nose": ("link1", 0.0, 0.0),
+        "back": ("link1", -0.08, 0.03),
+        "hip": ("link2", -0.10, 0.01),
+        "tip": ("link3", -0.11, 0.0),
+    }
+    made = point_films.film(
+        seed=41, frames=240, lengths=rods, places=points, amplitudes_deg=(12, 20), noise_px=0.4
+    )
+    if facing == "left":
+        made.column = -made.column
+    robot = three_link.robot(tmp_path)
+    robot.write_text(robot.read_text().replace("plane: horizontal", "plane: vertical"))
+    stated = f"facing: {facing}\nscale: {{metres_per_pixel: 0.0006666666666666667}}"
+    places = point_films.write_points(tmp_path / "points.yaml", points, stated)
+    record, _ = imported(made, "--robot", robot, "--points", places)
+    for name, truth in (
+        ("x_m", made.x),
+        ("z_m", made.y),
+        ("pitch_rad", made.yaw),
+        ("joint2_rad", made.joints[:, 1]),
+    ):
+        stem, _, unit = name.rpartition("_")
+        z = (record[name] - truth) / record[f"{stem}_sd_{unit}"]
+        # 240 frames: the root mean square is known to 5 %
+        assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.2), name
+
+
 @pytest.mark.slow
 def test_the_log_is_fitted_without_an_edit(swimid: Run, imported: Imported, tmp_path: Path) -> None:
     """Films of the independent simulator become logs, which a gray-box fit takes as they are."""

@@ -214,7 +214,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         warn("SWM057", f"{name}: rows {order.summary}")
     uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
-    posed = _posed(source, request, metadata)
+    posed, markers = _posed(source, request, metadata)
     coordinates, known = beat.coordinates(columns), _measured(columns)
     cleaned = options.clean
     if cleaned is None:
@@ -228,7 +228,7 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         cleaning = tracks.clean(stamps, track, angles)
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
-    channels = {column: v for column, v in _measured(columns).items() if column != TIME}
+    channels = {key: values for key, values in _measured(columns).items() if key not in (TIME, *markers)}
     times, times_sd_s = columns[TIME], 0.0
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
@@ -289,10 +289,15 @@ def _in_order(source: MappedLog) -> Order:
     return order
 
 
-def _posed(source: MappedLog, request: Request | None, metadata: dict[str, Any]) -> Posed | None:
-    """Add pose and joint angles from tracked points to a log and its metadata, in place, if requested."""
+def _posed(
+    source: MappedLog, request: Request | None, metadata: dict[str, Any]
+) -> tuple[Posed | None, list[str]]:
+    """Add pose and joint angles from tracked points to a log and its metadata, in place, if requested.
+
+    The second result has the columns of the points, whose motion is that of the pose and the joints.
+    """
     if request is None:
-        return None
+        return None, []
     columns = source.columns
     if log.written_by(metadata, "swimid track"):
         metadata["tracked_by"] = metadata.pop("made_by")
@@ -302,7 +307,8 @@ def _posed(source: MappedLog, request: Request | None, metadata: dict[str, Any])
     source.sources.update(dict.fromkeys(found.columns, ("tracked points", 1.0, 0.0)))
     rest = {name: columns.pop(name) for name in list(columns) if name not in (TIME, *found.columns)}
     columns |= found.columns | rest
-    return found
+    markers = tuple(f"{name}_" for name in found.fit.linkage.names)
+    return found, [name for name in rest if name.startswith(markers)]
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
