@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import swimid as package
+from swimid.errors import InputError
 from swimid.logs import log
 from swimid.logs.log import Log
 from swimid.results import parameters
@@ -410,13 +413,12 @@ scale: {metres_per_pixel: 0.001}
 """
 
 
-def test_markers_of_a_film_on_all_links(swimid: Run, tmp_path: Path) -> None:
-    """A rendered film is tracked, and the log of its markers becomes pose and joint angles."""
+def _marker_film(folder: Path) -> tuple[Path, dict[str, np.ndarray]]:
+    """Write a film of markers on three links, and its robot; return the robot and the true columns."""
     time = np.arange(66) / 30.0
     turn = 2 * np.pi * 1.5 * time
     joints = np.radians(20) * np.column_stack([np.sin(turn), np.sin(turn - 1.2)])
-    yaw = 0.1 * np.sin(turn + 0.5)
-    motion = (time, 0.40 + 0.02 * time, -0.16 + 0.01 * np.sin(turn), yaw, joints)
+    motion = (time, 0.40 + 0.02 * time, -0.16 + 0.01 * np.sin(turn), 0.1 * np.sin(turn + 0.5), joints)
     rods = dict.fromkeys(("link1", "link2", "link3"), 0.12)
     made = point_films.film(motion=motion, lengths=rods, places=MARKERS, pixels_per_m=1000.0, noise_px=0.0)
 
@@ -424,9 +426,17 @@ def test_markers_of_a_film_on_all_links(swimid: Run, tmp_path: Path) -> None:
         return lambda t: (made.column[round(30 * t), k], made.row[round(30 * t), k])
 
     discs = tuple(disc_film.Disc(at(k), 7.0, COLOURS[name]) for k, name in enumerate(made.names))
-    disc_film.Film(discs, 2.2, 520, 320).write(tmp_path / "film.mp4")
-    (tmp_path / "setup.yaml").write_text(MARKER_SETUP)
-    robot = three_link.robot(tmp_path)
+    disc_film.Film(discs, 2.2, 520, 320).write(folder / "film.mp4")
+    (folder / "setup.yaml").write_text(MARKER_SETUP)
+    # the log of the camera counts y from the lowest row
+    truth = {"x_m": made.x, "y_m": made.y + 0.319, "yaw_rad": made.yaw}
+    truth |= {"joint1_rad": joints[:, 0], "joint2_rad": joints[:, 1]}
+    return three_link.robot(folder), truth
+
+
+def test_markers_of_a_tracked_film(swimid: Run, tmp_path: Path) -> None:
+    """The log of a rendered film, with markers on all links, becomes pose and joint angles."""
+    robot, truth = _marker_film(tmp_path)
     tracked = tmp_path / "markers.csv"
     ran = swimid("track", "video", tmp_path / "film.mp4", "--setup", tmp_path / "setup.yaml", "-o", tracked)
     assert ran.status == 0, ran.err
@@ -434,15 +444,16 @@ def test_markers_of_a_film_on_all_links(swimid: Run, tmp_path: Path) -> None:
     ran = swimid("import", tracked, "--robot", robot, "--points", places, "-o", tmp_path / "run.csv")
     assert ran.status == 0, ran.err
     record = log.read(tmp_path / "run.csv")
-    # the log of the camera counts y from the lowest row
-    truth = {"x_m": made.x, "y_m": made.y + 0.319, "yaw_rad": made.yaw}
-    truth |= {"joint1_rad": joints[:, 0], "joint2_rad": joints[:, 1]}
     for name, values in truth.items():
         # the centre of a disc is measured to 0.2 px, and the shortest arm of a joint has 75 px
         limit = 0.0004 if name.endswith("_m") else 0.01
         assert np.sqrt(np.mean((record[name] - values) ** 2)) < limit, name
     assert "u_m_s" not in record
-    # the robot file places the markers, and the setup names the robot: one command
+
+
+def test_track_video_computes_joint_angles(swimid: Run, tmp_path: Path) -> None:
+    """The robot file places the markers, and the setup names the robot."""
+    robot, truth = _marker_film(tmp_path)
     rows = [f"    {name}: {{link: {link}, at_m: [{x}, {y}]}}" for name, (link, x, y) in MARKERS.items()]
     text = robot.read_text().replace("  elements:", "\n".join(["  points:", *rows, "  elements:"]), 1)
     robot.write_text(text)
@@ -456,3 +467,19 @@ def test_markers_of_a_film_on_all_links(swimid: Run, tmp_path: Path) -> None:
         assert np.median(direct[name.replace("_rad", "_sd_rad")]) < 0.01
     assert np.sqrt(np.mean((direct["x_m"] - truth["x_m"]) ** 2)) < 0.001
     assert ran.json["result"]["points"]["left_out"] == []
+
+
+def test_points_and_tables_in_memory() -> None:
+    made = point_films.film(seed=43, frames=120)
+    table = pd.DataFrame({"t_s": made.time})
+    for k, name in enumerate(made.names):
+        table[f"{name}_x_m"], table[f"{name}_y_m"] = made.column[:, k] / 1500, -made.row[:, k] / 1500
+    spots = {name: {"link": link, "at_m": [x, y]} for name, (link, x, y) in PLACES.items()}
+    result = package.import_log(table, robot="tfish", points={"points": spots})
+    assert np.max(np.abs(result.frame["x_m"] - made.x)) < 0.002
+    assert result.data["points"]["scale"] is None
+    assert {"points", "log"} <= set(result.evidence.provenance["inputs"])
+    with pytest.raises(InputError, match="already"):
+        package.import_log(
+            table, robot="tfish", points={"points": spots, "scale": {"metres_per_pixel": 1e-3}}
+        )

@@ -84,6 +84,11 @@ class PointsFile(yamlio.Document):
     #: direction.
     facing: Literal["right", "left"] = "right"
 
+    @property
+    def name(self) -> str:
+        """Name of a points file in memory, by which the provenance of a result refers to it."""
+        return "points"
+
     @model_validator(mode="after")
     def _consistent(self) -> PointsFile:
         names = [safe(name) for name in (self.chain or self.points)]
@@ -97,6 +102,21 @@ class PointsFile(yamlio.Document):
         if self.camera is not None and self.scale is None:
             raise ValueError("camera needs a scale")
         return self
+
+
+def of(given: str | Path | PointsFile | Mapping[str, Any]) -> PointsFile:
+    """Return the content of a points file, given its path, the content, or a dict with its keys.
+
+    Raises
+    ------
+    InputError
+        The content is invalid. The message names line and key.
+    """
+    if isinstance(given, PointsFile):
+        return given
+    if isinstance(given, str | Path):
+        return yamlio.validated(given, PointsFile)
+    return yamlio.validate(dict(given), PointsFile, "points")
 
 
 @dataclass(frozen=True)
@@ -315,7 +335,11 @@ class Request:
     @property
     def inputs(self) -> list[Any]:
         """Files and data on which the result depends, for its provenance."""
-        found = [self.points] if self.points is not None else []
+        found: list[Any] = []
+        if isinstance(self.points, str | Path):
+            found.append(self.points)
+        elif self.points is not None:
+            found.append(of(self.points))
         if self.robot is not None:
             found.append(robot_format.locate(self.robot))
         return found
@@ -331,10 +355,10 @@ class Request:
             Neither a robot nor a chain is given, or both are.
         """
         spec, where = PointsFile(), "points"
+        if self.points is not None:
+            spec = of(self.points)
         if isinstance(self.points, str | Path):
-            spec, where = yamlio.validated(self.points, PointsFile), str(self.points)
-        elif self.points is not None:
-            spec = yamlio.validate(dict(self.points), PointsFile, where)
+            where = str(self.points)
         if self.robot is None:
             if not spec.chain:
                 text = "--points places points on a robot: name it with --robot"
