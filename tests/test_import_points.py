@@ -305,6 +305,17 @@ def test_bad_points_files(
     assert ran.status == status, ran.err
     assert said in ran.err
     assert not (tmp_path / "run.csv").exists()
+    assert len(ran.err.splitlines()) <= 3  # one error and its hint
+
+
+def test_errors_name_the_line(swimid: Run, tmp_path: Path) -> None:
+    path = point_films.write_deeplabcut(point_films.film(frames=60), tmp_path / "film.csv")
+    wrong = dict(PLACES) | {"hip": ("tail9", -0.015, 0.012)}
+    places = point_films.write_points(tmp_path / "points.yaml", wrong)
+    words = ("--robot", "tfish", "--points", places, "--rate-hz", "60", "-o", tmp_path / "run.csv")
+    ran = swimid("import", path, *words)
+    assert ran.status == 3
+    assert "points.yaml, line 7, 'points.hip.link': there is no link 'tail9'" in ran.err
 
 
 def test_body_wave(imported: Imported, tmp_path: Path) -> None:

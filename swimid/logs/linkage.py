@@ -11,7 +11,7 @@ states are eliminated by the Schur complement (Triggs et al. 2000, doi:10.1007/3
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -81,6 +81,11 @@ class Linkage:
     scale: float = 1.0
     free: frozenset[str] = frozenset()
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def part(self, names: Sequence[str]) -> Linkage:
+        """Return a linkage that has only the given points, in their order."""
+        rows = [self.names.index(name) for name in names]
+        return replace(self, names=tuple(names), link=self.link[rows], place=self.place[rows])
 
     @property
     def size(self) -> float:

@@ -268,8 +268,10 @@ def linkage_of(body: planar.Multilink, points: Mapping[str, planar.Place], where
     for name, place in points.items():
         if place.link not in known:
             hint = suggestion(place.link, list(known), "the links are")
-            text = f"there is no link '{place.link}'"
-            raise InputError(text, file=where, column=f"points.{name}.link", hint=hint)
+            text, key = f"there is no link '{place.link}'", f"points.{name}.link"
+            if points is body.points:
+                key = f"multilink.{key}"
+            raise InputError(text, file=where, column=key, hint=hint)
     moving = [joint for joint in body.joints if joint.driven is not None or joint.passive is not None]
     columns = {joint.name: f"joint{k}_rad" for k, joint in enumerate(moving, 1)}
 
@@ -415,9 +417,11 @@ _OF_MARKER = r"[xyz]_(px|m)|confidence"
 
 
 def _chosen(
-    columns: Mapping[str, Array], names: list[str], optional: bool, where: str, path: Path
+    columns: Mapping[str, Array], names: list[str], optional: bool, where: tuple[str, str], path: Path
 ) -> tuple[list[str], str]:
     """Return the points that are tracked, in the order of ``names``, and their unit.
+
+    ``where`` has the file that names the points, and the key there.
 
     Raises
     ------
@@ -434,7 +438,8 @@ def _chosen(
             chosen.append(name)
         elif not optional:
             hint = suggestion(safe(name), list(tracked), "the film has")
-            raise InputError(f"the point '{name}' is not in {path.name}", file=where, column=name, hint=hint)
+            text, (file, key) = f"the point '{name}' is not in {path.name}", where
+            raise InputError(text, file=file, column=key.format(name), hint=hint)
     if len(chosen) < 2:
         text = f"{len(chosen)} of the points of the robot are tracked; at least 2 are needed"
         hint = f"the film has {', '.join(tracked)}; --points places points under other names"
@@ -478,13 +483,13 @@ def _in_metres(
         world: Complex = np.empty(seen.shape, dtype=complex)
         world.real, world.imag = x.reshape(seen.shape), y.reshape(seen.shape)
         return scale.refraction * world, None
-    chosen, _ = _chosen(columns, list(scale.between), False, where, path)
+    chosen, _ = _chosen(columns, list(scale.between), False, (where, "scale.between"), path)
     first, second = (_coordinates(columns, name) for name in chosen)
     apart = np.abs(first - second)
     apart = apart[np.isfinite(apart)]
     if len(apart) < 2:
         names = " and ".join(chosen)
-        raise InputError(f"{names} are never tracked together", file=path, column="scale.between")
+        raise InputError(f"{names} are never tracked together", file=where, column="scale.between")
     middle = float(np.median(apart))
     spread = 1.4826 * float(np.median(np.abs(apart - middle)))
     good = apart[np.abs(apart - middle) <= 5 * spread]
@@ -534,11 +539,24 @@ def pose_of(columns: dict[str, Array], request: Request, path: Path) -> Posed:
     UsageError
         The request is contradictory.
     """
+    try:
+        return _pose_of(columns, request, path)
+    except InputError as error:
+        file = Path(error.file or "")
+        if error.line is None and error.column and file.suffix.lower() in (".yaml", ".yml"):
+            raise robot_format.located(error, file) from error
+        raise
+
+
+def _pose_of(columns: dict[str, Array], request: Request, path: Path) -> Posed:
     spec, body, robot, where = request.read()
     placed: Mapping[str, planar.Place] = spec.points
     if body is not None and not spec.points:
         placed = body.points
-    names, unit = _chosen(columns, spec.chain or list(placed), not (spec.chain or spec.points), where, path)
+    place = (where, "points.{}")
+    if spec.chain:
+        place = (where, "chain")
+    names, unit = _chosen(columns, spec.chain or list(placed), not (spec.chain or spec.points), place, path)
     plane = "horizontal"
     if body is not None:
         plane = body.plane
@@ -617,7 +635,7 @@ def _linkage(
                 raise InputError(text, file=where, column="chain")
         lengths = np.array([np.median(pair[both[:, k]]) for k, pair in enumerate(pairs)])
         return links.chain(tuple(safe(name) for name in names), lengths), False
-    linkage = linkage_of(body, {name: placed[name] for name in names}, where)
+    linkage = linkage_of(body, placed, where).part([safe(name) for name in names])
     estimated = unit == "px"
     free = {"scale"} if estimated else set()
     if estimated:
