@@ -41,7 +41,7 @@ class ImportOptions(Options):
     robot: str | None = option(
         None, metavar="NAME", help="Robot whose pose and joint angles the tracked points show."
     )
-    points: Source | None = option(
+    points: Source = option(
         None,
         recorded=False,
         help="Points file (swimid-points/1): place of each tracked point on the robot, or a chain of points, "
