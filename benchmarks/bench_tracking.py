@@ -26,6 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from swimid.logs.plane import plane_of
 from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Video
@@ -101,7 +102,7 @@ def accuracy(follower: Follower, scene: Scene) -> tuple[int, float]:
     """Misses, and RMS error per axis of the nose marker in px."""
     raw = follower.track()
     truth = pool_video.motion(scene.swims[0], scene.times())
-    ground = pose.plane_of(follower.setup, scene.width, scene.height)
+    ground = plane_of(follower.setup, scene.width, scene.height)
     x, y = ground.to_image(truth.x_m, truth.y_m)
     head = raw.names.index(follower.setup.head_name)
     n = min(len(x), raw.x.shape[1])

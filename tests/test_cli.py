@@ -153,8 +153,8 @@ def test_schema_and_doctor_write_over_nothing_of_others(
 
 def test_schema_lists_every_format(swimid: Run) -> None:
     listed = swimid("schema").out.split()
-    assert listed[:5] == ["trials", "robot", "setup", "mapping", "evidence"]
-    assert listed[5:] == [form.removeprefix("swimid-").partition("/")[0] for form in FORMATS]
+    assert listed[:6] == ["trials", "robot", "setup", "mapping", "points", "evidence"]
+    assert listed[6:] == [form.removeprefix("swimid-").partition("/")[0] for form in FORMATS]
 
 
 def test_doctor(swimid: Run, tmp_path: Path) -> None:

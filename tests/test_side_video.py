@@ -14,6 +14,7 @@ from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.logs import kinematics
 from swimid.logs import log as log_format
+from swimid.logs.plane import plane_of
 from swimid.notices import recorded
 from swimid.results import evidence
 from swimid.results.parameters import Estimate, ParameterFile
@@ -227,7 +228,7 @@ def posed(view, changes, *, places=True):
     )
     track, truth = seen(view)
     with recorded() as notices:
-        ground = pose.facing(track, rules, pose.plane_of(rules, view.width, view.height))
+        ground = pose.facing(track, rules, plane_of(rules, view.width, view.height))
         result = pose.build(track, rules, ground)
         found = {c.name: c for c in checks_of(track, result, rules)}
     return result, truth, found, [n.code for n in notices]

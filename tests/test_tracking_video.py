@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from swimid.cli.main import track
+from swimid.logs.plane import plane_of
 from swimid.results import evidence
-from swimid.tracking import pose
 from swimid.tracking import setup as setup_format
 from tests.generators import pool_video
 from tests.generators.pool_video import SEPARATION_M, Scene
@@ -51,7 +51,7 @@ def by_hand(tmp_path):
 
 
 def pixels_per_metre(scene, setup):
-    ground = pose.plane_of(setup_format.read(setup), scene.width, scene.height)
+    ground = plane_of(setup_format.read(setup), scene.width, scene.height)
     return 1 / ground.size_of_pixel(scene.width / 2, scene.height / 2)
 
 
@@ -220,7 +220,7 @@ def test_all_kinds_of_scale_agree(tmp_path, kind):
             "scale": scale,
         }
     )
-    ground = pose.plane_of(rules, 640, 480)
+    ground = plane_of(rules, 640, 480)
     x, y = ground.to_world(np.array([0.0, 320.0, np.nan]), np.array([479.0, 100.0, 3.0]))
     np.testing.assert_allclose(x[:2], [0, 0.64], atol=1e-9)
     np.testing.assert_allclose(y[:2], [0, 0.758], atol=1e-9)
@@ -245,7 +245,7 @@ def test_lens_distortion_and_height_are_corrected():
             "scale": {"metres_per_pixel": 2.0 / 600, "heights": {"camera_m": 2.0, "marker_m": 0.05}},
         }
     )
-    ground = pose.plane_of(rules, 640, 480)
+    ground = plane_of(rules, 640, 480)
     x, y = ground.to_world(*seen.T)
     # the camera is 2 m above the plane, so that a marker 5 cm above the plane is at a distance of 1.95 m
     np.testing.assert_allclose(x - x[2], 1.95 * rays[:, 0], atol=2e-4)

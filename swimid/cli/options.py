@@ -18,12 +18,14 @@ class ImportLogOptions(
     """Import a log of a tracker, of motion capture, of a robot or of a laboratory, or any table.
 
     A mapping says which source column becomes which column of the log, and in which unit it was
-    written. Without one the columns must have the names of the log format already. Beside the log
-    goes its evidence (<stem>.evidence.json).
+    written. Without one the columns must have the names of the log format already. With --robot, points
+    that a tracker followed on its links become pose and joint angles. Beside the log goes its evidence
+    (<stem>.evidence.json).
 
     Examples:
       swimid import field.csv --guess -o map.yaml
       swimid import field.csv --map map.yaml -o run.csv
+      swimid import filmDLC.csv --rate-hz 60 --robot tfish --points points.yaml -o run.csv
       swimid import STATES1.txt --map docs/examples/msu-states.yaml -o run1.csv
     """
 

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import beat, log, mapping, sampling, tracks
+from swimid.logs import beat, log, mapping, point_evidence, points, sampling, tracks, wave
 from swimid.logs.beat import Rhythm, contradiction
 from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
+from swimid.logs.points import Posed, Request
 from swimid.logs.sampling import (
     LONG_ENOUGH,
     SET,
@@ -101,11 +102,15 @@ def import_log(
     inputs: list[provenance.Input] = [given]
     if rules is not None:
         inputs.append(map_path if isinstance(map_path, str | Path) else rules)
+    request = None
+    if options.robot is not None or options.points is not None:
+        request = Request(options.robot, options.points, options.calibrate_points)
+        inputs += request.inputs
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices:
         read = mapping.apply(rules, given, options.stated, progress=progress)
-        found = examine(read, options)
+        found = examine(read, options, request)
         settings = options.settings(clean=found.cleaned)
         origin = provenance.collect(inputs, settings=settings)
         proof = _evidence(found, origin, notices)
@@ -155,6 +160,10 @@ class Examined:
         Range of the time steps, as text for a message; empty for even sampling.
     bursts : bool
         Whether the time stamps come in bursts.
+    posed : Posed or None
+        Pose and joint angles from tracked points, if they were asked for.
+    wave : Wave or None
+        Body wave at the stroke frequency, from the tracked points.
     """
 
     mapped: MappedLog
@@ -170,6 +179,8 @@ class Examined:
     comparisons: list[Comparison]
     uneven: str
     bursts: bool
+    posed: Posed | None = None
+    wave: wave.Wave | None = None
 
     @property
     def unit(self) -> str:
@@ -182,7 +193,7 @@ class Examined:
         return "left out" if self.cleaned else "kept"
 
 
-def examine(source: MappedLog, options: ImportOptions) -> Examined:
+def examine(source: MappedLog, options: ImportOptions, request: Request | None = None) -> Examined:
     """Sort the rows and clean the track of a foreign log, and estimate its speed and stroke.
 
     ``source.columns`` is changed in place, so that a long log is in memory only once.
@@ -203,6 +214,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         warn("SWM057", f"{name}: rows {order.summary}")
     uneven = sampling.find_uneven(columns[TIME])
     metadata = dict(source.metadata) | {"source": name, "imported_by": "swimid import"}
+    posed, markers = _posed(source, request, metadata)
     coordinates, known = beat.coordinates(columns), _measured(columns)
     cleaned = options.clean
     if cleaned is None:
@@ -216,7 +228,7 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         cleaning = tracks.clean(stamps, track, angles)
         if cleaned:
             _take_out(columns, cleaning, name, metadata)
-    channels = {column: v for column, v in _measured(columns).items() if column != TIME}
+    channels = {key: values for key, values in _measured(columns).items() if key not in (TIME, *markers)}
     times, times_sd_s = columns[TIME], 0.0
     if cleaning is not None and cleaning.held is not None:
         times_sd_s = cleaning.held.lateness_s / np.sqrt(12.0)
@@ -256,6 +268,8 @@ def examine(source: MappedLog, options: ImportOptions) -> Examined:
         doubts,
         comparisons,
         *uneven,
+        posed,
+        point_evidence.wave_of(posed, periodic_hz),
     )
 
 
@@ -273,6 +287,28 @@ def _in_order(source: MappedLog) -> Order:
         hint = "split the file there, or state the range of a counter: 'wraps_at: 65536' under 'time:'"
         raise InputError(text, file=source.path, line=line, column=TIME, hint=hint)
     return order
+
+
+def _posed(
+    source: MappedLog, request: Request | None, metadata: dict[str, Any]
+) -> tuple[Posed | None, list[str]]:
+    """Add pose and joint angles from tracked points to a log and its metadata, in place, if requested.
+
+    The second result has the columns of the points, whose motion is that of the pose and the joints.
+    """
+    if request is None:
+        return None, []
+    columns = source.columns
+    if log.written_by(metadata, "swimid track"):
+        metadata["tracked_by"] = metadata.pop("made_by")
+        points.keep_markers(columns)
+    found = points.pose_of(columns, request, source.path)
+    metadata |= found.metadata
+    source.sources.update(dict.fromkeys(found.columns, ("tracked points", 1.0, 0.0)))
+    rest = {name: columns.pop(name) for name in list(columns) if name not in (TIME, *found.columns)}
+    columns |= found.columns | rest
+    markers = tuple(f"{name}_" for name in found.fit.linkage.names)
+    return found, [name for name in rest if name.startswith(markers)]
 
 
 def _keep(columns: dict[str, Array], rows: NDArray[Any]) -> None:
@@ -380,8 +416,14 @@ REFERENCES = [
 def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]) -> Evidence:
     """Return the evidence of an imported log: checks, tables, figures and notices."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
+    methods, references = [*METHODS], [] if found.cleaning is None else [*REFERENCES]
     with recorded(repeat=True) as drawn:
         shown = figures_of([found.log], found=found.stroke)
+    if found.posed is not None:
+        checks += point_evidence.checks(found.posed)
+        shown += point_evidence.figures(found.posed, found.wave)
+        methods += point_evidence.METHODS
+        references += point_evidence.REFERENCES
     return Evidence(
         command="import",
         title=f"Log imported from {found.log.path.name}",
@@ -391,8 +433,8 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         tables=_tables(found),
         figures=shown,
         notices=ev.notices([*notices, *drawn]),
-        methods=METHODS,
-        references=[] if found.cleaning is None else REFERENCES,
+        methods=methods,
+        references=references,
         provenance=origin,
     )
 
@@ -548,6 +590,8 @@ def _facts(found: Examined) -> dict[str, str]:
     if speed is not None:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"
+    if found.posed is not None:
+        facts |= point_evidence.facts(found.posed)
     return facts
 
 
@@ -565,6 +609,8 @@ def _tables(found: Examined) -> list[Table]:
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
     rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.log.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
+    if found.posed is not None:
+        tables += point_evidence.tables(found.posed, found.wave)
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
 
@@ -589,7 +635,7 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
         "unlikely": found.mapped.unlikely,
         "contradictions": [asdict(one) for one in found.comparisons if one.text],
         "stroke": {"unknown": found.unknown},
-        **dict.fromkeys(("track", "speed")),
+        **dict.fromkeys(("track", "speed", "points", "wave")),
         "verdict": proof.verdict.model_dump(),
         "checks": [check.model_dump() for check in proof.checks],
     }
@@ -604,6 +650,10 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
         made["speed"] = {f"noise_{unit}": speed.noise_m, "covered_s": speed.covered_s}
         for name, mean in (("path", speed.path), ("line", speed.line)):
             made["speed"] |= {f"{name}_{unit}_s": mean.value, f"{name}_ci95": [mean.low, mean.high]}
+    if found.posed is not None:
+        made["points"] = found.posed.data
+        if found.wave is not None:
+            made["wave"] = point_evidence.wave_data(found.wave, found.posed.unit)
     if stroke is not None:
         made["stroke"] = {
             "frequency_hz": stroke.beat.frequency_hz,

@@ -41,6 +41,16 @@ class ImportOptions(Options):
         le=1,
         help="Leave a tracked point with a smaller likelihood (confidence, score) empty  [default: 0.6].",
     )
+    robot: str | None = option(
+        None, metavar="NAME", help="Robot whose pose and joint angles the tracked points show."
+    )
+    points: Source = option(
+        None,
+        recorded=False,
+        help="Points file (swimid-points/1): place of each tracked point on the robot, or a chain of points, "
+        "and the scale  [default: the points of the robot file].",
+    )
+    calibrate_points: bool = option(False, help="Estimate the places of the points from the film, too.")
     clean: bool | None = option(
         None,
         flag="--clean/--raw",
@@ -65,13 +75,18 @@ class ImportOptions(Options):
 
     @model_validator(mode="after")
     def _can_be_meant(self) -> Self:
+        if self.calibrate_points and self.robot is None:
+            raise UsageError("--calibrate-points needs a robot: name it with --robot")
         if self.stroke_hz is not None and not 0 < self.stroke_hz[0] < self.stroke_hz[1]:
             raise UsageError("--stroke takes two frequencies in Hz, the lower first")
         return self
 
     def settings(self, **found: Any) -> dict[str, Any]:
         """Return the import options for the provenance of a log, without those that the user did not give."""
-        return {key: value for key, value in super().settings(**found).items() if value is not None}
+        given = {key: value for key, value in super().settings(**found).items() if value is not None}
+        if not self.calibrate_points:
+            del given["calibrate_points"]
+        return given
 
 
 class PlotOptions(

@@ -155,10 +155,10 @@ class Robot(yamlio.Document):
     readings: dict[str, Reading] = {}
 
     def marker_places(self, plane: Literal["horizontal", "vertical"]) -> dict[str, tuple[float, float]]:
-        """Return the positions of the robot's markers relative to its reference point, m.
+        """Return the positions of markers and of points of the first link, relative to the reference point.
 
-        A position has the components forward and to port, or forward and up for the vertical plane. The
-        reference point is the point whose pose is logged.
+        They are in m. A position has the components forward and to port, or forward and up for the vertical
+        plane. The reference point is the point whose pose is logged.
         """
         if self.multibody is not None:
             aside = {"horizontal": 1, "vertical": 2}[plane]
@@ -168,8 +168,13 @@ class Robot(yamlio.Document):
                 for name, marker in self.multibody.markers.items()
             }
         if self.multilink is not None:
-            start = self.multilink.reference
-            return {
+            start, base = self.multilink.reference, self.multilink.links[0].name
+            found = {
+                name: (start.station_m + point.at_m[0], point.at_m[1] - start.offset_m)
+                for name, point in self.multilink.points.items()
+                if point.link == base
+            }
+            return found | {
                 name: (start.station_m - marker.station_m, marker.offset_m - start.offset_m)
                 for name, marker in self.multilink.markers.items()
             }

@@ -420,6 +420,17 @@ class Holder(yamlio.Document):
     damping_ratio: Quantity = 0.05
 
 
+class Place(yamlio.Document):
+    """Place of a tracked point on a robot in a plane: its link, and coordinates in the axes of this link.
+
+    The origin of the axes is the front end of the link. x points forward, y to port (upwards in the vertical
+    plane).
+    """
+
+    link: str
+    at_m: tuple[float, float]
+
+
 class Multilink(yamlio.Document):
     """Robot that moves in a plane: a tree of links with their joints and hydrodynamic elements."""
 
@@ -430,6 +441,8 @@ class Multilink(yamlio.Document):
     heading_deg: float = 0.0
     reference: Reference = Reference()
     markers: dict[str, Reference] = {}
+    #: Places of points that a tracker follows in a film, by the names that the tracker uses.
+    points: dict[str, Place] = {}
     coefficients: Coefficients = {}
     inputs: dict[str, Input] = {}
     links: Annotated[list[Link], Field(min_length=1)]

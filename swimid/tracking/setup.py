@@ -15,13 +15,10 @@ from pydantic import AfterValidator, Field, model_validator
 from swimid.errors import InputError
 from swimid.files import yamlio
 from swimid.files.yamlio import Document
+from swimid.logs.scale import Camera, Point, Points, Positive, Scale
 
 FORMAT = "swimid-setup/1"
 
-_Positive = Annotated[float, Field(gt=0)]
-_Point = tuple[float, float]
-_Points = tuple[_Point, ...]
-_Row = tuple[float, float, float]
 #: Type of a rectangle in the picture: position of its left, top, right and bottom side, px.
 Box = tuple[float, float, float, float]
 
@@ -34,7 +31,7 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
 
 _Fraction = Annotated[float, Field(ge=0, le=1)]
 _Span = Annotated[tuple[_Fraction, _Fraction], AfterValidator(_ordered)]
-_Area = Annotated[tuple[_Positive, _Positive], AfterValidator(_ordered)]
+_Area = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
 _Hue = Annotated[float, Field(ge=0, le=360)]
 
 
@@ -61,10 +58,10 @@ class Marker(Document):
     area_px: _Area | None = None
     #: Position of each marker of this kind in the first frame, px. The positions assign names to markers that
     #: look alike.
-    start_px: _Points | None = None
+    start_px: Points | None = None
     #: Position of the marker on the robot, relative to the reference point: forward, and to port (up in the
     #: vertical plane), m.
-    at_m: _Point | None = None
+    at_m: Point | None = None
 
     @model_validator(mode="after")
     def _keys_fit(self) -> Marker:
@@ -90,69 +87,6 @@ class Marker(Document):
         return [self.name] if self.number == 1 else [f"{self.name}{i + 1}" for i in range(self.number)]
 
 
-class Heights(Document):
-    """Heights of the camera and of the markers above the plane in which the scale was measured, m."""
-
-    camera_m: _Positive
-    marker_m: float
-
-    @model_validator(mode="after")
-    def _below(self) -> Heights:
-        if self.marker_m >= self.camera_m:
-            raise ValueError(f"marker_m {self.marker_m:g} must be below camera_m {self.camera_m:g}")
-        return self
-
-
-class Scale(Document):
-    """Scale from pixels to metres.
-
-    It is a factor, two points and their distance, or at least four points with their coordinates in metres.
-    """
-
-    metres_per_pixel: _Positive | None = None
-    points_px: _Points | None = None
-    distance_m: _Positive | None = None
-    points_m: _Points | None = None
-    heights: Heights | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Scale:
-        given = {key for key, value in self if value is not None and key != "heights"}
-        if given not in ({"metres_per_pixel"}, {"points_px", "distance_m"}, {"points_px", "points_m"}):
-            raise ValueError(
-                "contradicting or incomplete scales: give metres_per_pixel, or points_px with distance_m, or "
-                "points_px with points_m"
-            )
-        points = self.points_px or ()
-        count = len(points)
-        if self.distance_m is not None and count != 2:
-            raise ValueError(f"distance_m needs two points_px, not {count}")
-        if self.distance_m is not None and points[0] == points[1]:
-            raise ValueError("the two points_px are the same")
-        if self.points_m is not None and (count < 4 or count != len(self.points_m)):
-            text = f"{count} points_px and {len(self.points_m)} points_m; four or more of each are needed"
-            raise ValueError(text)
-        return self
-
-
-class Camera(Document):
-    """Calibration of the camera and its lens, with the conventions of OpenCV."""
-
-    matrix: tuple[_Row, _Row, _Row]
-    #: Width and height of the calibration pictures, px. The camera matrix is scaled to the pictures of the
-    #: film.
-    size_px: tuple[_Positive, _Positive]
-    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _shapes(self) -> Camera:
-        if self.matrix[0][0] <= 0 or self.matrix[1][1] <= 0 or self.matrix[2] != (0.0, 0.0, 1.0):
-            raise ValueError("matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] with fx, fy above 0")
-        if len(self.distortion) not in (4, 5, 8, 12, 14):
-            raise ValueError(f"distortion has {len(self.distortion)} numbers; OpenCV knows 4, 5, 8, 12 or 14")
-        return self
-
-
 class Setup(Document):
     """Content of a setup file, which describes the films of one camera."""
 
@@ -175,7 +109,7 @@ class Setup(Document):
     scale: Scale | None = None
     camera: Camera | None = None
     #: Frame rate of the film, Hz. It replaces the time stamps in the container.
-    frame_rate_hz: _Positive | None = None
+    frame_rate_hz: Positive | None = None
     #: Maximum duration of a gap in the track that is interpolated, s.
     max_gap_s: Annotated[float, Field(ge=0)] = 1.0
     #: Boxes of the picture in which no markers are searched for, each [left, top, right, bottom] in px.
@@ -248,7 +182,7 @@ class Setup(Document):
         return next(marker for marker in self.markers if name in marker.names)
 
     @property
-    def places(self) -> tuple[_Point, _Point] | None:
+    def places(self) -> tuple[Point, Point] | None:
         """Positions of head and tail marker on the robot (``at_m``), m; None if they are unknown."""
         known = [at for at in (self.marker(name).at_m for name in self.roles) if at is not None]
         return (known[0], known[1]) if len(known) > 1 else None

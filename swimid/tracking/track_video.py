@@ -14,19 +14,22 @@ import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
-from swimid.logs import kinematics, log
+from swimid.logs import kinematics, log, point_evidence, points
 from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
+from swimid.logs.plane import Plane, plane_of
+from swimid.logs.points import Posed
 from swimid.logs.tracks import Estimate, Logged
 from swimid.notices import Notice, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
 from swimid.results import evidence as ev
+from swimid.robots import file as robot_format
 from swimid.tracking import frames, pose
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Array, Frame, RawTrack, Video
 from swimid.tracking.options import TrackVideoOptions
-from swimid.tracking.pose import SYSTEMATIC_PX, Plane, Pose, Smoothed
+from swimid.tracking.pose import SYSTEMATIC_PX, Pose, Smoothed
 from swimid.tracking.setup import Setup
 from swimid.tracking.tracker import Run, follow
 
@@ -178,7 +181,7 @@ def _evaluate(
     The painter draws the track into the frames of the film.
     """
     track, video, rules = run.track, run.video, run.setup
-    plane = pose.plane_of(rules, video.width, video.height, file=str(provenance.path_of(source)))
+    plane = plane_of(rules, video.width, video.height, file=str(provenance.path_of(source)))
     _demand_markers(run)
     plane = pose.facing(track, rules, plane)
     made = pose.build(track, rules, plane)
@@ -190,33 +193,55 @@ def _evaluate(
         value, limit = f"{swum.stroke.frequency_hz:.4g} Hz", "heading and path agree"
         checks.append(ev.check("One stroke", value, not swum.doubt, limit, reason=swum.doubt))
     columns = pose.columns(made, track, rules)
+    joints = _joints(columns, rules, run, provenance.path_of(source).parent)
     head = _metadata(run, plane, made.times) | metadata
     log.warn_units(Log(video.path, head, {name: columns[name] for name in SCALED if name in columns}))
     painter = Painter(run, made)
+    if joints is not None:
+        checks += point_evidence.checks(joints)
     verdict = ev.judged(_answer(made, swum), checks)
     rows = _rows(swum, rules, plane.unit)
+    facts, tables, figures = (
+        _facts(made, rules, swum),
+        [_table(rows, swum.steady)],
+        _figures(made, rules, swum),
+    )
+    methods, references, findings = _methods(rules, made), [*REFERENCES], {}
+    if joints is not None:
+        stroke_hz = None if swum.stroke is None else swum.stroke.frequency_hz
+        beat = point_evidence.wave_of(joints, stroke_hz)
+        facts["Joints"] = point_evidence.facts(joints)["Points"]
+        tables += point_evidence.tables(joints, beat)
+        figures += point_evidence.figures(joints, beat)
+        methods += point_evidence.METHODS
+        references += point_evidence.REFERENCES
+        findings["points"] = joints.data
     evidence = ev.Evidence(
         command="track video",
         title=f"Track of {video.path.name}",
         verdict=verdict,
-        facts=_facts(made, rules, swum),
+        facts=facts,
         checks=checks,
-        tables=[_table(rows, swum.steady)],
-        figures=_figures(made, rules, swum),
+        tables=tables,
+        figures=figures,
         images=painter.images(),
         notices=ev.notices(notices),
-        methods=_methods(rules, made),
-        references=REFERENCES,
+        methods=methods,
+        references=references,
         provenance=provenance.collect(
             [],
             digests=provenance.digest_together(video.path, video.files) | provenance.digests_of([source]),
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )
-    data = _data(made, rows, swum) | {
-        "verdict": verdict.model_dump(),
-        "checks": [check.model_dump() for check in checks],
-    }
+    data = (
+        _data(made, rows, swum)
+        | findings
+        | {
+            "verdict": verdict.model_dump(),
+            "checks": [check.model_dump() for check in checks],
+        }
+    )
     document = Log(Path(f"{video.path.stem}.csv"), head, log.numeric(columns), None)
     return Track("track video", "", data, (), evidence, document, columns, made, rules), painter
 
@@ -238,6 +263,30 @@ def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
         return head | {"reference": rules.head_name}
     places = {name: list(place) for name, place in zip(rules.roles, rules.places, strict=True)}
     return head | {"reference": rules.robot or "robot", "markers_at_m": places}
+
+
+def _joints(columns: dict[str, Any], setup: Setup, run: Run, folder: Path) -> Posed | None:
+    """Add the joint angles that markers on other links show to the columns of a log, in place.
+
+    The robot file places the markers (``points``). Return None without a marker on a further link.
+    """
+    if setup.robot is None:
+        return None
+    path = robot_format.locate(setup.robot, folder)
+    body, up = robot_format.read(str(path)).multilink, setup.axes[0]
+    if body is None:
+        return None
+    names = [name for name in run.track.names if name in body.points]
+    if all(body.points[name].link == body.links[0].name for name in names):
+        return None
+    given = {"t_s": columns["t_s"]}
+    for name in names:
+        for ending in ("x_m", f"{up}_m", "confidence"):
+            given[f"{name}_{ending}"] = np.asarray(columns[f"{name}_{ending}"], dtype=float)
+    found = points.pose_of(given, points.Request(str(path), None, False), run.video.path)
+    after = {name: columns.pop(name) for name in list(columns)[list(columns).index("frame") :]}
+    columns |= {name: values for name, values in found.columns.items() if name.startswith("joint")} | after
+    return found
 
 
 def _demand_markers(run: Run) -> None:

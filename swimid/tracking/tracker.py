@@ -20,8 +20,9 @@ from scipy.optimize import linear_sum_assignment
 
 from swimid.errors import InputError
 from swimid.logs.log import runs
+from swimid.logs.plane import camera_matrix
 from swimid.notices import Step, warn
-from swimid.tracking import frames, pose
+from swimid.tracking import frames
 from swimid.tracking.frames import LOST, NOT_SEEN, Blob, ColourModel, Frame, RawTrack, Row, Video
 from swimid.tracking.setup import Box, HsvRange, Marker, Setup
 
@@ -690,7 +691,7 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
 def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
-        pose.camera_matrix(setup.camera, video.width, video.height, file)
+        camera_matrix(setup.camera, video.width, video.height, file)
     follower: Follower | Silhouette
     if setup.markers[0].method == "background":
         from swimid.tracking.silhouette import Silhouette

@@ -1,0 +1,485 @@
+"""Estimation of a film of tracked points: states, noise of each point, faults, and global quantities.
+
+A fault is a point that does not belong where it was tracked: labels that were exchanged, two labels on one
+place, or a stray label. A point is left out of a frame if its residual exceeds a quantile of the chi-square
+distribution. The quantile belongs to the probability :data:`FALSE_ALARM` that any point of a film without
+faults is left out (Bonferroni's bound; data snooping, Baarda 1968).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy import special
+
+from swimid.logs import linkage as links
+from swimid.logs.linkage import Array, Complex, Flags, Linkage, Residuals, State
+
+#: Probability that at least one point is left out of a film that has no faults.
+FALSE_ALARM = 0.01
+#: Median of the absolute value of a standard normal variable.
+HALF_NORMAL = float(special.ndtri(0.75))
+#: Maximum number of robust iterations, and of iterations of the final fit; relative change of a noise
+#: standard deviation, and step of a global quantity in standard errors, at which they have converged.
+MAX_ROBUST, MAX_ITERATIONS, NOISE_RTOL, STEP_SE = 12, 25, 0.005, 0.05
+#: Maximum number of times that the faults are searched again with the new noise.
+MAX_SEARCHES = 5
+#: Number of values that the prior of the noise of a point is worth. Its mean is that of all points. It acts
+#: only where the residuals cannot tell the noise of one point from that of another.
+PRIOR_VALUES = 4.0
+#: Minimum noise of a point, relative to the length of the linkage.
+MIN_NOISE = 1e-5
+#: Thresholds of the Geman-McClure weights in the search for the state of a frame with faults, in noise
+#: standard deviations (graduated non-convexity, Yang et al. 2020, doi:10.1109/LRA.2020.2965893); number of
+#: steps with each of them; and number of the last thresholds that are used if neighbouring frames give the
+#: start values.
+THRESHOLDS, STEPS, NEAR = (200.0, 80.0, 40.0, 20.0, 10.0, 6.0), 3, 2
+#: Difference of the weighted sums of squares of two solutions for a frame, up to which the solution nearer to
+#: neighbouring frames is taken: the quantile of the chi-square distribution with one degree of freedom at
+#: 0.1 %.
+MUCH_WORSE = 10.83
+#: Maximum exponent with which the noise may fall with the likelihood.
+MAX_EXPONENT = 5.0
+#: Seed of the simulated noise by which the bias of the global quantities is estimated, and number of pairs of
+#: simulated films.
+SEED, PAIRS, STEP = 20261127, 2, 0.003
+#: Start value of the standard deviation of the places of points that are estimated from the film, m.
+PLACE_SD_M = 0.005
+
+
+@dataclass
+class Film:
+    """Tracked points of a film.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+    seen : ndarray of complex, shape (n, points)
+        Tracked points; 0 where missing.
+    there : ndarray of bool, shape (n, points)
+        Whether each point was tracked.
+    likelihood : ndarray, shape (n, points)
+        Likelihood of each point; 1 where none is known.
+    """
+
+    time_s: Array
+    seen: Complex
+    there: Flags
+    likelihood: Array
+
+    def part(self, rows: Flags) -> Film:
+        """Return a film of the chosen frames."""
+        return Film(self.time_s[rows], self.seen[rows], self.there[rows], self.likelihood[rows])
+
+
+@dataclass
+class Fault:
+    """Points that were left out for one reason.
+
+    Attributes
+    ----------
+    kind : str
+        ``exchanged``, ``merged``, ``stray``, or ``lost`` if more than half of the points of a frame disagree.
+    names : tuple of str
+        Names of the points: one for a stray, two for the others.
+    frames : ndarray of int
+        Indices of the frames.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    frames: np.ndarray
+
+
+@dataclass
+class Fit:
+    """Estimate of a film of tracked points.
+
+    Attributes
+    ----------
+    linkage : Linkage
+        Linkage with its estimated global quantities.
+    state : State
+    residuals : Residuals
+    used : ndarray of bool, shape (n, points)
+        Whether each point is used: it was tracked and is no fault.
+    noise : ndarray, shape (points,)
+        Standard deviation of a coordinate of each point, in the unit of the tracked points, at the median
+        likelihood.
+    exponent : float
+        The noise is proportional to the likelihood to the power of minus this exponent.
+    place_sd_m : float
+        Estimated standard deviation of the errors of the stated places, m; 0 if they are not estimated.
+    faults : list of Fault
+    level : float
+        Probability of a chance removal for a single point in a single frame.
+    """
+
+    linkage: Linkage
+    state: State
+    residuals: Residuals
+    used: Flags
+    noise: Array
+    exponent: float
+    place_sd_m: float
+    faults: list[Fault]
+    level: float
+
+
+def fit(film: Film, linkage: Linkage) -> Fit:
+    """Estimate states, noise, faults and global quantities of a film.
+
+    Parameters
+    ----------
+    film : Film
+    linkage : Linkage
+        Linkage with start values of its global quantities.
+
+    Notes
+    -----
+    The noise of each point is estimated from its residuals by restricted maximum likelihood: the sum of their
+    squares is divided by the sum of their redundancies, and not by their number (Foerstner 1979). The first
+    estimates are robust: medians of normalised residuals.
+    """
+    state = links.start(linkage, film.time_s, film.seen, film.there)
+    estimate = _Estimate(film, linkage, state)
+    estimate.begin()
+    for _ in range(MAX_SEARCHES):
+        before = estimate.used.copy()
+        estimate.search()
+        estimate.refine()
+        if (estimate.used == before).all():
+            break
+    estimate.unfold()
+    estimate.remove_bias()
+    found = estimate.residuals()
+    faults = _faults(estimate, found)
+    return Fit(
+        estimate.linkage,
+        estimate.state,
+        found,
+        estimate.used,
+        estimate.noise,
+        estimate.exponent,
+        estimate.place_sd_m,
+        faults,
+        estimate.level,
+    )
+
+
+class _Estimate:
+    """Estimate of a film while it is improved."""
+
+    def __init__(self, film: Film, linkage: Linkage, state: State) -> None:
+        self.film, self.linkage, self.state = film, linkage, state
+        self.used, self.stated = film.there.copy(), linkage.place
+        self.floor = MIN_NOISE * linkage.scale * linkage.size
+        self.noise = np.full(film.seen.shape[1], 1e3 * self.floor)
+        self.exponent, self.place_sd_m = 0.0, 0.0
+        self.level = FALSE_ALARM / max(int(film.there.sum()), 1)
+        usual = np.ones(film.seen.shape[1])
+        for k, column in enumerate(film.likelihood.T):
+            if film.there[:, k].any():
+                usual[k] = np.median(column[film.there[:, k]])
+        #: Logarithm of the likelihood relative to the median of its point.
+        self.log_likelihood = np.where(
+            film.there, np.log(np.maximum(film.likelihood, 1e-6) / np.maximum(usual, 1e-6)), 0.0
+        )
+        if "places" in linkage.free:
+            self.place_sd_m = PLACE_SD_M
+
+    @property
+    def variance(self) -> Array:
+        """Variance of a coordinate of each point in each frame, shape (n, points)."""
+        return np.asarray(self.noise**2 * np.exp(-2.0 * self.exponent * self.log_likelihood))
+
+    def residuals(self) -> Residuals:
+        """Return residuals and covariances at the present estimate."""
+        variance = self.variance
+        weight = np.where(self.used, 1.0 / variance, 0.0)
+        return links.residuals(self.linkage, self.film.seen, weight, variance, self.state)
+
+    def is_far(self, found: Residuals) -> Flags:
+        """Return whether each residual exceeds its quantile of the chi-square distribution."""
+        limits = np.array([np.inf, *special.chdtri(np.array([1.0, 2.0]), self.level)])
+        return np.asarray(found.squares > limits[found.freedom])
+
+    # ------------------------------------------------------------ start
+
+    def begin(self) -> None:
+        """Estimate the noise robustly, and the global quantities from frames without outliers."""
+        for _ in range(MAX_ROBUST):
+            self._solve()
+            found = self.residuals()
+            clean: Flags = np.asarray(~(self.is_far(found) & self.used).any(axis=1))
+            if clean.mean() < 0.5:
+                clean[:] = True
+            change = np.ones(len(self.noise))
+            for k in range(len(self.noise)):
+                rows = clean & self.used[:, k]
+                values = np.abs(found.normalised[rows, k])
+                values = values[values > 0]
+                if len(values):
+                    change[k] = np.median(values) / HALF_NORMAL
+            new = np.maximum(self.noise * np.clip(change, 0.1, 10.0), self.floor)
+            moved = self._adjust(clean)
+            settled = np.abs(new / self.noise - 1.0).max() < 10 * NOISE_RTOL and moved < 1.0
+            self.noise = new
+            if settled:
+                break
+
+    def _solve(self) -> None:
+        weight = np.where(self.used, 1.0 / self.variance, 0.0)
+        self.state = links.solve(self.linkage, self.film.seen, weight, self.state)
+
+    @property
+    def prior(self) -> Array:
+        """Step to the stated places and its precision for each global quantity, shape (m, 2)."""
+        prior = np.zeros((len(self.linkage.quantities), 2))
+        if "places" in self.linkage.free:
+            off = self.stated - self.linkage.place
+            prior[-2 * len(off) :, 0] = np.concatenate([off.real, off.imag])
+            prior[-2 * len(off) :, 1] = 1.0 / self.place_sd_m**2
+        return prior
+
+    def _adjust(self, rows: Flags) -> float:
+        """Improve the global quantities; return the largest step in standard errors."""
+        if not self.linkage.free:
+            return 0.0
+        weight, prior = np.where(self.used & rows[:, None], 1.0 / self.variance, 0.0), self.prior
+        made = links.scores(self.linkage, self.film.seen, weight, self.state)
+        covariance = links.inverted(made.normal + np.diag(prior[:, 1]))
+        step = covariance @ (made.value.sum(axis=0) + prior[:, 0] * prior[:, 1])
+        self.state = self.state.moved(made.rest - made.gain @ step)
+        self.linkage = self.linkage.changed(step, covariance)
+        if "places" in self.linkage.free:
+            squares = self.prior[:, 0] ** 2 + np.diag(covariance)
+            self.place_sd_m = float(np.sqrt(squares[-2 * len(self.noise) :].mean()))
+        errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        return float(np.max(np.abs(step) / errors))
+
+    # ------------------------------------------------------------ faults
+
+    def search(self) -> None:
+        """Find the faults of all frames that have outliers or points that were left out."""
+        found = self.residuals()
+        there = self.film.there
+        rows: Flags = np.asarray(((self.is_far(found) | ~self.used) & there).any(axis=1))
+        if not rows.any():
+            return
+        clean: Flags = np.asarray(~rows & there.any(axis=1))
+        starts = [self.state[rows]]
+        if clean.any():
+            starts.append(links.bridged(self.film.time_s, self.state, clean)[rows])
+        inner = _Estimate(self.film.part(rows), self.linkage, starts[0])
+        inner.noise, inner.exponent, inner.level = self.noise, self.exponent, self.level
+        inner.log_likelihood = self.log_likelihood[rows]
+        inner.find_inliers(starts)
+        self.used[rows], self.state[rows] = inner.used, inner.state
+
+    def find_inliers(self, starts: list[State]) -> None:
+        """Choose the points of each frame that agree with one state of the linkage."""
+        there = self.film.there
+        found = [self._annealed(starts[0], THRESHOLDS)]
+        found += [self._annealed(begin, THRESHOLDS[-NEAR:]) for begin in starts[1:]]
+        costs = np.array([cost for _, cost in found])
+        costs[1:] -= MUCH_WORSE
+        best = np.argmin(costs, axis=0)
+        for k, (state, _) in enumerate(found):
+            self.state[best == k] = state[best == k]
+        off = np.abs(self.film.seen - links.predicted(self.linkage, self.state)) ** 2 / self.variance
+        self.used = there & (off < THRESHOLDS[-1] ** 2)
+        self._remove_worst()
+        result = self.residuals()
+        self.used |= there & ~self.is_far(result) & (result.freedom > 0)
+        self._remove_worst()
+        # If no more than half of the points agree, the frame does not show which half is right.
+        lost = 2 * self.used.sum(axis=1) <= there.sum(axis=1)
+        self.used[lost & (self.used != there).any(axis=1)] = False
+
+    def _annealed(self, state: State, thresholds: tuple[float, ...]) -> tuple[State, Array]:
+        """Return the states that agree with most points, and their costs, shape (n,)."""
+        there, variance = self.film.there, self.variance
+        for threshold in thresholds:
+            for _ in range(STEPS):
+                off = np.abs(self.film.seen - links.predicted(self.linkage, state)) ** 2 / variance
+                weight = np.where(there, (1.0 + off / threshold**2) ** -2 / variance, 0.0)
+                state = links.solve(self.linkage, self.film.seen, weight, state, steps=2)
+        off = np.abs(self.film.seen - links.predicted(self.linkage, state)) ** 2 / variance
+        return state, np.sum(np.where(there, np.minimum(off, THRESHOLDS[-1] ** 2), 0.0), axis=1)
+
+    def _remove_worst(self) -> None:
+        """Leave out the worst point of each frame until no residual is too large."""
+        for _ in range(self.used.shape[1]):
+            self._solve()
+            found = self.residuals()
+            far = self.is_far(found) & self.used
+            if not far.any():
+                break
+            size = np.where(far, found.squares / np.maximum(found.freedom, 1), -1.0)
+            rows = np.flatnonzero(far.any(axis=1))
+            self.used[rows, np.argmax(size[rows], axis=1)] = False
+
+    # ------------------------------------------------------------ final fit
+
+    def refine(self) -> None:
+        """Estimate noise, likelihood exponent and global quantities from the points that are used."""
+        rows = np.ones(len(self.used), dtype=bool)
+        for _ in range(MAX_ITERATIONS):
+            self._solve()
+            moved = self._adjust(rows)
+            found = self.residuals()
+            relative = np.exp(-2.0 * self.exponent * self.log_likelihood)
+            squares = np.where(self.used, np.abs(found.value) ** 2 / relative, 0.0)
+            freedom = np.where(self.used, found.share.sum(axis=2), 0.0)
+            pooled = squares.sum() / max(freedom.sum(), 1e-300)
+            values = (squares.sum(axis=0) + PRIOR_VALUES * pooled) / (freedom.sum(axis=0) + PRIOR_VALUES)
+            new = np.maximum(np.sqrt(values), self.floor)
+            old_exponent = self.exponent
+            self.exponent = self._exponent(squares * relative / new**2, freedom)
+            change = np.abs(new / self.noise - 1.0).max()
+            self.noise = new
+            if max(change, abs(self.exponent - old_exponent)) < NOISE_RTOL and moved < STEP_SE:
+                break
+        self._solve()
+
+    def unfold(self) -> None:
+        """Choose the solution nearest to that of neighbouring frames in frames that lack points.
+
+        Without the points of two successive links these may be bent to either side. The solution nearest to
+        neighbouring frames is taken, unless its sum of squares is significantly larger.
+        """
+        whole: Flags = np.asarray(self.used.all(axis=1))
+        rows: Flags = np.asarray(~whole & self.used.any(axis=1))
+        if not (whole.any() and rows.any()):
+            return
+        weight, seen = np.where(self.used, 1.0 / self.variance, 0.0)[rows], self.film.seen[rows]
+        near = links.bridged(self.film.time_s, self.state, whole)[rows]
+        near = links.solve(self.linkage, seen, weight, near)
+        costs = [
+            np.sum(weight * np.abs(seen - links.predicted(self.linkage, state)) ** 2, axis=1)
+            for state in (near, self.state[rows])
+        ]
+        chosen = costs[0] < costs[1] + MUCH_WORSE
+        self.state[np.flatnonzero(rows)[chosen]] = near[chosen]
+
+    def remove_bias(self) -> None:
+        """Remove the bias that noise gives the global quantities, and compute their covariance.
+
+        Notes
+        -----
+        Each frame has angles of its own. Noise lengthens the distance of a point from its joint, and with it
+        the scale, however many frames there are (Neyman and Scott 1948, doi:10.2307/1914288). The bias of the
+        scores is their mean over pairs of simulated films of this motion. The noise of one film is minus that
+        of the other, so that all errors that are linear in the noise cancel.
+
+        The curvature of the sum of squares is computed by differences of the scores, with the states solved
+        again. The normal matrix would overstate what noisy angles determine.
+        """
+        if not self.linkage.free:
+            return
+        weight, prior = np.where(self.used, 1.0 / self.variance, 0.0), self.prior
+        made = links.scores(self.linkage, self.film.seen, weight, self.state)
+        rng, bias = np.random.default_rng(SEED), np.zeros(len(prior))
+        true = links.predicted(self.linkage, self.state)
+        for _ in range(PAIRS):
+            x, y = rng.normal(size=(2, *self.used.shape)) * np.sqrt(self.variance)
+            for sign in (1.0, -1.0):
+                seen = true + sign * (x + 1j * y)
+                state = links.solve(self.linkage, seen, weight, self.state)
+                value = links.scores(self.linkage, seen, weight, state).value
+                bias += value.sum(axis=0) / (2 * PAIRS)
+        # Differences along the axes of the covariance, by one standard error to either side.
+        values, vectors = np.linalg.eigh(links.inverted(made.normal + np.diag(prior[:, 1])))
+        kept = values > 0
+        axes = vectors[:, kept] * np.sqrt(values[kept])
+        columns = []
+        for axis in axes.T:
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = self.linkage.changed(sign * STEP * axis, self.linkage.covariance)
+                begin = self.state.moved(-sign * STEP * (made.gain @ axis))
+                state = links.solve(moved, self.film.seen, weight, begin)
+                ends.append(links.scores(moved, self.film.seen, weight, state).value.sum(axis=0))
+            columns.append(axes.T @ (ends[1] - ends[0]) / (2.0 * STEP))
+        of_data, of_prior = np.array(columns), axes.T @ (prior[:, 1:] * axes)
+        values, vectors = np.linalg.eigh(0.5 * (of_data + of_data.T))
+        bent = (vectors * np.maximum(values, 0.0)) @ vectors.T + of_prior
+        inverse = np.linalg.pinv(bent, hermitian=True)
+        covariance = axes @ inverse @ (made.spread(axes) + of_prior) @ inverse @ axes.T
+        step = axes @ inverse @ axes.T @ (made.value.sum(axis=0) - bias + prior[:, 0] * prior[:, 1])
+        self.state = self.state.moved(made.rest - made.gain @ step)
+        self.linkage = self.linkage.changed(step, covariance)
+        self._solve()
+
+    def _exponent(self, squares: Array, freedom: Array) -> float:
+        """Return the exponent of the likelihood in the noise, by maximum likelihood; 0 if not significant.
+
+        ``squares`` are the squared residuals divided by the noise variance at the median likelihood.
+        """
+        value, slope = self.exponent, self.log_likelihood
+        for _ in range(20):
+            scaled = squares * np.exp(2.0 * value * slope)
+            curvature = 2.0 * float(np.sum(scaled * slope**2))
+            if curvature < 1.0:
+                return 0.0
+            step = float(np.sum(slope * (freedom - scaled))) / curvature
+            value = min(max(value + min(max(step, -0.5), 0.5), 0.0), MAX_EXPONENT)
+            if abs(step) < 1e-4:
+                break
+        return value if value * np.sqrt(curvature) > float(special.ndtri(1 - FALSE_ALARM / 2)) else 0.0
+
+
+def _faults(estimate: _Estimate, found: Residuals) -> list[Fault]:
+    """Return the points that were left out, by reason and names, with their frames."""
+    film, names, out = estimate.film, estimate.linkage.names, estimate.film.there & ~estimate.used
+    places, variance = links.predicted(estimate.linkage, estimate.state), estimate.variance
+    doubt = np.abs(found.share - 1.0).max(axis=2) * variance
+    limit = float(special.chdtri(2.0, estimate.level))
+    reach = (estimate.linkage.scale * estimate.linkage.size) ** 2
+    exchanged = _exchanged(estimate)
+    kinds: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    for row in np.flatnonzero(out.any(axis=1)).tolist():
+        left = set(np.flatnonzero(out[row]).tolist())
+        if not estimate.used[row].any():
+            kinds.setdefault(("lost", ()), []).append(row)
+            continue
+        if row in exchanged:
+            i, j = exchanged[row]
+            left -= {i, j}
+            kinds.setdefault(("exchanged", (names[i], names[j])), []).append(row)
+        for i in left:
+            away = np.abs(film.seen[row, i] - places[row]) ** 2
+            near = (away < limit * (variance[row, i] + doubt[row])) & (doubt[row] < reach)
+            near[i] = False
+            key: tuple[str, tuple[str, ...]] = ("stray", (names[i],))
+            if near.any():
+                key = ("merged", (names[i], names[int(np.argmin(np.where(near, away, np.inf)))]))
+            kinds.setdefault(key, []).append(row)
+    return [Fault(kind, of, np.array(rows)) for (kind, of), rows in kinds.items()]
+
+
+def _exchanged(estimate: _Estimate) -> dict[int, tuple[int, int]]:
+    """Return the two points of each frame that agree with all others once their labels are exchanged."""
+    out = estimate.film.there & ~estimate.used
+    pairs = [
+        (row, i, j)
+        for row in np.flatnonzero(out.any(axis=1) & estimate.used.any(axis=1))
+        for i, j in combinations(np.flatnonzero(out[row]), 2)
+    ]
+    if not pairs:
+        return {}
+    rows, i, j = np.array(pairs).T
+    film, each = estimate.film, np.arange(len(rows))
+    seen = film.seen[rows]
+    seen[each, i], seen[each, j] = film.seen[rows, j], film.seen[rows, i]
+    swapped = Film(film.time_s[rows], seen, film.there[rows], film.likelihood[rows])
+    trial = _Estimate(swapped, estimate.linkage, estimate.state[rows])
+    trial.noise, trial.level = estimate.noise, estimate.level
+    trial.used = estimate.used[rows]
+    trial.used[each, i] = trial.used[each, j] = True
+    trial._solve()
+    agree = ~(trial.is_far(trial.residuals()) & trial.used).any(axis=1)
+    return {int(rows[k]): (int(i[k]), int(j[k])) for k in np.flatnonzero(agree)}

@@ -1,0 +1,280 @@
+"""Evidence of a pose from tracked points: facts, checks, tables and figures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from swimid.logs import wave
+from swimid.logs.bundle import FALSE_ALARM
+from swimid.logs.linkage import Array, Complex
+from swimid.logs.points import MAX_BIAS, WRONG_DISTANCE, Posed
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.evidence import Check, Figure, Table, Trace
+
+#: Minimum fraction of the variance of the stated places that must remain unknown, so that a place counts as
+#: not determined by the film.
+UNDETERMINED = 0.25
+METHODS = [
+    "Pose and joint angles are weighted least-squares estimates from all tracked points of a frame. The "
+    "noise of each point is estimated by restricted maximum likelihood. A point is left out if its residual "
+    "exceeds the quantile of the chi-square distribution at which a film without faults loses a point with "
+    f"{FALSE_ALARM:.0%} probability (Bonferroni).",
+]
+REFERENCES = [
+    "Triggs, B., McLauchlan, P. F., Hartley, R. I., Fitzgibbon, A. W. (2000). Bundle adjustment - a modern "
+    "synthesis. Lecture Notes in Computer Science 1883, 298-372. doi:10.1007/3-540-44480-7_21",
+]
+
+
+def _scale(posed: Posed) -> str:
+    if posed.scale is None:
+        return posed.scale_source
+    value, error = (1e3 * one for one in posed.scale)
+    return f"{numbers.measured(value, error)} mm/px {posed.scale_source}"
+
+
+def facts(posed: Posed) -> dict[str, str]:
+    """Return the facts on the points, their noise and the scale."""
+    fit, count = posed.fit, len(posed.fit.linkage.names)
+    noise = [numbers.number(float(value), 2) for value in (fit.noise.min(), fit.noise.max())]
+    unit = posed.noise_unit
+    text = f"{count} on {len(fit.linkage.parent)} links, noise {' to '.join(dict.fromkeys(noise))} {unit}"
+    if fit.exponent:
+        text += f", proportional to the likelihood to the power of −{fit.exponent:.2g}"
+    found = {"Points": text}
+    if posed.unit == "m":
+        found["Scale"] = _scale(posed)
+    return found
+
+
+def checks(posed: Posed) -> list[Check]:
+    """Return the checks for faults, undetermined samples, distances and places."""
+    rows = len(posed.fit.used)
+    lost = sum(count for _, _, count, _ in posed.faults)
+    kinds = dict.fromkeys(("exchanged", "merged", "stray", "lost"), 0)
+    for kind, _, count, _ in posed.faults:
+        kinds[kind] += count
+    named = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+    made = [
+        ev.check(
+            "Points left out", named or "0", not lost, "0", reason=f"points were left out of frames: {named}"
+        )
+    ]
+    empty = {name: count for name, count in posed.empty.items() if count}
+    text = ", ".join(f"{name} in {count}" for name, count in empty.items())
+    made.append(
+        ev.check(
+            "Frames that the points determine",
+            f"{rows - max(posed.empty.values())} of {rows}",
+            not empty,
+            "all",
+            reason=f"the points leave frames empty: {text} of {rows} frames",
+        )
+    )
+    if posed.distances:
+        wrong = [
+            f"{' and '.join(one.names)} {one.measured:.4g} {posed.unit} for {one.stated:.4g} {posed.unit}"
+            for one in posed.distances
+            if one.wrong
+        ]
+        limit = f"no bias above {MAX_BIAS:g} sd at {WRONG_DISTANCE:.0%}"
+        reason = f"distances differ from the stated ones: {', '.join(wrong)}"
+        if not posed.robot:
+            reason = f"distances on the chain change within the film: {', '.join(wrong)}"
+        value = f"{len(wrong)} of {len(posed.distances)} wrong"
+        made.append(ev.check("Distances of points", value, not wrong, limit, reason=reason))
+    if posed.robot:
+        names = ", ".join(posed.misplaced)
+        reason = f"points do not sit at their places: {names}"
+        made.append(ev.check("Places of points", names or "as stated", not names, "as stated", reason=reason))
+    return made
+
+
+def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:
+    """Return the tables of points, faults, distances, estimated places, and of the body wave."""
+    fit, linkage = posed.fit, posed.fit.linkage
+    made = []
+    if beat is not None:
+        made.append(_wave_table(beat, posed.unit))
+    rows: list[dict[str, Any]] = []
+    for k, name in enumerate(linkage.names):
+        offset = posed.offsets[k]
+        row: dict[str, Any] = {
+            "point": name,
+            "link": linkage.links[linkage.link[k]],
+            "noise": float(fit.noise[k]),
+            "used": int(fit.used[:, k].sum()),
+            "frames": len(fit.used),
+        }
+        if posed.robot:
+            row |= {"mean forward, mm": 1e3 * float(offset.real), "to port, mm": 1e3 * float(offset.imag)}
+        rows.append(row)
+    caption = f"Noise of a coordinate in {posed.noise_unit}; means of the residuals in the axes of the link."
+    made.append(_folded("points", "Tracked points", rows, caption))
+    if posed.faults:
+        rows = [
+            {"fault": kind, "points": names or "several", "frames": count, "first": frames}
+            for kind, names, count, frames in posed.faults
+        ]
+        caption = f"The probability of a chance removal is {fit.level:.2g} for a point in a frame."
+        made.append(_folded("faults", "Points left out", rows, caption))
+    if posed.distances:
+        given, seen = ("stated", "measured") if posed.robot else ("first half", "second half")
+        rows = [
+            {
+                "points": " and ".join(one.names),
+                "link": one.link,
+                f"{given}, {posed.unit}": one.stated,
+                f"{seen}, {posed.unit}": one.measured,
+                f"standard error, {posed.unit}": one.stderr,
+                "wrong": one.wrong,
+            }
+            for one in posed.distances
+        ]
+        made.append(_folded("distances", "Distances of points on one link", rows))
+    names = linkage.quantities
+    errors = np.sqrt(np.maximum(np.diag(linkage.covariance), 0.0))
+    if "lengths" in linkage.free:
+        rows = [
+            {"link": name, f"length, {posed.unit}": -float(rear), "standard error": float(errors[k])}
+            for k, (name, rear) in enumerate(zip(linkage.links, linkage.rear.real, strict=True))
+        ]
+        made.append(ev.table("lengths", "Links of the chain", rows))
+    if "places" in linkage.free:
+        made.append(_places(posed, errors[len(names) - 2 * len(linkage.names) :]))
+    return made
+
+
+def _places(posed: Posed, errors: Array) -> Table:
+    """Return the table of the places of points that were estimated from the film."""
+    linkage, sd = posed.fit.linkage, posed.fit.place_sd_m
+    rows = []
+    for k, name in enumerate(linkage.names):
+        place, stated = linkage.place[k], posed.stated.place[k]
+        x, y = errors[k], errors[len(linkage.names) + k]
+        free = [word for word, error in (("x", x), ("y", y)) if error**2 > UNDETERMINED * sd**2]
+        rows.append(
+            {
+                "point": name,
+                "link": linkage.links[linkage.link[k]],
+                "x, mm": 1e3 * place.real,
+                "± x": 1e3 * float(x),
+                "y, mm": 1e3 * place.imag,
+                "± y": 1e3 * float(y),
+                "moved, mm": 1e3 * abs(place - stated),
+                "not determined": ", ".join(free) or "-",
+            }
+        )
+    caption = (
+        f"The stated places are in error by {1e3 * sd:.2g} mm (standard deviation, estimated). The film does "
+        "not show the zero of a joint angle or of the heading: a rotation of all points of a link about its "
+        "only joint is that of the stated places, and its uncertainty is part of the standard errors."
+    )
+    return ev.table("places", "Places of points, estimated from the film", rows, caption)
+
+
+def _folded(id: str, title: str, rows: list[dict[str, Any]], caption: str = "") -> Table:
+    return ev.table(id, title, rows, caption).model_copy(update={"folded": True})
+
+
+# ---------------------------------------------------------------- body wave
+
+
+def wave_of(posed: Posed | None, frequency_hz: float | None) -> wave.Wave | None:
+    """Return the body wave at the stroke frequency; None without one, or if the film is too short.
+
+    The stations are the front ends of the links from the base to the rear, and the rear end of the last.
+    """
+    if posed is None or frequency_hz is None or len(posed.fit.linkage.parent) < 2:
+        return None
+    linkage, axes = posed.fit.linkage, posed.fit.linkage.shape(posed.fit.state.angles)
+    last = len(linkage.parent) - 1
+    for link in range(len(linkage.parent)):
+        if _depth(posed, link) > _depth(posed, last):
+            last = link
+    way = [last]
+    while way[0]:
+        way.insert(0, int(linkage.parent[way[0]]))
+    ends = _stations(axes, way, linkage.rear)
+    straight = _stations(linkage.shape(np.zeros((1, len(linkage.parent)))), way, linkage.rear)[0]
+    behind = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(straight)))])
+    names = [f"x_{posed.unit}", *linkage.columns]
+    known = np.ones(len(ends), dtype=bool)
+    for name in names:
+        known &= np.isfinite(posed.columns.get(name, np.full(len(ends), np.nan)))
+    stations = posed.fit.state.position[:, None] / linkage.scale + ends
+    stations = np.where(known[:, None], stations, np.nan)
+    return wave.measure(posed.time_s, stations, behind, posed.fit.state.angles[:, 0], frequency_hz)
+
+
+def _depth(posed: Posed, link: int) -> int:
+    depth = 0
+    while link > 0:
+        link, depth = int(posed.fit.linkage.parent[link]), depth + 1
+    return depth
+
+
+def _stations(shape: tuple[Complex, Complex, Complex], way: list[int], rear: Complex) -> Complex:
+    axes, origins, _ = shape
+    return np.column_stack(
+        [*(origins[:, k] for k in way), origins[:, way[-1]] + axes[:, way[-1]] * rear[way[-1]]]
+    )
+
+
+def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:
+    """Return a body wave as plain data."""
+    found: dict[str, Any] = {"frequency_hz": beat.frequency_hz, "windows": beat.windows}
+    for name, one, of in (("wavelength", beat.length, unit), ("wave_speed", beat.speed, f"{unit}_s")):
+        found[f"{name}_{of}"] = None if one is None else one.value
+        found[f"{name}_ci95"] = None if one is None else [one.low, one.high]
+    found[f"stations_{unit}"] = [float(value) for value in beat.behind]
+    found[f"amplitude_{unit}"] = [one.value for one in beat.amplitude]
+    found["amplitude_ci95"] = [[one.low, one.high] for one in beat.amplitude]
+    found["phase_rad"] = [one.value for one in beat.phase]
+    found["phase_ci95"] = [[one.low, one.high] for one in beat.phase]
+    return found
+
+
+def _wave_table(beat: wave.Wave, unit: str) -> Table:
+    rows: list[list[Any]] = []
+    for name, one, of in (("wavelength", beat.length, unit), ("wave speed", beat.speed, f"{unit}/s")):
+        if one is None:
+            rows.append([f"{name}: no travelling wave", None, None, None])
+        else:
+            rows.append([f"{name}, {of}", one.value, one.low, one.high])
+    for behind, size, lag in zip(beat.behind, beat.amplitude, beat.phase, strict=True):
+        place = f"{numbers.number(float(behind), 3)} {unit} behind the front"
+        rows.append([f"amplitude {place}, {unit}", size.value, size.low, size.high])
+        rows.append([f"phase lag {place}, rad", lag.value, lag.low, lag.high])
+    caption = (
+        f"Lateral motion at {beat.frequency_hz:.4g} Hz, in {beat.windows} windows of {wave.CYCLES} cycles. "
+        "The phase lag is that behind the station that moves most."
+    )
+    columns = ["body wave", "value", "95 % from", "to"]
+    return Table(id="wave", title="Body wave", columns=columns, rows=rows, caption=caption)
+
+
+def figures(posed: Posed, beat: wave.Wave | None) -> list[Figure]:
+    """Return the figure of the body wave; no figure without one."""
+    if beat is None:
+        return []
+    label, panels = f"distance behind the front end ({posed.unit})", []
+    for name, found in (
+        (f"lateral amplitude ({posed.unit})", beat.amplitude),
+        ("phase lag (rad)", beat.phase),
+    ):
+        values = [one.value for one in found]
+        lower, upper = [one.low for one in found], [one.high for one in found]
+        trace = Trace(x=list(beat.behind), y=values, lower=lower, upper=upper, group=0)
+        dots = Trace(x=list(beat.behind), y=values, style="points", group=0)
+        panels.append(ev.panel(label, name, [trace, dots]))
+    text = "No travelling wave is significant."
+    if beat.length is not None and beat.speed is not None:
+        length = numbers.interval(beat.length.low, beat.length.high, unit=posed.unit)
+        speed = numbers.interval(beat.speed.low, beat.speed.high, unit=f"{posed.unit}/s")
+        text = f"Wavelength {length}, wave speed {speed} (95 %)."
+    caption = f"Lateral motion of the body at {beat.frequency_hz:.4g} Hz, with 95 % intervals. {text}"
+    return [ev.panels("wave", "Body wave", caption, panels)]

@@ -1,0 +1,120 @@
+"""Body wave of a swimmer: amplitude and phase along the body at the stroke frequency, length and speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swimid.logs.tracks import Estimate
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Length of a window in which a sine is fitted to the lateral motion, in cycles; minimum number of windows,
+#: and minimum number of frames in one.
+CYCLES, MIN_WINDOWS, MIN_FRAMES = 2, 3, 12
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Travelling wave along a body, with 95 % intervals.
+
+    Attributes
+    ----------
+    behind : ndarray, shape (k,)
+        Distance of each station behind the front end along the straight body, in the unit of the positions.
+    amplitude, phase : list of Estimate, one for each station
+        Amplitude of the lateral motion, and phase lag behind the station that moves most, rad.
+    length, speed : Estimate or None
+        Wavelength, and speed of the wave along the body in units per s; None if the phase does not increase
+        towards the rear significantly.
+    windows : int
+        Number of windows of two cycles.
+    frequency_hz : float
+    """
+
+    behind: Array
+    amplitude: list[Estimate]
+    phase: list[Estimate]
+    length: Estimate | None
+    speed: Estimate | None
+    windows: int
+    frequency_hz: float
+
+
+def measure(
+    time_s: Array, stations: Complex, behind: Array, heading: Array, frequency_hz: float
+) -> Wave | None:
+    """Measure the wave along a body; return None if there are fewer than three windows of two cycles.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    stations : ndarray of complex, shape (n, k)
+        Positions x + iy of stations on the midline; NaN where unknown.
+    behind : ndarray, shape (k,)
+        Distance of each station behind the front end along the straight body.
+    heading : ndarray, shape (n,)
+        Heading of the first link, rad; NaN where unknown.
+    frequency_hz : float
+        Stroke frequency.
+
+    Notes
+    -----
+    The lateral motion is the component across the mean heading of the window. A sine is fitted to it beside a
+    parabola in time, which describes the path. The wavenumber is the slope of the phase over the distance
+    along the body, weighted by the squared amplitudes. The intervals are Student's, from the variation
+    between windows.
+    """
+    width = CYCLES / frequency_hz
+    known = np.isfinite(stations).all(axis=1) & np.isfinite(heading)
+    found = []
+    for start in time_s[0] + width * np.arange(int((time_s[-1] - time_s[0]) / width * (1 + 1e-9))):
+        rows = known & (time_s >= start) & (time_s < start + width)
+        if rows.sum() < MIN_FRAMES or np.ptp(time_s[rows]) < 0.8 * width:
+            continue
+        t, ahead = time_s[rows], np.mean(np.exp(1j * heading[rows]))
+        lateral = (stations[rows] * np.conj(ahead) / abs(ahead)).imag
+        u, turn = (t - start) / width, 2 * np.pi * frequency_hz * (t - time_s[0])
+        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones(len(t)), u, u * u])
+        weights = np.linalg.lstsq(design, lateral, rcond=None)[0]
+        found.append(weights[0] - 1j * weights[1])
+    if len(found) < MIN_WINDOWS:
+        return None
+    waves = np.array(found)
+    # The phase of the station that moves most is the most accurate. The front end may be close to a node.
+    most = int(np.argmax(np.abs(waves).mean(axis=0)))
+    waves *= (np.conj(waves[:, most]) / np.abs(waves[:, most]))[:, None]
+    mean = waves.mean(axis=0)
+    usual = np.unwrap(np.angle(mean))
+    phases = usual + np.angle(waves * np.conj(mean))
+    lags = phases[:, most : most + 1] - phases
+    weight = np.abs(mean) ** 2
+    centre = weight @ behind / weight.sum()
+    off = weight * (behind - centre)
+    number = _student(lags @ off / (off @ (behind - centre)))
+    length = speed = None
+    if number.low > 0:
+        ends = (number.value, number.high, number.low)
+        length = Estimate(*(2 * np.pi / end for end in ends))
+        speed = Estimate(*(2 * np.pi * frequency_hz / end for end in ends))
+    return Wave(
+        behind,
+        [_student(column) for column in (waves * np.exp(-1j * np.angle(mean))).real.T],
+        [_student(column) for column in lags.T],
+        length,
+        speed,
+        len(waves),
+        frequency_hz,
+    )
+
+
+def _student(values: Array) -> Estimate:
+    """Return the mean of values from successive windows with its 95 % interval."""
+    from scipy.special import stdtrit
+
+    mean, count = float(values.mean()), len(values)
+    half = float(stdtrit(count - 1, 0.975) * values.std(ddof=1) / np.sqrt(count))
+    return Estimate(mean, mean - half, mean + half)
