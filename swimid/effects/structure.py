@@ -277,9 +277,10 @@ class JointDamping(Effect):
         return base.change_springs(model.body, lambda _: {"damping": values[0]})
 
 
-#: Partly locked joint: maximum locked fraction (MOST), and stiffness that a locked fraction of one half adds
-#: to a passive joint, divided by the stiffness of the joint's own spring (STIFFER).
-MOST, STIFFER = 0.97, 10.0
+#: Maximum locked fraction of a joint, which makes a passive joint 33 times as stiff.
+MOST = 0.97
+#: Natural frequency that a locked fraction of one half gives to a passive joint without a spring, Hz.
+HELD_HZ = 1.0
 #: Maximum product of natural frequency and integration step of a locked joint, well within the limit of
 #: stability.
 STABLE = 1.0
@@ -289,7 +290,8 @@ class JointLocked(Effect):
     """Partly locked joint: a driven joint moves less than its command, or a passive joint is stiffer.
 
     A driven joint moves by ``1 - lock`` times its command. A passive joint gains the stiffness ``K lock / (1
-    - lock)``. K is ten times its own stiffness, or less if the integration would become unstable.
+    - lock)``, at most that at which the integration stays stable. K is its own stiffness, or that of
+    :data:`HELD_HZ`.
 
     Parameters
     ----------
@@ -340,10 +342,10 @@ class JointLocked(Effect):
         number = [axis.column for axis in body.passive].index(self.column)
 
         def stiffen(tables: dict[str, Any]) -> None:
-            own = max(body.stiffness(tables, number), 0.0)
-            limit = (STABLE / body.step_s) ** 2 * body.joint_inertia(tables, number) * (1.0 - MOST) / MOST
-            gain = min(STIFFER * own or math.inf, limit)
-            body.stiffen(tables, number, stiffness=gain * lock / (1.0 - lock))
+            inertia = body.joint_inertia(tables, number)
+            own = max(body.stiffness(tables, number), (2.0 * math.pi * HELD_HZ) ** 2 * inertia)
+            limit = (STABLE / body.step_s) ** 2 * inertia
+            body.stiffen(tables, number, stiffness=min(own * lock / (1.0 - lock), limit))
 
         return Hooks(tables=(stiffen,))
 
