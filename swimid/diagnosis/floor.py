@@ -1,4 +1,4 @@
-"""Estimate the noise floor of each channel, from repeated trials at one setting if there are any."""
+"""Estimate the noise floor of each channel, which repeats of one setting limit."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from swimid.diagnosis.context import Fit, FitContext, beyond
 from swimid.diagnosis.noise_model import NoiseModel
+from swimid.diagnosis.random_effects import LEVEL
 from swimid.diagnosis.settings import repeated
 from swimid.fitting.model import Array
 
@@ -106,11 +108,11 @@ class Floor:
     Attributes
     ----------
     levels : dict of channel to float
-        Noise floor, in the channel's unit. It is the standard deviation between repeats of a setting, if
-        there are repeats and this deviation is smaller than the residuals of the model. Otherwise it is the
-        noise within trials (without the fraction that has structure) together with the random effects. It is
-        never larger than the residuals of the model without random effects. Unless it comes from repeats, it
-        includes the noise that fitted parameters absorb (:func:`taken_up`).
+        Noise floor, in the channel's unit. It is the noise within trials (without the fraction that has
+        structure) together with the random effects. It is never larger than the residuals of the model
+        without random effects. It includes the noise that fitted parameters absorb (:func:`taken_up`). If
+        settings are repeated, its between-trial variance is at most that of the repeats (upper 95 %
+        confidence bound).
     inside : dict of channel to float
         Noise floor without the noise that fitted parameters absorb, for comparison with residuals of the fit.
     within : dict of channel to float
@@ -233,14 +235,16 @@ def floors(
     more = taken_up(context, alike, noise_model)
     model = {c: min(rest * noise[c] + max(whole[c] - known[c], 0.0), whole[c], reached[c]) for c in noise}
     how = "the noise that the model with all that was found leaves, and what differs from trial to trial"
-    lower, told = _between_repeats(context, last, marginal_residuals)
-
+    chance, degrees, told = _between_repeats(context, last, marginal_residuals)
     left = {c: float(np.sqrt(1.0 - drifting.get(c, 0.0))) for c in model}
 
     def level(c: str, times: float) -> float:
-        if c not in lower:
-            return left[c] * float(np.sqrt(times * model[c]))
-        return left[c] * min(lower[c], float(np.sqrt(times * whole[c])))
+        smallest = times * model[c]
+        if c in chance:
+            inner = min(rest * noise[c], chance[c])
+            most = inner + (chance[c] - inner) * degrees / float(special.chdtri(degrees, LEVEL))
+            smallest = min(smallest, times * most)
+        return left[c] * float(np.sqrt(smallest))
 
     levels = {c: level(c, more[c]) for c in model}
     within = {c: min(left[c] * float(np.sqrt(more[c] * rest * v)), levels[c]) for c, v in noise.items()}
@@ -249,15 +253,15 @@ def floors(
 
 def _between_repeats(
     context: FitContext, last: Fit, residuals: Sequence[Array]
-) -> tuple[dict[str, float], str | None]:
-    """Return for each channel the standard deviation between repeats, and a text with their number.
+) -> tuple[dict[str, float], int, str | None]:
+    """Return for each channel the variance between repeats, its degrees of freedom, and a text.
 
     Repeats are trials at the same setting. The result is empty if there are no repeats, or too few samples in
-    every trial.
+    every trial. The degrees of freedom are those of the between-trial variation.
     """
     groups = repeats(context)
     if not groups or all(len(r) < MIN_SAMPLES for r in last.residuals):
-        return {}, None
+        return {}, 0, None
     parts: dict[str, list[Array]] = {}
     for group in groups:
         series: dict[str, list[tuple[Array, Array]]] = {}
@@ -268,8 +272,9 @@ def _between_repeats(
         for channel, mine in series.items():
             if len(mine) > 1:
                 parts.setdefault(channel, []).append(disagreement(mine))
-    lower = {c: float(np.sqrt(np.mean(np.concatenate(v)))) for c, v in parts.items() if any(map(len, v))}
-    return lower, f"{sum(len(g) for g in groups)} repeats of {len(groups)} settings"
+    found = {c: float(np.mean(np.concatenate(v))) for c, v in parts.items() if any(map(len, v))}
+    trials = sum(len(g) for g in groups)
+    return found, trials - len(groups), f"{trials} repeats of {len(groups)} settings"
 
 
 def disagreement(series: Sequence[tuple[Array, Array]]) -> Array:
