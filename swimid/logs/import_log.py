@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import beat, log, mapping, point_evidence, points, sampling, tracks, wave
+from swimid.logs import beat, log, mapping, point_evidence, point_files, points, sampling, tracks, wave
 from swimid.logs.beat import Rhythm, contradiction
 from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
-from swimid.logs.points import Posed, Request
+from swimid.logs.point_files import Request
+from swimid.logs.points import Posed
 from swimid.logs.sampling import (
     LONG_ENOUGH,
     SET,
@@ -301,7 +302,7 @@ def _posed(
     columns = source.columns
     if log.written_by(metadata, "swimid track"):
         metadata["tracked_by"] = metadata.pop("made_by")
-        points.keep_markers(columns)
+        point_files.keep_markers(columns)
     found = points.pose_of(columns, request, source.path)
     metadata |= found.metadata
     source.sources.update(dict.fromkeys(found.columns, ("tracked points", 1.0, 0.0)))
