@@ -25,7 +25,7 @@ from swimid.logs.foreign import safe
 from swimid.logs.linkage import Array, Complex, Flags, Linkage
 from swimid.logs.log import TIME
 from swimid.logs.sampling import usual_step
-from swimid.logs.tracks import mean_of_blocks
+from swimid.logs.tracks import OUTLYING, mean_of_blocks
 from swimid.notices import warn
 from swimid.robots import file as robot_format
 from swimid.robots import planar
@@ -33,6 +33,9 @@ from swimid.robots import planar
 #: Maximum standard deviation of an angle that is written to the log, rad. The exact 95 % interval of an angle
 #: from a point on an arm is then within 5 % of the linear one.
 MAX_ANGLE_SD = 0.25
+#: Maximum standard deviation of a value that is written to the log, relative to the median of its column.
+#: Other commands weigh all samples alike, and a value with a larger error would act as an outlier.
+MAX_SD_RATIO = OUTLYING
 #: Maximum bias of a distance or a place, in standard deviations of its scatter. With a larger bias a 95 %
 #: interval covers less than 92 %.
 MAX_BIAS = 0.5
@@ -324,6 +327,8 @@ def _columns(
     # An unknown place of a point shifts the zero of an angle in all frames. It leaves none of them empty.
     sharp = np.sqrt(np.maximum(found.alone, 0.0)) < limit
     known: Flags = np.array(found.known & fit.used.any(axis=1, keepdims=True) & sharp)
+    for k in np.flatnonzero(known.any(axis=0)).tolist():
+        known[:, k] &= sd[:, k] <= MAX_SD_RATIO * np.median(sd[known[:, k], k])
     known[:, 0] = known[:, 1] = known[:, 0] & known[:, 1]
     angles = (fit.state.angles + np.pi) % (2 * np.pi) - np.pi
     yaw = known[:, 2]
