@@ -611,7 +611,9 @@ def _tables(found: Examined) -> list[Table]:
     rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.log.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
     if found.posed is not None:
+        # The first table is printed.
         tables += point_evidence.tables(found.posed, found.wave)
+        tables.sort(key=lambda table: table.id != "places")
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
 
