@@ -109,8 +109,8 @@ def test_warnings_name_points_and_frames(swimid: Run, tmp_path: Path) -> None:
     )
     assert ran.status == 0, ran.err
     assert "SWM120" in ran.err
-    assert "3 labels exchanged, left out: snout and back 3 times (frames 40, 41, 42)" in ran.err
-    assert "1 labels astray, left out: web 1 times (frame 70)" in ran.err
+    assert "labels exchanged, left out 3 ×: snout and back 3 × (frames 40, 41, 42)" in ran.err
+    assert "labels astray, left out 1 ×: web 1 × (frame 70)" in ran.err
     assert "3 exchanged, 1 stray" in ran.out
 
 
@@ -482,6 +482,27 @@ def test_track_video_computes_joint_angles(swimid: Run, tmp_path: Path) -> None:
         assert np.median(direct[name.replace("_rad", "_sd_rad")]) < 0.01
     assert np.sqrt(np.mean((direct["x_m"] - truth["x_m"]) ** 2)) < 0.001
     assert ran.json["result"]["points"]["left_out"] == []
+
+
+def test_points_of_a_robot_file_in_space(tmp_path: Path) -> None:
+    """The robot file places the points, one of which is not tracked; a vertical plane takes x and z."""
+    places = {"nose": ("link1", 0.0, 0.0), "back": ("link1", -0.1, 0.02), "tip": ("link3", -0.11, 0.0)}
+    places |= {"hip": ("link2", -0.1, 0.0)}
+    rods = dict.fromkeys(("link1", "link2", "link3"), 0.12)
+    made = point_films.film(seed=47, frames=90, lengths=rods, places=places, amplitudes_deg=(10, 20))
+    rows = [f"    {name}: {{link: {link}, at_m: [{x}, {y}]}}" for name, (link, x, y) in places.items()]
+    rows = ["  points:", *rows, "    rib: {link: link1, at_m: [-0.05, 0]}", "  elements:"]
+    robot = three_link.robot(tmp_path)
+    text = robot.read_text().replace("plane: horizontal", "plane: vertical")
+    robot.write_text(text.replace("  elements:", "\n".join(rows), 1))
+    table = pd.DataFrame({"t_s": made.time})
+    for k, name in enumerate(made.names):
+        table[f"{name}_x_m"], table[f"{name}_z_m"] = made.column[:, k] / 1500, -made.row[:, k] / 1500
+        table[f"{name}_y_m"] = 0.3
+    result = package.import_log(table, robot=str(robot))
+    for name, truth in (("z_m", made.y), ("pitch_rad", made.yaw), ("joint2_rad", made.joints[:, 1])):
+        assert np.allclose(result.frame[name], truth, atol=0.04), name
+    assert "rib" not in result.data["points"]["noise_m"]
 
 
 def test_points_and_tables_in_memory() -> None:

@@ -70,7 +70,7 @@ OTHERS = {
     "robot": "swimid.robots.file:schema_of",
     "setup": "swimid.tracking.setup:Setup",
     "mapping": "swimid.logs.mapping:Mapping",
-    "points": "swimid.logs.points:PointsFile",
+    "points": "swimid.logs.point_files:PointsFile",
     "evidence": "swimid.results.evidence:Evidence",
 }
 

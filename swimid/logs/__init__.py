@@ -5,10 +5,12 @@ The module ``log`` reads and writes the log of one trial. ``trials`` reads the f
 
 Modules for the import: ``import_log`` is the command. ``foreign`` has the readers of file formats, and units.
 ``mapping`` drafts a mapping, assigns the columns of a file to those of a log, and computes the sample times.
-``points`` computes pose and joint angles from tracked points: ``bundle`` estimates states, noise and faults
-of a film, ``linkage`` has the least squares, ``wave`` the body wave, and ``point_evidence`` the evidence.
-``consistency`` finds columns that contradict each other, and faulty channels. ``scale`` describes the scale
-and the calibration of a camera in YAML files, and ``plane`` maps its picture to metres.
+``consistency`` finds columns that contradict each other, and faulty channels.
+
+Modules for tracked points: ``points`` computes pose and joint angles. ``point_files`` reads files, ``bundle``
+estimates states, noise and faults of a film, ``linkage`` has the least squares, ``wave`` the body wave, and
+``point_evidence`` the evidence. ``scale`` describes the scale and the calibration of a camera in YAML files,
+and ``plane`` maps its picture to metres.
 
 Modules for samples and motion: ``sampling`` estimates the rate, gaps, repeated samples, rounding, noise and
 derivatives. ``tracks`` finds jumps, computes the mean speed, and defines the result of commands that write a

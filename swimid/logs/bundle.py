@@ -408,7 +408,11 @@ class _Estimate:
         values, vectors = np.linalg.eigh(0.5 * (of_data + of_data.T))
         bent = (vectors * np.maximum(values, 0.0)) @ vectors.T + of_prior
         inverse = np.linalg.pinv(bent, hermitian=True)
-        covariance = axes @ inverse @ (made.spread(axes) + of_prior) @ inverse @ axes.T
+        # In few frames the scores may vary less than their curvature implies.
+        spread, least = made.spread(axes), np.maximum(np.diag(of_data), 0.0)
+        wider = np.sqrt(np.maximum(least / np.maximum(np.diag(spread), 1e-300), 1.0))
+        spread = spread * wider[:, None] * wider
+        covariance = axes @ inverse @ (spread + of_prior) @ inverse @ axes.T
         step = axes @ inverse @ axes.T @ (made.value.sum(axis=0) - bias + prior[:, 0] * prior[:, 1])
         self.state = self.state.moved(made.rest - made.gain @ step)
         self.linkage = self.linkage.changed(step, covariance)
@@ -429,7 +433,9 @@ class _Estimate:
             value = min(max(value + min(max(step, -0.5), 0.5), 0.0), MAX_EXPONENT)
             if abs(step) < 1e-4:
                 break
-        return value if value * np.sqrt(curvature) > float(special.ndtri(1 - FALSE_ALARM / 2)) else 0.0
+        if value * np.sqrt(curvature) < float(special.ndtri(1 - FALSE_ALARM / 2)):
+            return 0.0
+        return value
 
 
 def _faults(estimate: _Estimate, found: Residuals) -> list[Fault]:

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
-from swimid.logs import beat, log, mapping, point_evidence, points, sampling, tracks, wave
+from swimid.logs import beat, log, mapping, point_evidence, point_files, points, sampling, tracks, wave
 from swimid.logs.beat import Rhythm, contradiction
 from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
-from swimid.logs.points import Posed, Request
+from swimid.logs.point_files import Request
+from swimid.logs.points import Posed
 from swimid.logs.sampling import (
     LONG_ENOUGH,
     SET,
@@ -301,7 +302,7 @@ def _posed(
     columns = source.columns
     if log.written_by(metadata, "swimid track"):
         metadata["tracked_by"] = metadata.pop("made_by")
-        points.keep_markers(columns)
+        point_files.keep_markers(columns)
     found = points.pose_of(columns, request, source.path)
     metadata |= found.metadata
     source.sources.update(dict.fromkeys(found.columns, ("tracked points", 1.0, 0.0)))
@@ -610,7 +611,9 @@ def _tables(found: Examined) -> list[Table]:
     rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.log.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
     if found.posed is not None:
+        # The first table is printed.
         tables += point_evidence.tables(found.posed, found.wave)
+        tables.sort(key=lambda table: table.id != "places")
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
 

@@ -228,8 +228,9 @@ def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:
     """Return a body wave as plain data."""
     found: dict[str, Any] = {"frequency_hz": beat.frequency_hz, "windows": beat.windows}
     for name, one, of in (("wavelength", beat.length, unit), ("wave_speed", beat.speed, f"{unit}_s")):
-        found[f"{name}_{of}"] = None if one is None else one.value
-        found[f"{name}_ci95"] = None if one is None else [one.low, one.high]
+        found |= {f"{name}_{of}": None, f"{name}_ci95": None}
+        if one is not None:
+            found |= {f"{name}_{of}": one.value, f"{name}_ci95": [one.low, one.high]}
     found[f"stations_{unit}"] = [float(value) for value in beat.behind]
     found[f"amplitude_{unit}"] = [one.value for one in beat.amplitude]
     found["amplitude_ci95"] = [[one.low, one.high] for one in beat.amplitude]

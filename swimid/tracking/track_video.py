@@ -14,7 +14,7 @@ import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
-from swimid.logs import kinematics, log, point_evidence, points
+from swimid.logs import kinematics, log, point_evidence, point_files, points
 from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
 from swimid.logs.plane import Plane, plane_of
@@ -283,7 +283,7 @@ def _joints(columns: dict[str, Any], setup: Setup, run: Run, folder: Path) -> Po
     for name in names:
         for ending in ("x_m", f"{up}_m", "confidence"):
             given[f"{name}_{ending}"] = np.asarray(columns[f"{name}_{ending}"], dtype=float)
-    found = points.pose_of(given, points.Request(str(path), None, False), run.video.path)
+    found = points.pose_of(given, point_files.Request(str(path), None, False), run.video.path)
     after = {name: columns.pop(name) for name in list(columns)[list(columns).index("frame") :]}
     columns |= {name: values for name, values in found.columns.items() if name.startswith("joint")} | after
     return found
