@@ -449,6 +449,7 @@ def _marker_film(folder: Path) -> tuple[Path, dict[str, np.ndarray]]:
     return three_link.robot(folder), truth
 
 
+@pytest.mark.slow
 def test_markers_of_a_tracked_film(swimid: Run, tmp_path: Path) -> None:
     """The log of a rendered film, with markers on all links, becomes pose and joint angles."""
     robot, truth = _marker_film(tmp_path)
@@ -521,6 +522,7 @@ def test_points_and_tables_in_memory() -> None:
         )
 
 
+@pytest.mark.slow
 def test_a_real_film(real_data: Path, swimid: Run, tmp_path: Path) -> None:
     """Nine points on a tendon-driven fish, tracked by its makers, as a chain."""
     film = real_data / "fishsim" / "markers_f1_75.csv"
