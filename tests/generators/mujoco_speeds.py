@@ -1,8 +1,8 @@
-"""Steady speeds of an exported robot in MuJoCo, beside those of swimid, with the time that both take.
+"""Final speeds of an exported robot in MuJoCo, beside those of swimid, with the time that both take.
 
 ``python -m tests.generators.mujoco_speeds trials.yaml fish.yaml`` runs the drive of each trial from rest for
-30 s. Both compute the displacement over the last four beats. The servo of 20 Hz and the step are the defaults of
-``swimid export --to mjcf``.
+30 s. Both compute the displacement over the last four beats. The servo of 20 Hz and the step are the
+defaults of ``swimid export --to mjcf``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DURATION_S, BEATS = 30.0, 4
 
 
 def run(model: mujoco.MjModel, frequency_hz: float, amplitude_rad: float) -> float:
-    """Return the steady speed of a model whose only actuator beats as a sine, m/s."""
+    """Return the final speed of a model whose only actuator beats as a sine, m/s."""
     data = mujoco.MjData(model)
     places = []
     for _ in range(round(DURATION_S / model.opt.timestep)):

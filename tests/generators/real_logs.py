@@ -374,8 +374,8 @@ def write_ramp(folder: Path, tracked: dict[str, Path]) -> Path:
 #: Stated beats of the films of the tendon-driven fish, Hz. The same two are fitted as in the example of its
 #: authors.
 FILMS = {"0_50": "validate", "1_00": "fit", "1_75": "fit", "2_00": "validate"}
-#: Measured beat over the stated one, which is 0.7497 ± 0.0004 in the fitted film of more than four cycles. The
-#: motor or the clock of the camera is a quarter off.
+#: Measured beat over the stated one, which is 0.7497 ± 0.0004 in the fitted film of more than four cycles.
+#: The motor or the clock of the camera is a quarter off.
 BEAT_RATIO = 0.75
 #: Pictures per second, and distance of the first two points, which sit on the rigid head.
 FILM_RATE_HZ, HEAD_M = 60.0, 0.142
@@ -397,7 +397,7 @@ def write_fishsim_map(folder: Path) -> Path:
         columns.append({"source": 2 * point + 2, "target": f"p{point}_y_px", "unit": "px", "factor": -1})
     mapping = {"format": "swimid-mapping/1", "reader": {"header": False}, "time": {"rate_hz": FILM_RATE_HZ}}
     path = folder / "map.yaml"
-    path.write_text(yaml.safe_dump({**mapping, "columns": columns}, sort_keys=False))
+    path.write_text(yaml.safe_dump({**mapping, "columns": columns}, sort_keys=False, default_flow_style=None))
     return path
 
 
@@ -416,14 +416,14 @@ def write_tendon_fish(folder: Path, data: Path) -> Path:
     robot = Path(__file__).parents[2] / "docs" / "examples" / "fishsim.yaml"
     mapping = write_fishsim_map(folder)
     places = yaml.safe_load(robot.read_text())["multilink"]["points"]
+    scale = {"format": "swimid-points/1", "scale": {"between": ["p0", "p1"], "distance_m": HEAD_M}}
     entries, amplitudes = [], []
     for film, role in FILMS.items():
-        points = {name: place for name, place in places.items() if name not in MERGED.get(film, ())}
-        scale = {"between": ["p0", "p1"], "distance_m": HEAD_M}
-        spec = folder / f"points{film}.yaml"
-        spec.write_text(
-            yaml.safe_dump({"format": "swimid-points/1", "points": points, "scale": scale}, sort_keys=False)
-        )
+        spec, content = folder / "points.yaml", scale
+        if film in MERGED:
+            spec = folder / f"points{film}.yaml"
+            content = {**scale, "points": {k: v for k, v in places.items() if k not in MERGED[film]}}
+        spec.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
         source = data / "fishsim" / f"markers_f{film}.csv"
         log = swimid.import_log(
             source, map_path=mapping, robot=str(robot), points=spec, calibrate_points=True
