@@ -215,11 +215,11 @@ def test_a_table_of_points_in_a_mapping(case: Case, imported: Any) -> None:
     assert result["verdict"]["level"] != "good"
 
 
-def test_a_json_document_of_another_kind_is_refused(case: Case, swimid: Run) -> None:
+def test_keypoints_of_coco_need_a_frame_rate(case: Case, swimid: Run) -> None:
     case("n-import")
     ran = swimid("import", "coco.json", "-o", "o.csv")
     assert ran.status == 3
-    assert "no readable delimited text file" in ran.err
+    assert "--rate-hz" in ran.err
 
 
 @pytest.mark.parametrize("name", ["sleap", "framenr", "frame", "index", "num"])
