@@ -16,7 +16,7 @@ DEMO, SAMPLES, FIGURES = ROOT / "demo_out", ROOT / "sample_logs", ROOT / "docs" 
 
 #: Picture of a manual: result of the demo, figure of the result.
 FROM_THE_DEMO = {
-    "diagnose": ("gap.yaml", "errors"),
+    "diagnose": ("gap.yaml", "waterfall"),
     "tracking": ("run.csv", "pose"),
     "fit-drag": ("drag.yaml", "overlay-x_m"),
     "fit-graybox": ("tfish.yaml", "overlay-x_m"),
