@@ -467,6 +467,7 @@ def test_markers_of_a_tracked_film(swimid: Run, tmp_path: Path) -> None:
     assert "u_m_s" not in record
 
 
+@pytest.mark.slow
 def test_track_video_computes_joint_angles(swimid: Run, tmp_path: Path) -> None:
     """The robot file places the markers, and the setup names the robot."""
     robot, truth = _marker_film(tmp_path)

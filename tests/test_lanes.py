@@ -134,7 +134,11 @@ def spread(form: type[Swimmer], tree: Any, kernel: Kernel, rng: np.random.Genera
     return runs
 
 
-@pytest.mark.parametrize("name", CASES)
+#: Names of the cases. Those that take long run behind ``make check-all``.
+NAMED = [pytest.param(name, marks=[pytest.mark.slow] * (name == "sea lion")) for name in CASES]
+
+
+@pytest.mark.parametrize("name", NAMED)
 def test_the_uncompiled_module_agrees_with_the_engine(name: str, rng: np.random.Generator) -> None:
     """The generated module, run as Python, moves every robot like the scalar engine."""
     form, make = CASES[name]
