@@ -1,4 +1,4 @@
-"""Pose and joint angles of a robot from tracked points (``docs/import.md``).
+"""Pose and joint angles of a robot from tracked points (``docs/points.md``).
 
 ``point_files`` reads the files and the columns, and ``bundle`` computes the estimate. This module makes the
 columns of the log, and examines stated distances and places. A chain of points without a robot is a linkage
