@@ -53,20 +53,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("fuzz")
 
 
+def _read_mutations(valid: Path, read: Callable[[Path], object]) -> None:
+    """Read 30 mutations of a valid file, each written beside it."""
+    path = valid.with_name(f"x{valid.suffix}")
+
+    @examples(30)
+    @given(content=mutated(valid.read_bytes()))
+    def run(content: bytes) -> None:
+        path.write_bytes(content)
+        read(path)
+
+    run()
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_mutated_files(kind: str, folder: Path) -> None:
     name, make, _, _ = FILES[kind]
     make(folder / name)
-    valid = (folder / name).read_bytes()
-    path = folder / f"x{Path(name).suffix}"
-
-    @examples(30)
-    @given(content=mutated(valid))
-    def run(content: bytes) -> None:
-        path.write_bytes(content)
-        _through(path, KINDS[kind])
-
-    run()
+    _read_mutations(folder / name, lambda path: _through(path, KINDS[kind]))
 
 
 @pytest.mark.parametrize(
@@ -82,20 +86,15 @@ def test_mutated_files_of_profiles(
     name: str, make: Callable[[Path], object], topic: str, folder: Path
 ) -> None:
     make(folder / name)
-    valid = (folder / name).read_bytes()
-    path = folder / f"z{Path(name).suffix}"
+    stated = {"select": topic} if topic else {}
 
-    @examples(30)
-    @given(content=mutated(valid))
-    def run(content: bytes) -> None:
-        path.write_bytes(content)
-        stated = {"select": topic} if topic else {}
+    def read(path: Path) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SwimidWarning)
             with contextlib.suppress(SwimidError):
                 mapping.apply(None, path, stated)
 
-    run()
+    _read_mutations(folder / name, read)
 
 
 @pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".mcap", ".ulg", ".h5", ".c3d", ".xlsx"])

@@ -177,12 +177,10 @@ def load(params: parameters.Source) -> Source:
         A file is invalid, no robot is named, or the parameters are those of another robot.
     """
     path = parameters.place(params)
-    file = parameters.read(params)
+    file = parameters.read(params, model=("multilink", "multibody"))
     kind = Source
     if file.model == "multibody":
         kind = vehicle.VehicleSource
-    else:
-        file = parameters.read(params, model="multilink")
     if file.robot is None:
         hint = "write the name of a built-in robot, or the path of a robot file, to this entry"
         raise InputError("names no robot", file=path, column="robot", hint=hint)

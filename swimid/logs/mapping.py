@@ -378,16 +378,16 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
         hint = "both clocks must be the same: take the stamps of one recorder"
         raise InputError(text, file=place, column=f"join: {select or joined.file}", hint=hint)
     outside = ~((log.time_s >= time_s[0]) & (log.time_s <= time_s[-1]))
-    before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 2)
+    before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 1)
     if joined.between == "line":
-        outside |= np.diff(time_s)[before] > PAUSE * usual_step(time_s)
-    for name, values in other.columns.items():
-        if name == TIME:
-            continue
-        values = values[order.index]
-        found = values[np.searchsorted(time_s, np.minimum(log.time_s, time_s[-1]), side="right") - 1]
+        steps = np.append(np.diff(time_s), 0.0)
+        outside |= steps[before] > PAUSE * usual_step(time_s)
+    for name in [name for name in other.columns if name != TIME]:
+        values = other.columns[name][order.index]
         if joined.between == "line":
             found = np.interp(log.time_s, time_s, values)
+        else:
+            found = values[before]
         log.columns[name] = np.where(outside, np.nan, found)
     log.sources.update({name: source for name, source in other.sources.items() if name != TIME})
     log.unknown.extend(other.unknown)

@@ -193,9 +193,8 @@ def _recording(
 ) -> Recording:
     """Read the log of a trial, and return the trial with its log and the input of the model."""
     known = [c.name for c in model.channels]
-    commands = [command_column(axis.column) for axis in model.driven]
-    inputs = [law.column for law in model.inputs.values()]
-    log = read_log(entry, path.parent, required=tuple(channels), optional=(*known, *commands, *inputs))
+    optional = tuple(dict.fromkeys((*known, *input_columns(model))))
+    log = read_log(entry, path.parent, required=tuple(channels), optional=optional)
     log = replace(log, columns={name: _unwrapped(name, values) for name, values in log.columns.items()})
     measured = {name: log[name] for name in (channels or _default_channels(model, log))}
     others = {n: v for n, v in log.columns.items() if n in known and n not in measured}
@@ -318,7 +317,14 @@ def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> 
     )
 
 
-def command_column(joint: str) -> str:
+def input_columns(model: Swimmer) -> list[str]:
+    """Return the log columns of angles and commands of the driven joints, and of the inputs."""
+    angles = [axis.column for axis in model.driven]
+    commands = [_command_column(name) for name in angles]
+    return [*angles, *commands, *(law.column for law in model.inputs.values())]
+
+
+def _command_column(joint: str) -> str:
     """Return the column name of a joint's commanded angle."""
     return joint.replace("joint", "cmd")
 
@@ -330,7 +336,7 @@ def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
     joint with a gain of 0 stays straight if neither angle is logged.
     """
     axis = model.driven[number]
-    law, command = axis.driven, command_column(axis.column)
+    law, command = axis.driven, _command_column(axis.column)
     assert law is not None
     candidates = [axis.column, command]
     if law.servo is not None:

@@ -34,6 +34,18 @@ def _vector(entries: Sequence[Entry]) -> Any:
     return np.array([Polynomial.of(entry) for entry in entries], dtype=object)
 
 
+def cross_matrix(point: Any) -> Any:
+    """Return the matrix of the cross product with a vector, shape (3, 3), of numbers or polynomials."""
+    x, y, z = point
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def centre_of_mass(row: Array) -> Array:
+    """Return the centre of mass of a row of the ``inertia`` input array without added mass, m, shape (3,)."""
+    whole = full(row)
+    return np.array([whole[5, 1], whole[3, 2], whole[4, 0]]) / whole[0, 0]
+
+
 def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: Any = ZERO) -> None:
     """Add a point mass with one value for each direction, and an inertia about this point.
 
@@ -50,8 +62,7 @@ def _add_mass(rows: Rows, link: str, mass: Any, at: Sequence[Entry], turning: An
     turning : 3 by 3 entries, kg m2
         Inertia J about the point.
     """
-    x, y, z = _vector(at)
-    lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=object)
+    lever = cross_matrix(_vector(at))
     ms = mass @ lever
     rows.add_inertia(link, [*mass[UPPER], *(-ms).ravel(), *(turning - lever @ ms)[UPPER]])
 
@@ -310,8 +321,8 @@ def hinge_row(at: Sequence[Entry], axis: Array, mount: Rotation) -> Row:
     mount : Rotation
         Rotation from the child's axes to the parent's axes at zero angle.
     """
-    x, y, z = unit = _unit(axis)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    unit = _unit(axis)
+    cross = cross_matrix(unit)
     zero = mount.as_matrix()
     turns = [zero, zero @ cross, zero @ cross @ cross]
     return [*at, *unit, *np.ravel(turns)]
@@ -373,17 +384,12 @@ class MultibodyModel(Swimmer):
         start = np.array([p.start for p in self.parameters[: len(self.tree.names)]])
         rigid = self.tree.rigid(start)
         link = int(np.argmax(rigid[:, 0]))
-        mass, lever = rigid[link, 0], full(rigid[link])[3:, :3]
-        centre = np.array([lever[2, 1], lever[0, 2], lever[1, 0]]) / mass
-        moved = [np.cross(np.eye(3), centre + offset) for offset in (np.zeros(3), by)]
-        change = np.zeros((6, 6))
-        for sign, s in zip((-1.0, 1.0), moved, strict=True):
-            change[:3, 3:] -= sign * mass * s
-            change[3:, 3:] -= sign * mass * s @ s
-        tables["inertia"] = tables["inertia"].copy()
-        tables["inertia"][link] += np.concatenate(
-            [np.zeros(6), change[:3, 3:].ravel(), change[3:, 3:][UPPER]]
-        )
+        mass, centre = rigid[link, 0], centre_of_mass(rigid[link])
+        inertia = tables["inertia"].copy()
+        for moved, place in ((-mass, centre), (mass, centre + by)):
+            lever = cross_matrix(place)
+            inertia[link, 6:] -= moved * np.concatenate([lever.ravel(), (lever @ lever)[UPPER]])
+        tables["inertia"] = inertia
         force = tables["force"].copy()
         for row, owner in zip(force, tables["force_link"], strict=True):
             if owner == link and row[6] != 0.0 and row[5] < 0.0 and np.allclose(row[:3], centre, atol=1e-9):
