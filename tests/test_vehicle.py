@@ -523,3 +523,16 @@ def test_joined_table_of_another_time_is_refused(swimid, tmp_path):
     assert ran.status == 3
     assert "b.csv" in ran.err
     assert "none of its 60 samples lies within the log" in " ".join(ran.err.split())
+
+
+def test_export_names_a_lag_of_the_thrusters(swimid, tmp_path):
+    (tmp_path / "params.yaml").write_text(
+        "format: swimid-parameters/1\nmodel: multibody\nrobot: bluerov2\neffects: [servo-lag]\n"
+        "parameters:\n  servo-lag/time_constant_s: {value: 0.15, stderr: 0.01, unit: s, status: estimated}\n"
+    )
+
+    ran = swimid("export", tmp_path / "params.yaml", "--to", "gazebo", "-o", tmp_path / "rov.sdf")
+
+    assert ran.status == 0, ran.err
+    assert "servo-lag acts on the commands of the thrusters, and is left out" in " ".join(ran.err.split())
+    assert [path.name for path in tmp_path.glob("*.py")] == []

@@ -15,11 +15,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.exporters.causes import limits_of
+from swimid.exporters.gazebo import DART_ONLY
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import NO_ERRORS, Exported, Source, xml_text
 from swimid.fitting.model import Array
 from swimid.swimmer.spatial.engine import DAMPING, DRAG
-from swimid.swimmer.spatial.model import Assembly, MultibodyModel, full
+from swimid.swimmer.spatial.model import Assembly, MultibodyModel, centre_of_mass, cross_matrix, full
 
 #: Letters of forces and moments, and of velocities, in the tags of the plugin Hydrodynamics.
 FORCES, SPEEDS = "xyzkmn", "UVWPQR"
@@ -70,24 +72,31 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
         if cause.rigid:
             cause.hooks.changed(own, "tables")
     rigid = full(own["inertia"][0])
-    centre = np.array([rigid[5, 1], rigid[3, 2], rigid[4, 0]]) / rigid[0, 0]
-    at_centre = _moved(centre)
+    centre = centre_of_mass(own["inertia"][0])
+    at_centre = np.block([[np.eye(3), cross_matrix(centre)], [np.zeros((3, 3)), np.eye(3)]])
     added = at_centre.T @ (full(source.tables["inertia"][0]) - rigid) @ at_centre
     added[np.abs(added) < 1e-9 * np.abs(added).max()] = 0.0
     central = (at_centre.T @ rigid @ at_centre)[3:, 3:]
     mass = float(rigid[0, 0])
-    helpers, derivatives = _drag(source, centre, mass)
+    helpers, derivatives = _drag(source, centre)
     volumes, limits = _volumes(source, centre, mass)
-    propellers, told = _propellers(source, centre, mass)
+    propellers, told = _propellers(source, centre)
     limits += told
     if options.added_mass != "native":
         limits.append(f"--added-mass {options.added_mass} has no effect: the added mass of SDF is exact")
-    left_out = [f"{len(source.tables['foil'])} foils are left out"] * bool(len(source.tables["foil"]))
+    if len(source.tables["foil"]):
+        limits.append(f"{len(source.tables['foil'])} foils are left out")
+    limits += [
+        f"{cause.name} acts on the commands of the thrusters, and is left out"
+        for cause in source.causes
+        if cause.hooks.command
+    ]
+    limits += limits_of(source.causes, [], forces=False)
     return xml_text(
         "vehicle.sdf",
         source,
-        [*limits, *left_out, "fluid_added_mass acts with the DART engine only (Gazebo's default)", NO_ERRORS],
-        [cause for cause in source.causes if cause.hooks.command],
+        [*limits, DART_ONLY, NO_ERRORS],
+        [],
         mass=mass,
         centre=centre,
         inertia=central,
@@ -100,14 +109,7 @@ def export(source: VehicleSource, options: ExportOptions) -> Exported:
     )
 
 
-def _moved(point: Array) -> Array:
-    """Return the matrix from the velocity at a point to the velocity at the origin of the link."""
-    x, y, z = point
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.block([[np.eye(3), cross], [np.zeros((3, 3)), np.eye(3)]])
-
-
-def _drag(source: Source, centre: Array, mass: float) -> tuple[list[dict[str, Any]], dict[str, float]]:
+def _drag(source: Source, centre: Array) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Return helper links for drag away from the centre of mass, and the derivatives of the main link."""
     rows = [dict(zip(DRAG, row, strict=True)) for row in source.tables["drag"]]
     own = np.zeros((2, 6))
@@ -156,7 +158,7 @@ def _volumes(source: Source, centre: Array, mass: float) -> tuple[list[dict[str,
     return volumes, limits
 
 
-def _propellers(source: Source, centre: Array, mass: float) -> tuple[list[dict[str, Any]], list[str]]:
+def _propellers(source: Source, centre: Array) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the propeller links of the loads, and sentences on what their commands must be."""
     names, laws = list(source.body.inputs), list(source.body.inputs.values())
     propellers, limits = [], []
