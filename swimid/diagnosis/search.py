@@ -200,8 +200,8 @@ class State:
 
     @property
     def changed(self) -> bool:
-        """Return whether a changed parameter is among the causes."""
-        return any(e.adds_to is not None for e in self.base.effects)
+        """Return whether the trials have a gap and a changed parameter is among the causes."""
+        return self.posterior.none <= UNSURE and any(e.adds_to is not None for e in self.base.effects)
 
 
 def coarser(model: Model, vectors: Sequence[Array], trials: Sequence[Trial]) -> Model | None:
