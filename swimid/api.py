@@ -192,7 +192,7 @@ def built_in_robots() -> list[str]:
     Examples
     --------
     >>> built_in_robots()
-    ['bluerov2', 'boxfish', 'dolphin', 'long-fin', 'sealion', 'tfish']
+    ['blimp', 'bluerov2', 'boxfish', 'dolphin', 'long-fin', 'sealion', 'tfish']
     """
     from swimid.robots import file
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,11 +25,13 @@ from tests.generators.vehicle import Vehicle
 UPRIGHT = Vehicle(buoyancy_m=(0.0, 0.0, -0.05))
 
 
-def _inputs(thrusts: Callable[[float], np.ndarray]) -> SwimInput:
+def _inputs(
+    thrusts: Callable[[float], np.ndarray], names: Sequence[str] = [f"thruster{k + 1}" for k in range(8)]
+) -> SwimInput:
     def of(k: int) -> Callable[[np.ndarray], np.ndarray]:
         return lambda time_s: np.array([thrusts(float(t))[k] for t in time_s])
 
-    return SwimInput(inputs={f"thruster{k + 1}": of(k) for k in range(8)}, pose=(0.0,) * 6)
+    return SwimInput(inputs={name: of(k) for k, name in enumerate(names)}, pose=(0.0,) * 6)
 
 
 def _robot(**inputs: object) -> robot_format.Robot:
@@ -41,13 +43,16 @@ def _robot(**inputs: object) -> robot_format.Robot:
     return robot.model_copy(update={"multibody": body.model_copy(update={"inputs": laws})})
 
 
-def test_vehicle_moves_as_by_the_equations_of_fossen():
-    _, model = robot_model("bluerov2")
-    thrusts, time = vehicle.manoeuvre(np.random.default_rng(1)), np.arange(0.0, 10.01, 0.05)
-    expected = vehicle.columns(time, vehicle.simulate(Vehicle(), time, thrusts), thrusts)
+@pytest.mark.parametrize("truth", [Vehicle(), vehicle.BLIMP], ids=lambda v: v.robot)
+def test_vehicle_moves_as_by_the_equations_of_fossen(truth):
+    robot, model = robot_model(truth.robot)
+    assert robot.multibody is not None
+    thrusts, time = vehicle.manoeuvre(np.random.default_rng(1), truth), np.arange(0.0, 10.01, 0.05)
+    expected = vehicle.columns(time, vehicle.simulate(truth, time, thrusts), thrusts, truth.inputs)
     values = np.array([p.start for p in model.parameters])
 
-    found = model.simulate(values, Trial("run", "fit", time, {}, swim=_inputs(thrusts)))
+    swim = _inputs(thrusts, list(robot.multibody.inputs))
+    found = model.simulate(values, Trial("run", "fit", time, {}, swim=swim))
 
     for name in (*model.pose, *model.velocity):
         assert found[name] == pytest.approx(expected[name], abs=1e-5)
@@ -89,6 +94,21 @@ def test_fit_of_a_vehicle(swimid, tmp_path):
     truth |= {"volume": UPRIGHT.volume_m3, "z_b": 0.05, "d_x": 13.7, "d_z": 33.0, "d_q": 0.8}
     for name, value in truth.items():
         assert found[name].value == pytest.approx(value, rel=0.03), name
+        assert found[name].value == pytest.approx(value, abs=4.0 * found[name].stderr), name
+
+
+@pytest.mark.slow
+def test_fit_of_a_blimp(swimid, tmp_path):
+    trials = vehicle.write_trials(tmp_path, vehicle.BLIMP, seed=7, trials=2, held_out=0, duration_s=20.0)
+
+    ran = swimid("fit-graybox", trials, "-o", tmp_path / "blimp.yaml")
+
+    assert ran.status == 0, ran.err
+    found = parameters.read(tmp_path / "blimp.yaml").parameters
+    truth = {"m_x": 0.0466, "m_y": 0.0466, "m_z": 0.0545, "z_g": 0.09705, "volume": 0.10758}
+    truth |= {"d_x": 0.0125, "d_y": 0.0125, "d_z": 0.048, "d_p": 0.000862, "d_q": 0.000862, "d_r": 0.000862}
+    for name, value in truth.items():
+        assert found[name].status == "estimated", name
         assert found[name].value == pytest.approx(value, abs=4.0 * found[name].stderr), name
 
 

@@ -1,4 +1,4 @@
-"""Logs of an underwater vehicle with eight thrusters, from Fossen's equations in axes with z down.
+"""Logs of vehicles with thrusters, from Fossen's equations in axes with z down.
 
 The equations are ``M v' + C(v) v + D(v) v + g(euler) = tau`` with Euler angles, integrated by SciPy's DOP853.
 Nothing of swimid is used. The log has x forward, y to port and z up.
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
-GRAVITY, DENSITY = 9.82, 1000.0
 S = np.sqrt(0.5)
 #: Position (m) and direction of each thruster, with z down.
 PLACES = np.array(
@@ -27,12 +26,17 @@ PLACES = np.array(
 DIRECTIONS = np.array(
     [(S, -S, 0), (S, S, 0), (-S, -S, 0), (-S, S, 0), (0, 0, -1), (0, 0, 1), (0, 0, 1), (0, 0, -1)]
 )
+#: Forces and moments of the thrusters along the axes of the body, with z down, shape (6, thrusters).
+MIXING = np.vstack([DIRECTIONS.T, np.cross(PLACES, DIRECTIONS).T])
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Constants of the vehicle. All vectors are along the axes of the body, with z down."""
+    """Constants of a vehicle. All vectors are along the axes of the body, with z down."""
 
+    robot: str = "bluerov2"
+    gravity: float = 9.82
+    density: float = 1000.0
     mass_kg: float = 13.5
     volume_m3: float = 0.0134
     inertia: tuple[float, float, float] = (0.26, 0.23, 0.37)
@@ -41,12 +45,40 @@ class Vehicle:
     quadratic: tuple[float, ...] = (141.0, 217.0, 190.0, 1.19, 0.47, 1.5)
     com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     buoyancy_m: tuple[float, float, float] = (0.0, 0.0, -0.01)
+    mixing: Array = field(default_factory=lambda: MIXING)
+    #: Columns of the log with the thrusts.
+    inputs: tuple[str, ...] = tuple(f"thrust{k + 1}_N" for k in range(8))
     #: Factor on the thrust of each thruster.
     thrust: tuple[float, ...] = field(default=(1.0,) * 8)
     #: Velocity of the water in the world, with y to starboard and z down.
     current_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     #: Time constant of the thrusters.
     lag_s: float = 0.0
+    #: Largest forces (N) and moments (N m) of a manoeuvre along the axes of the body.
+    effort: tuple[float, ...] = (25.0, 25.0, 25.0, 1.5, 1.5, 4.0)
+
+
+#: An indoor blimp: the origin is at its centre of buoyancy, the propellers are in a gondola 0.295 m below it.
+BLIMP = Vehicle(
+    robot="blimp",
+    gravity=9.8,
+    density=1.161,
+    mass_kg=0.1249,
+    volume_m3=0.10758,
+    inertia=(0.005821,) * 3,
+    added=(0.0466, 0.0466, 0.0545, 0.0, 0.0, 0.0),
+    linear=(0.0125, 0.0125, 0.048, 0.000862, 0.000862, 0.000862),
+    quadratic=(0.0,) * 6,
+    com_m=(0.0, 0.0, 0.09705),
+    buoyancy_m=(0.0, 0.0, 0.0),
+    # the log has y to port and z up
+    mixing=np.array(
+        [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0.295, 0, 0], [0.295, 0, 0, 0], [0, 0, 0, -1]]
+    ),
+    inputs=("force_x_N", "force_y_N", "force_z_N", "moment_z_N_m"),
+    thrust=(1.0,) * 4,
+    effort=(0.01, 0.01, 0.01, 0.0, 0.0, 0.002),
+)
 
 
 def _cross(v: Array) -> Array:
@@ -78,8 +110,9 @@ def simulate(
     rigid[3:, 3:] = np.diag(vehicle.inertia) - vehicle.mass_kg * _cross(com) @ _cross(com)
     mass = rigid + np.diag(vehicle.added)
     inverse = np.linalg.inv(mass)
-    weight, lift = vehicle.mass_kg * GRAVITY, DENSITY * GRAVITY * vehicle.volume_m3
-    mixing = np.vstack([DIRECTIONS.T, np.cross(PLACES, DIRECTIONS).T]) * np.array(vehicle.thrust)
+    weight = vehicle.mass_kg * vehicle.gravity
+    lift = vehicle.density * vehicle.gravity * vehicle.volume_m3
+    mixing = vehicle.mixing * np.array(vehicle.thrust)
     current = np.array(vehicle.current_m_s)
 
     def slope(now: float, state: Array) -> Array:
@@ -93,7 +126,7 @@ def simulate(
         drag = (np.array(vehicle.linear) + np.array(vehicle.quadratic) * np.abs(v)) * v
         weights = np.concatenate([weight * down, np.cross(com, weight * down)])
         lifts = np.concatenate([-lift * down, np.cross(vehicle.buoyancy_m, -lift * down)])
-        thrust, change = lagged, np.zeros(8)
+        thrust, change = lagged, np.zeros(len(lagged))
         if vehicle.lag_s > 0:
             change = (thrusts(now) - lagged) / vehicle.lag_s
         else:
@@ -108,7 +141,7 @@ def simulate(
         ]
         return np.concatenate([turn @ v[:3] + current, angles, rate, change])
 
-    begin = np.zeros(20)
+    begin = np.zeros(12 + len(vehicle.inputs))
     if start is not None:
         begin[:12] = start
     begin[6:9] -= _turn(begin[3:6]).T @ current
@@ -122,29 +155,28 @@ def simulate(
     return np.asarray(found)
 
 
-def columns(time_s: Array, motion: Array, thrusts: Callable[[float], Array]) -> dict[str, Array]:
+def columns(
+    time_s: Array, motion: Array, thrusts: Callable[[float], Array], inputs: tuple[str, ...] = Vehicle.inputs
+) -> dict[str, Array]:
     """Return the columns of a log, with y to port and z up, without noise."""
     signs = np.array([1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1, -1.0])
     names = ["x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad", "u_m_s", "v_m_s", "w_m_s"]
     names += ["roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s"]
     found = {"t_s": time_s, **dict(zip(names, (motion * signs).T, strict=True))}
     forces = np.array([thrusts(float(t)) for t in time_s])
-    return found | {f"thrust{k + 1}_N": forces[:, k] for k in range(8)}
+    return found | dict(zip(inputs, forces.T, strict=True))
 
 
-#: Largest forces (N) and moments (N m) of a manoeuvre along the axes of the body.
-EFFORT = np.array([25.0, 25.0, 25.0, 1.5, 1.5, 4.0])
-
-
-def manoeuvre(rng: np.random.Generator) -> Callable[[float], Array]:
+def manoeuvre(rng: np.random.Generator, vehicle: Vehicle | None = None) -> Callable[[float], Array]:
     """Return smooth thrusts of all thrusters, N, which move the vehicle along and about every axis."""
     frequency = rng.uniform(0.05, 0.4, (6, 3))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, 3))
     share = rng.uniform(0.2, 0.5, (6, 3))
-    mixing = np.linalg.pinv(np.vstack([DIRECTIONS.T, np.cross(PLACES, DIRECTIONS).T]))
+    vehicle = vehicle or Vehicle()
+    mixing, largest = np.linalg.pinv(vehicle.mixing), np.array(vehicle.effort)
 
     def thrusts(time: float) -> Array:
-        effort = EFFORT * (share * np.sin(2.0 * np.pi * frequency * time + phase)).sum(axis=1)
+        effort = largest * (share * np.sin(2.0 * np.pi * frequency * time + phase)).sum(axis=1)
         return np.asarray(mixing @ effort)
 
     return thrusts
@@ -159,11 +191,11 @@ def write_trials(
 ) -> Path:
     """Write logs with noise and a trials file, and return its path."""
     rng = np.random.default_rng(seed)
-    lines = ["format: swimid-trials/1", "experiment: multibody", "robot: bluerov2", "trials:"]
+    lines = ["format: swimid-trials/1", "experiment: multibody", f"robot: {vehicle.robot}", "trials:"]
     for k in range(trials):
         time_s = np.arange(0.0, duration_s + 1e-9, 0.05)
-        thrusts = manoeuvre(rng)
-        found = columns(time_s, simulate(vehicle, time_s, thrusts), thrusts)
+        thrusts = manoeuvre(rng, vehicle)
+        found = columns(time_s, simulate(vehicle, time_s, thrusts), thrusts, vehicle.inputs)
         for name, sd in NOISE.items():
             found[name] = found[name] + rng.normal(0.0, sd, len(time_s))
         kept = [name for name in found if not name.endswith("_s") or name == "t_s"]
