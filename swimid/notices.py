@@ -81,6 +81,7 @@ CODES: dict[str, str] = {
     "SWM074": "rows of a log fitted twice",
     "SWM075": "no next trial to write",
     "SWM076": "effects of a parameter file left out",
+    "SWM077": "an actuator leaves the table of a transmission",
     "SWM080": "a fault of recording was repaired",
     "SWM081": "an integrated path is accurate for a short time only",
     "SWM082": "no still period in an inertial log",

@@ -279,8 +279,8 @@ class Swim:
             swim = self._sized(f[0], self.unit * a[0], self.unit * b[0], steady=False)
         else:
             swim = self._joined(f, a, b, time, duration_s)
-        angles = [self.swimmer.command(k, swim, time, 0.0) for k in range(len(self.swimmer.driven))]
-        names = [axis.column.replace("joint", "cmd") for axis in self.swimmer.driven]
+        angles = [self.swimmer.command(k, swim, time, 0.0) for k in range(len(self.swimmer.actuators))]
+        names = [actuator.command for actuator in self.swimmer.actuators]
         held = {"drive_phase", *(p.name for p in self.swimmer.parameters if p.name.startswith("initial_"))}
         swim = replace(swim, pose=self.swim.pose)
         trial = Trial("proposed", "fit", sampled - sampled[0], {}, swim=swim, held=tuple(sorted(held)))
@@ -329,9 +329,8 @@ class Swim:
         size, bias = self.unit * size, self.unit * bias
         idle, full = (self._sized(unit_hz, amplitude, 0.0, steady=True) for amplitude in (0.0, 1.0))
         motions = []
-        for k, axis in enumerate(self.swimmer.driven):
-            law = axis.driven
-            assert law is not None
+        for k, actuator in enumerate(self.swimmer.actuators):
+            law = actuator.driven
             rest, moved = (self.swimmer.command(k, one, played_s, 0.0) for one in (idle, full))
             turn = driven.given(law.bias_gain, law.gain) * bias
             motions.append(driven.spline_motion(driven.measured(time_s, rest + size * (moved - rest) + turn)))
@@ -339,14 +338,14 @@ class Swim:
         return replace(self.swim, beat=None, stroke=None, joints=motions, commanded=commanded)
 
     def _excess(self, angles: Sequence[Array]) -> float:
-        """Return the largest ratio of a joint angle or rate to its limit."""
+        """Return the largest ratio of the angle or rate of an actuator to its limit."""
         found = [0.0]
-        for axis, angle in zip(self.swimmer.driven, angles, strict=True):
-            rate = float(np.max(np.abs(np.diff(angle)))) * COMMAND_RATE_HZ
-            if axis.driven is not None and axis.driven.max_angle_deg is not None:
-                found.append(math.degrees(float(np.max(np.abs(angle)))) / axis.driven.max_angle_deg)
-            if axis.driven is not None and axis.driven.max_rate_deg_s is not None:
-                found.append(math.degrees(rate) / axis.driven.max_rate_deg_s)
+        for actuator, angle in zip(self.swimmer.actuators, angles, strict=True):
+            law, rate = actuator.driven, float(np.max(np.abs(np.diff(angle)))) * COMMAND_RATE_HZ
+            if law.max_angle_deg is not None:
+                found.append(math.degrees(float(np.max(np.abs(angle)))) / law.max_angle_deg)
+            if law.max_rate_deg_s is not None:
+                found.append(math.degrees(rate) / law.max_rate_deg_s)
             if self.beat is None:
                 found.append(0.5 * float(np.ptp(angle)) / self.limits.max_amplitude_rad)
         return max(found)

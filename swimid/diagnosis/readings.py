@@ -28,6 +28,7 @@ AWAY = 0.1
 #: the path of the entry. All other entries belong to the stage "structure".
 PLACES: tuple[tuple[str, Stage], ...] = (
     (".driven", "actuation"),
+    (".actuators.", "actuation"),
     (".elements.", "fluid"),
     (".coefficients.", "fluid"),
     ("fluid.", "fluid"),

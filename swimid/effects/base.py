@@ -640,7 +640,7 @@ def only_joints(model: Model, change: Command) -> Command:
     """Return a hook that applies ``change`` to the commands of joints, and not to the inputs of a robot."""
     if model.swimmer is None or not model.swimmer.inputs:
         return change
-    joints = len(model.swimmer.driven)
+    joints = len(model.swimmer.actuators)
 
     def command(time_s: Array, value: Array, number: int) -> Array:
         if number >= joints:

@@ -309,13 +309,13 @@ class JointLocked(Effect):
     def variants(self, model: Model, trials: Trials) -> Effects:
         """Return one form of the effect for each joint that may be locked.
 
-        These are the passive joints, and the driven joints that move and whose angle is not measured.
+        These are the passive joints, and the actuators that move and whose angle is not measured.
         """
         if model.body is None:
             return []
         given = any(t.swim.commanded for t in trials)
         beaten = any(t.swim.joints is None for t in trials)
-        laws = [(axis.column, axis.driven) for axis in model.body.driven]
+        laws = [(actuator.column, actuator.driven) for actuator in model.body.actuators]
         columns = [name for name, law in laws if given or (beaten and (law.gain or law.bias_gain))]
         columns += [axis.column for axis in model.body.passive]
         return [JointLocked(column) for column in sorted(columns)]
@@ -329,7 +329,7 @@ class JointLocked(Effect):
         """Return hooks that reduce the command of the joint, or increase its stiffness."""
         body = model.body
         lock = float(values[0])
-        driven = [axis.column for axis in body.driven]
+        driven = [actuator.column for actuator in body.actuators]
         if self.column in driven:
             number = driven.index(self.column)
 

@@ -26,7 +26,7 @@ from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
 from swimid.results.parameters import ParameterFile
 from swimid.simulation.catalogue import constants_of, form_of, named_effects
 from swimid.swimmer.planar.model import MultilinkModel
-from swimid.swimmer.tree import Axis
+from swimid.swimmer.tree import Actuated
 
 #: Trial for which the changes by an effect are computed, in place of the trials of the fit. It begins at the
 #: origin and has a sine command.
@@ -141,35 +141,35 @@ def limits_of(causes: Sequence[Cause], filtered: Sequence[Cause], *, forces: boo
 # ---------------------------------------------------------------- filters of the commands
 
 
-#: Type of a function that computes the arguments of a command filter from an effect, a driven joint and the
+#: Type of a function that computes the arguments of a command filter from an effect, an actuator and the
 #: model of the robot.
-Arguments = Callable[[Cause, Axis, MultilinkModel], Mapping[str, float]]
+Arguments = Callable[[Cause, Actuated, MultilinkModel], Mapping[str, float]]
 
 
-def _own_values(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
+def _own_values(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
     return cause.values
 
 
-def _offset(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
-    if axis.driven is None or axis.driven.gain == 0.0:
+def _offset(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+    if actuator.driven.gain == 0.0:
         return {}
     return cause.values
 
 
-def _lock(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
-    name = f"locked_{axis.column.removesuffix('_rad')}"
+def _lock(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+    name = f"locked_{actuator.column.removesuffix('_rad')}"
     if name not in cause.values:
         return {}
     return {"lock": cause.values[name]}
 
 
-def _load(cause: Cause, axis: Axis, model: MultilinkModel) -> Mapping[str, float]:
-    inertia, drag = model.body.carried(model.body.tables(), model.driven.index(axis))
+def _load(cause: Cause, actuator: Actuated, model: MultilinkModel) -> Mapping[str, float]:
+    inertia, drag = model.body.loads[model.actuators.index(actuator)]
     return {**cause.values, "inertia_kg_m2": inertia, "drag_N_m_s2": drag}
 
 
 #: Class of the command filter for each effect of the actuators, with the function that computes its
-#: arguments. A joint for which this function returns no arguments has no filter.
+#: arguments. An actuator for which this function returns no arguments has no filter.
 FILTERS: dict[str, tuple[type[Filter], Arguments]] = {
     "amplitude-loss": (filters.AmplitudeLoss, _own_values),
     "amplitude-offset": (filters.AmplitudeOffset, _offset),
@@ -185,17 +185,20 @@ FILTERS: dict[str, tuple[type[Filter], Arguments]] = {
 
 
 def filters_text(filtered: Sequence[Cause], model: MultilinkModel, origin: Mapping[str, str]) -> str:
-    """Return the text of a Python file that filters the commands of the joints without importing swimid."""
+    """Return the text of a Python file that filters the commands without importing swimid.
+
+    It filters the command of each driven joint, or of each actuator that several joints follow.
+    """
     joints = {}
-    for axis in model.driven:
+    for actuator in model.actuators:
         calls = []
         for cause in filtered:
             kind, arguments = FILTERS[cause.name]
-            values = arguments(cause, axis, model)
+            values = arguments(cause, actuator, model)
             if values:
                 words = ", ".join(f"{name}={value!r}" for name, value in values.items())
                 calls.append(f"{kind.__name__}({words})")
-        joints[axis.joint.name] = calls
+        joints[actuator.name] = calls
     kinds: list[type[Filter]] = [Filter, *dict.fromkeys(FILTERS[cause.name][0] for cause in filtered)]
     sources = [inspect.getsource(kind) for kind in kinds]
     environment = Environment(

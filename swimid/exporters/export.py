@@ -332,6 +332,7 @@ def _to_json(source: Source, _: ExportOptions) -> Exported:
         "readings": {key: reading.chosen for key, reading in source.robot.readings.items()},
         "coefficients": dict(zip(source.assembly.names, source.values.tolist(), strict=True)),
         "links": [_link(link, links) for link in links],
+        "actuators": {name: law.model_dump(mode="json") for name, law in body.actuators.items()},
         "joints": [_joint(source, link) for link in links[1:]],
     }
     for kind, name in LISTS.items():

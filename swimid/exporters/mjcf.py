@@ -19,7 +19,7 @@ from swimid.exporters.causes import Cause
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import COLUMNS, Element, Exported, Source, central, export_xml
 from swimid.fitting.model import TRACEABLE, Force
-from swimid.swimmer.tree import Axis
+from swimid.swimmer.tree import Actuated
 
 TITLE = "MuJoCo MJCF"
 #: Kinds of force elements, each with its description in a warning. The position of a kind in this list is the
@@ -45,14 +45,14 @@ STEP_S = 0.002
 PLAY_RANGE, PLAY_HELD = 0.9, 0.1
 
 
-def _offset(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
-    if axis.driven is None or axis.driven.gain == 0.0:
+def _offset(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
+    if actuator.driven.gain == 0.0:
         return {}
     return {"offset_rad": values["offset_rad"]}
 
 
-def _lock(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
-    name = f"locked_{axis.column.removesuffix('_rad')}"
+def _lock(values: Mapping[str, float], actuator: Actuated) -> dict[str, float]:
+    name = f"locked_{actuator.column.removesuffix('_rad')}"
     if name not in values:
         return {}
     return {"gain": 1.0 - values[name]}
@@ -60,7 +60,7 @@ def _lock(values: Mapping[str, float], axis: Axis) -> dict[str, float]:
 
 #: Functions that compute settings of the MuJoCo actuator of a driven joint from the parameters of an effect.
 #: The key is the name of the effect.
-SERVOS: dict[str, Callable[[Mapping[str, float], Axis], dict[str, float]]] = {
+SERVOS: dict[str, Callable[[Mapping[str, float], Actuated], dict[str, float]]] = {
     "amplitude-loss": lambda values, _: {"gain": 1.0 - values["loss"]},
     "amplitude-offset": _offset,
     "joint-locked": _lock,
@@ -124,17 +124,18 @@ def _settings(source: Source) -> tuple[list[dict[str, float]], list[Cause]]:
     """Return the MuJoCo settings of the actuator of each driven joint, and the effects that need a filter.
 
     MuJoCo applies delay, lag, gain and play in this order. An effect needs a filter of the commands if MuJoCo
-    has no such setting, or if an earlier effect already uses the setting or excludes it.
+    has no such setting, or if an earlier effect already uses the setting or excludes it. If several joints
+    follow one actuator, every effect needs a filter, because it acts on the actuator and not on the joints.
     """
-    driven = source.assembly.driven
-    settings: list[dict[str, float]] = [{} for _ in driven]
+    actuators, joints = source.assembly.actuators, source.assembly.driven
+    settings: list[dict[str, float]] = [{} for _ in joints]
     filtered = []
     for cause in source.causes:
         if not cause.hooks.command:
             continue
         own = []
-        if cause.name in SERVOS:
-            own = [SERVOS[cause.name](cause.values, axis) for axis in driven]
+        if cause.name in SERVOS and not source.transmissions:
+            own = [SERVOS[cause.name](cause.values, actuator) for actuator in actuators]
         names, taken = ({key for one in many for key in one} for many in (own, settings))
         limited = "rate_rad_s" in names | taken
         if not own or names & taken or (limited and (names | taken) & NOT_WITH_RATE):

@@ -21,7 +21,7 @@ from swimid.robots.file import Robot
 from swimid.robots.planar import Joint, Multilink
 from swimid.swimmer.planar import engine
 from swimid.swimmer.planar.model import Assembly, MultilinkModel
-from swimid.swimmer.tree import Polynomial
+from swimid.swimmer.tree import Actuated, Axis, Polynomial
 
 #: Names of the numerical values that describe a force element, for each kind of force element. Their order is
 #: that of the columns in the input arrays of the equations of motion (``engine``).
@@ -269,6 +269,28 @@ class Source:
                 inertias[i] = link.rigid + about(np.diag([mass, mass, moment]), -x, -y)
         return inertias
 
+    def actuator(self, axis: Axis) -> Actuated:
+        """Return the actuator of a driven joint."""
+        return self.assembly.actuators[self.assembly.actuator_of[self.assembly.driven.index(axis)]]
+
+    @property
+    def transmissions(self) -> list[str]:
+        """Sentences on the driven joints that follow a shared actuator, which no XML format has."""
+        values = dict(zip(self.assembly.names, self.values, strict=True))
+        found = []
+        for axis in self.assembly.driven:
+            law = axis.joint.driven
+            if law.actuator is None:
+                continue
+            rule = f"{Polynomial.of(law.ratio).at(values):.6g} times its angle"
+            if law.table_deg is not None:
+                rule = "its angle by the table of the robot file"
+            found.append(
+                f"{axis.name} follows the actuator {law.actuator} in swimid; here it has a servo of its own: "
+                f"command it with {rule}"
+            )
+        return found
+
     def servos(self, inertias: list[Array], default_hz: float) -> list[dict[str, Any]]:
         """Compute the gains of a position servo for each driven joint.
 
@@ -283,8 +305,8 @@ class Source:
         servos = []
         for axis in self.assembly.driven:
             frequency, ratio = default_hz, 1.0
-            if axis.joint.driven and axis.joint.driven.servo:
-                law = axis.joint.driven.servo
+            law = self.actuator(axis).driven.servo
+            if law is not None:
                 frequency = Polynomial.of(law.natural_frequency_hz).at(values)
                 ratio = Polynomial.of(law.damping_ratio).at(values)
             omega, moment = 2.0 * math.pi * frequency, moments[axis.link]
@@ -391,14 +413,14 @@ def _joint_limits(source: Source, servo_hz: float) -> list[str]:
         for name, law in source.laws.items()
         if law["friction"]
     ]
-    driven = [axis.joint for axis in source.assembly.driven]
-    assumed = [joint.name for joint in driven if joint.driven and joint.driven.servo is None]
+    driven = source.assembly.driven
+    assumed = [axis.name for axis in driven if source.actuator(axis).driven.servo is None]
     if assumed:
         limits.append(
             f"driven joints follow their command exactly in swimid; here a position servo of {servo_hz:g} Hz "
             f"moves them: {', '.join(assumed)}"
         )
-    return limits
+    return [*limits, *source.transmissions]
 
 
 # ---------------------------------------------------------------- text of XML formats

@@ -147,20 +147,60 @@ class Tendon(yamlio.Document):
         return self
 
 
-class Driven(yamlio.Document):
-    """Law of a driven joint, whose angle follows the drive of the trial or a measured angle."""
+class Actuator(yamlio.Document):
+    """Law of an actuator, whose angle follows the drive of the trial or a logged angle."""
 
-    #: Amplitude of the joint angle divided by the amplitude of the drive. The bias of the drive is multiplied
-    #: by the same factor unless ``bias_gain`` is given.
+    #: Amplitude of the angle divided by the amplitude of the drive. The bias of the drive is multiplied by
+    #: the same factor unless ``bias_gain`` is given.
     gain: float = 1.0
     bias_gain: float | None = None
-    #: Phase lag of the joint angle behind the drive, degrees.
+    #: Phase lag of the angle behind the drive, degrees.
     phase_lag_deg: float = 0.0
     servo: Servo | None = None
-    #: Maximum absolute angle and rate that may be commanded to the joint. Proposed trials respect these
-    #: limits. Recorded trials are not checked.
+    #: Maximum absolute angle and rate that may be commanded. Proposed trials respect these limits. Recorded
+    #: trials are not checked.
     max_angle_deg: PositiveFloat | None = None
     max_rate_deg_s: PositiveFloat | None = None
+
+
+class Driven(Actuator):
+    """Law of a driven joint: its own actuator, or the transmission by which it follows a shared actuator."""
+
+    #: Name of the shared actuator; by default the joint has its own.
+    actuator: str | None = None
+    #: Angle of the joint divided by that of the shared actuator.
+    ratio: Quantity = 1.0
+    #: Rows of actuator angle and joint angle, degrees, in place of a ratio. The actuator angles increase.
+    table_deg: Annotated[list[tuple[float, float]], Field(min_length=2)] | None = None
+
+    @property
+    def computed(self) -> bool:
+        """Whether the angle is computed, from a command or a shared actuator. It is then never given."""
+        return self.servo is not None or self.actuator is not None
+
+    @model_validator(mode="after")
+    def _one_law(self) -> Self:
+        stated = self.model_fields_set
+        transmission = sorted(stated & {"ratio", "table_deg"})
+        own = sorted(stated & set(Actuator.model_fields))
+        if self.actuator is None:
+            if transmission:
+                raise ValueError(f"'{transmission[0]}' needs an 'actuator': name one of 'actuators'")
+            return self
+        if own:
+            raise ValueError(
+                f"'{own[0]}' would drive the joint a second time, because it follows the actuator "
+                f"'{self.actuator}': state '{own[0]}' under 'actuators'"
+            )
+        if len(transmission) == 2:
+            raise ValueError("give 'ratio' or 'table_deg', not both")
+        for (low, _), (high, _) in pairwise(self.table_deg or ()):
+            if high <= low:
+                raise ValueError(
+                    f"the actuator angles of 'table_deg' must increase, but {high:g} follows {low:g}: "
+                    "sort the rows, and give each actuator angle once"
+                )
+        return self
 
 
 class Yielding(yamlio.Document):
@@ -445,6 +485,8 @@ class Multilink(yamlio.Document):
     points: dict[str, Place] = {}
     coefficients: Coefficients = {}
     inputs: dict[str, Input] = {}
+    #: Actuators that several driven joints follow, by name.
+    actuators: dict[str, Actuator] = {}
     links: Annotated[list[Link], Field(min_length=1)]
     joints: list[Joint] = []
     elements: list[Element] = []

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from swimid.files import yamlio
-from swimid.robots.planar import Coefficients, Connection, Holder, Input, OnLink, Quantity
+from swimid.robots.planar import Actuator, Coefficients, Connection, Holder, Input, OnLink, Quantity
 
 #: Type of a vector with three physical quantities as components along the axes of a link.
 Vector = tuple[Quantity, Quantity, Quantity]
@@ -274,6 +274,8 @@ class Multibody(yamlio.Document):
     surface_z_m: float | None = None
     coefficients: Coefficients = {}
     inputs: dict[str, Input] = {}
+    #: Actuators that several driven hinges follow, by name.
+    actuators: dict[str, Actuator] = {}
     links: Annotated[list[Body], Field(min_length=1)]
     joints: list[Hinge] = []
     elements: list[Element] = []
@@ -281,12 +283,14 @@ class Multibody(yamlio.Document):
 
     @model_validator(mode="after")
     def _names(self) -> Multibody:
-        driven = [h.name for h in self.joints if h.driven is not None]
+        driven = [h.name for h in self.joints if h.driven is not None and h.driven.actuator is None]
+        driven += self.actuators
         for stroke, law in self.strokes.items():
             unknown = [name for name in law.angles_deg if name not in driven]
             if unknown:
                 raise ValueError(
-                    f"the stroke '{stroke}' moves '{unknown[0]}', which is no driven hinge; there are: "
+                    f"the stroke '{stroke}' moves '{unknown[0]}', which is no driven hinge with an actuator "
+                    "of its own, and no actuator; there are: "
                     f"{', '.join(driven) or 'none'}"
                 )
         return self

@@ -362,12 +362,12 @@ def _recorded(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Arr
 
 
 def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
-    """Return the commanded angle of every driven joint, rad, as the columns of a log."""
+    """Return the commanded angle of every actuator, rad, as the columns of a log."""
     phase = float(values[model.index("drive_phase")])
     time = trial.time_s - float(values[model.index("clock_offset")])
     return {
-        axis.column.replace("joint", "cmd"): model.command(k, trial.swim, time, phase)
-        for k, axis in enumerate(model.driven)
+        actuator.command: model.command(k, trial.swim, time, phase)
+        for k, actuator in enumerate(model.actuators)
     }
 
 

@@ -22,12 +22,14 @@ from scipy.optimize import minimize_scalar
 from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial
+from swimid.notices import warn
 from swimid.robots.planar import Input
 from swimid.swimmer.planar.engine import sampled
-from swimid.swimmer.tree import Axis, Polynomial, given
+from swimid.swimmer.transmission import Transmission
+from swimid.swimmer.tree import Actuated, Polynomial, Tree, given
 
 Value = TypeVar("Value")
-#: Natural frequency (Hz) and damping ratio of the servo of each driven joint; None for a joint without a
+#: Natural frequency (Hz) and damping ratio of the servo of each actuator; None for an actuator without a
 #: servo.
 Servos = tuple[tuple[float, float] | None, ...]
 #: Power, dead band, factor for negative values, and time constant (s) of each input.
@@ -126,29 +128,23 @@ class DrivenJoints:
 
     Parameters
     ----------
-    axes : sequence of Axis
-    coefficients : sequence of str
-        Names of the coefficients of the robot. The properties of servos may depend on them.
+    tree : Tree
+        Links of the robot, with its actuators, driven joints and inputs. The properties of servos, ratios of
+        transmissions and laws of inputs may depend on the coefficients.
     mounts_rad : sequence of float
         Mounting angle that :func:`table` adds to the angle of each joint.
-    inputs : mapping of name to Input
-        Inputs of the robot, whose laws may depend on the coefficients.
     """
 
-    def __init__(
-        self,
-        axes: Sequence[Axis],
-        coefficients: Sequence[str],
-        mounts_rad: Sequence[float],
-        inputs: Mapping[str, Input],
-    ) -> None:
-        self.axes, self.mounts_rad = axes, mounts_rad
-        self._names = coefficients
-        self.inputs = inputs
-        self._servos = [_servo(axis) for axis in axes]
+    def __init__(self, tree: Tree, mounts_rad: Sequence[float]) -> None:
+        self.actuators, self.mounts_rad = tree.actuators, mounts_rad
+        self._tree, self._names = tree, tree.names
+        self.inputs: Mapping[str, Input] = tree.body.inputs
+        self._servos = [_servo(axis) for axis in self.actuators]
+        self._transmissions = [Transmission(axis.joint.driven) for axis in tree.driven]
+        self._beyond: set[str] = set()
         self._laws = [
             [Polynomial.of(entry) for entry in (law.power, law.dead_band, law.reverse, law.lag_s)]
-            for law in inputs.values()
+            for law in self.inputs.values()
         ]
         self._motions: TrialCache[DrivenMotion] = TrialCache(MAX_MOTIONS)
         self._commands: TrialCache[tuple[Array, list[Motion]]] = TrialCache(MAX_COMMANDS)
@@ -162,15 +158,15 @@ class DrivenJoints:
             self._read.pop(name, None)
 
     def commands(self, trial: Trial) -> list[tuple[Array, Array, float]]:
-        """Return time (s), command and maximum rate of the command of each driven joint and each input.
+        """Return time (s), command and maximum rate of the command of each actuator and each input.
 
-        The commands of joints are in rad, those of inputs in the unit of their column. Measured inputs are
-        not commands.
+        The commands of actuators are in rad, those of inputs in the unit of their column. Measured inputs
+        are not commands.
         """
         known = self._read.get(trial.id)
         if known is None or known[0] is not trial.swim or known[1] is not trial.time_s:
             time = np.arange(float(trial.time_s[0]), float(trial.time_s[-1]) + READ_S, READ_S)
-            motions = [joint_motion(axis, k, trial.swim, time, 0.0) for k, axis in enumerate(self.axes)]
+            motions = [joint_motion(axis, k, trial.swim, time, 0.0) for k, axis in enumerate(self.actuators)]
             found = [(time, angle, float(np.max(np.abs(rate)))) for angle, rate, _ in motions]
             for name, law in self.inputs.items():
                 if not law.measured and name in trial.swim.inputs:
@@ -191,8 +187,8 @@ class DrivenJoints:
     ) -> DrivenMotion:
         """Return the motion of the driven joints in the simulation of a trial.
 
-        Coefficients of the robot affect the motion only through the properties of servos, and the inputs
-        only through their laws.
+        Coefficients of the robot affect the motion only through the properties of servos and the ratios of
+        transmissions, and the inputs only through their laws.
 
         Parameters
         ----------
@@ -208,23 +204,37 @@ class DrivenJoints:
         cached : bool
             Whether the motion is kept for later simulations.
         """
-        named = {}
-        if any(self._servos) or self._laws:
-            named = dict(zip(self._names, values, strict=False))
+        named = dict(zip(self._names, values, strict=False))
         servos = tuple(s and (s[0].at(named), s[1].at(named)) for s in self._servos)
         laws: Laws = tuple(tuple(entry.at(named) for entry in law) for law in self._laws)
-        key = (grid, phase_rad, servos, laws, hooks.command_key)
+        ratios = self._ratios(named)
+        key = (grid, phase_rad, servos, ratios, laws, hooks.command_key)
         found = self._motions.get(trial.id, key)
         if found is None:
             of_joints = hooks
             if trial.swim.measured:
                 of_joints = NONE
-            found = self._moved(trial, grid, phase_rad, servos, of_joints)
+            found = self._moved(trial, grid, phase_rad, servos, ratios, of_joints)
             if laws:
                 found = self._with_inputs(found, trial, grid, laws, hooks)
             if cached:
                 self._motions.put(trial.id, key, found)
         return found
+
+    def _ratios(self, named: Mapping[str, float]) -> tuple[float, ...]:
+        """Return the ratio of the transmission of each driven joint."""
+        return tuple(transmission.ratio.at(named) for transmission in self._transmissions)
+
+    def slopes(self, values: Array) -> list[float]:
+        """Return the rate of each driven joint divided by that of its actuator at the actuator angle zero.
+
+        Parameters
+        ----------
+        values : ndarray
+            Parameter vector that begins with the coefficients of the robot.
+        """
+        ratios = self._ratios(dict(zip(self._names, values, strict=False)))
+        return [law.slope(ratio) for law, ratio in zip(self._transmissions, ratios, strict=True)]
 
     def _with_inputs(
         self, found: DrivenMotion, trial: Trial, grid: Grid, laws: Laws, hooks: Hooks
@@ -237,25 +247,37 @@ class DrivenJoints:
                 continue
             value = given_inputs[name](half)
             if hooks.command and not law.measured:
-                value = hooks.actuated(half, value, len(self.axes) + k)
+                value = hooks.actuated(half, value, len(self.actuators) + k)
             rows[:, k, 0] = act(value, 0.5 * grid.step_s, *own)
         return DrivenMotion(np.concatenate([found.table, rows], axis=1), found.joints)
 
     def _moved(
-        self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks
+        self,
+        trial: Trial,
+        grid: Grid,
+        phase_rad: float,
+        servos: Servos,
+        ratios: tuple[float, ...],
+        hooks: Hooks,
     ) -> DrivenMotion:
         lead_s = _memory_s(trial.swim, servos, hooks)
         if lead_s == 0.0:
-            return self._actuated(trial, grid, phase_rad, servos, hooks)
+            return self._actuated(trial, grid, phase_rad, servos, ratios, hooks)
         # begin the motion earlier, so that the initial transients of servos and backlash have decayed at the
         # first step
         before = math.ceil(lead_s / grid.step_s)
         early = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
-        whole = self._actuated(trial, early, phase_rad, servos, hooks)
+        whole = self._actuated(trial, early, phase_rad, servos, ratios, hooks)
         return DrivenMotion(whole.table[2 * before :], whole.joints)
 
     def _actuated(
-        self, trial: Trial, grid: Grid, phase_rad: float, servos: Servos, hooks: Hooks
+        self,
+        trial: Trial,
+        grid: Grid,
+        phase_rad: float,
+        servos: Servos,
+        ratios: tuple[float, ...],
+        hooks: Hooks,
     ) -> DrivenMotion:
         half, commands = self._commanded(trial, grid, phase_rad)
         motions: list[Motion] = []
@@ -275,40 +297,61 @@ class DrivenJoints:
                     motions.append(deviated(motion, actual[-1], 0.5 * grid.step_s))
             else:
                 motions.append(motion)
-        return DrivenMotion(table(len(half), motions, self.mounts_rad), len(motions))
+        joints = zip(self._transmissions, self._tree.actuator_of, ratios, strict=True)
+        moved = [law.motion(motions[k], ratio) for law, k, ratio in joints]
+        return DrivenMotion(table(len(half), moved, self.mounts_rad), len(moved))
 
     def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> tuple[Array, list[Motion]]:
-        """Return the times of the half steps of the grid, and the commanded motion of each joint.
+        """Return the times of the half steps of the grid, and the commanded motion of each actuator.
 
-        It is sampled at half steps of the grid, or at quarter steps for a joint with a servo.
+        It is sampled at half steps of the grid, or at quarter steps for an actuator with a servo.
         """
         known = self._commands.get(trial.id, (grid, phase_rad))
         if known is not None:
             return known
         found: list[Motion] = []
-        for k, (axis, servo) in enumerate(zip(self.axes, self._servos, strict=True)):
+        for k, (axis, servo) in enumerate(zip(self.actuators, self._servos, strict=True)):
             if k and self._is_like_last(k, trial.swim):
                 found.append(found[-1])
                 continue
             parts = 2 if servo is None else 4
             found.append(joint_motion(axis, k, trial.swim, grid.times(parts), phase_rad))
+        self._warn_beyond_tables(trial, found)
         return self._commands.put(trial.id, (grid, phase_rad), (grid.times(2), found))
 
+    def _warn_beyond_tables(self, trial: Trial, commands: Sequence[Motion]) -> None:
+        """Warn once of each joint whose actuator is commanded to leave the table of the joint."""
+        joints = zip(self._tree.driven, self._transmissions, self._tree.actuator_of, strict=True)
+        for axis, law, k in joints:
+            low, high = law.range_rad
+            angle = commands[k][0]
+            if axis.name in self._beyond or np.all((angle >= low) & (angle <= high)):
+                continue
+            self._beyond.add(axis.name)
+            least, most, low, high = np.degrees([angle.min(), angle.max(), low, high])
+            name = self.actuators[k].name
+            warn(
+                "SWM077",
+                f"in the trial '{trial.id}' the actuator '{name}' moves from {least:.4g} to {most:.4g} deg, "
+                f"beyond the table of the joint '{axis.name}', {low:.4g} to {high:.4g} deg: the tangent at "
+                "the last row continues the table; add rows to 'table_deg', or reduce the drive",
+            )
+
     def _is_like_last(self, k: int, swim: SwimInput) -> bool:
-        """Return whether a beat moves driven joint ``k`` in the same way as driven joint ``k - 1``."""
+        """Return whether a beat moves actuator ``k`` in the same way as actuator ``k - 1``."""
         if swim.joints is not None or swim.stroke is not None or swim.beat is None:
             return False
-        return swim.beat.lag_rad == 0.0 and self.axes[k - 1].driven == self.axes[k].driven
+        return swim.beat.lag_rad == 0.0 and self.actuators[k - 1].driven == self.actuators[k].driven
 
 
-def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Motion:
-    """Return the commanded motion of a driven joint from measured angles, a stroke or a beat.
+def joint_motion(actuator: Actuated, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Motion:
+    """Return the commanded motion of an actuator from logged angles, a stroke or a beat.
 
     Parameters
     ----------
-    axis : Axis
+    actuator : Actuated
     number : int
-        Index of the joint among the driven joints.
+        Index of the actuator.
     swim : SwimInput
     time_s : ndarray, shape (n,)
     phase_rad : float
@@ -316,11 +359,10 @@ def joint_motion(axis: Axis, number: int, swim: SwimInput, time_s: Array, phase_
     """
     if swim.joints is not None:
         return swim.joints[number](time_s)
-    law = axis.driven
-    assert law is not None
+    law = actuator.driven
     phase = phase_rad - math.radians(law.phase_lag_deg)
     if swim.stroke is not None:
-        return swim.stroke.motion(axis.name, time_s, phase_rad=phase)
+        return swim.stroke.motion(actuator.name, time_s, phase_rad=phase)
     if swim.beat is None:
         return drives.straight(time_s)
     bias_gain = given(law.bias_gain, law.gain)
@@ -345,9 +387,9 @@ def _memory_s(swim: SwimInput, servos: Servos, hooks: Hooks) -> float:
     return forgotten
 
 
-def _servo(axis: Axis) -> tuple[Polynomial, Polynomial] | None:
-    law = axis.driven
-    if law is None or law.servo is None:
+def _servo(actuator: Actuated) -> tuple[Polynomial, Polynomial] | None:
+    law = actuator.driven
+    if law.servo is None:
         return None
     return Polynomial.of(law.servo.natural_frequency_hz), Polynomial.of(law.servo.damping_ratio)
 

@@ -98,16 +98,22 @@ class Energetics:
         Times with an even step.
     torque_N_m, rate_rad_s : ndarray, shape (m, driven joints)
         Torque of each driven joint on its child link, and rate of the joint.
+    actuator_of : sequence of int
+        Index of the actuator of each driven joint.
     """
 
     time_s: Array
     torque_N_m: Array
     rate_rad_s: Array
+    actuator_of: Sequence[int]
 
     @property
     def power_W(self) -> Array:
-        """Mechanical power of each driven joint, shape (m, driven joints)."""
-        return self.torque_N_m * self.rate_rad_s
+        """Mechanical power of each actuator, which is that of its joints, shape (m, actuators)."""
+        found = np.zeros((len(self.time_s), max(self.actuator_of, default=-1) + 1))
+        for joint, actuator in enumerate(self.actuator_of):
+            found[:, actuator] += self.torque_N_m[:, joint] * self.rate_rad_s[:, joint]
+        return found
 
     def mean(self, power_W: Array) -> float:
         """Return the mean of a power over the simulated time by the trapezoidal rule, W."""
@@ -118,9 +124,9 @@ class Energetics:
         return self.mean(self.power_W.sum(axis=1))
 
     def mean_positive_power_W(self) -> float:
-        """Return the mean mechanical power of all driven joints without energy recovery, W.
+        """Return the mean mechanical power of all actuators without energy recovery, W.
 
-        Negative power of a joint counts as zero.
+        Negative power of an actuator counts as zero.
         """
         return self.mean(np.maximum(self.power_W, 0.0).sum(axis=1))
 
@@ -160,6 +166,7 @@ class Swimmer(Model):
         self.robot, self.max_step = robot, max_step
         self.tree = self._tree()
         self.driven, self.passive = self.tree.driven, self.tree.passive
+        self.actuators = self.tree.actuators
         # the first parameters are the coefficients of the robot file
         self.free_base, self.coefficients = self.tree.free_base, self.tree.names
         # name the parameters for the offset of the start pose of each trial
@@ -183,7 +190,7 @@ class Swimmer(Model):
             for names in (velocities, self.starts)
         )
         self.inputs = self.tree.body.inputs
-        self.joints = DrivenJoints(self.driven, self.tree.names, self._mounts(), self.inputs)
+        self.joints = DrivenJoints(self.tree, self._mounts())
         self.kernels = Kernels(self.engine, self.tree.tables, len(self.coefficients), self._room)
         self._trajectories: TrialCache[Trajectory] = TrialCache(MAX_TRAJECTORIES)
         self._grids: dict[str, tuple[Array, Grid]] = {}
@@ -264,11 +271,11 @@ class Swimmer(Model):
     def given(self, trial: Trial) -> list[str]:
         """Return the channels of measured joint angles that drive the simulation.
 
-        Joints with a servo are not among them, because their angles are simulated.
+        Joints with a servo or a shared actuator are not among them, because their angles are simulated.
         """
         if trial.swim.joints is None:
             return []
-        return [a.column for a in self.driven if a.driven is not None and a.driven.servo is None]
+        return [a.column for a in self.driven if a.driven is not None and not a.driven.computed]
 
     def check(self, values: Array) -> None:
         """Raise an error if the coefficients give physically impossible masses or inertias.
@@ -283,8 +290,8 @@ class Swimmer(Model):
             self._checked = own.tobytes()
 
     def command(self, number: int, swim: SwimInput, time_s: Array, phase_rad: float) -> Array:
-        """Return the commanded angle of a driven joint, rad, shape (n,)."""
-        return joint_motion(self.driven[number], number, swim, time_s, phase_rad)[0]
+        """Return the commanded angle of an actuator, rad, shape (n,)."""
+        return joint_motion(self.actuators[number], number, swim, time_s, phase_rad)[0]
 
     def commanded(self, trial: Trial) -> bool:
         """Return whether commands act in a trial: a drive, logged commands, or unmeasured inputs."""
@@ -294,9 +301,9 @@ class Swimmer(Model):
         return joints or any(not law.measured for law in self.inputs.values())
 
     def commands(self, trial: Trial) -> Iterator[tuple[Array, Array, float]]:
-        """Yield time (s), command and maximum rate of the command of each driven joint and input.
+        """Yield time (s), command and maximum rate of the command of each actuator and input.
 
-        The commands of joints are in rad, those of inputs in the unit of their column.
+        The commands of actuators are in rad, those of inputs in the unit of their column.
         """
         yield from self.joints.commands(trial)
 
@@ -697,7 +704,7 @@ def _energetics(model: Swimmer, run: Run, trajectory: Trajectory, last_s: float)
     first = max(len(trajectory.states) - 1 - steps, 0)
     torque = model.torques(run, trajectory, first)[0][:, [a.link for a in model.driven]]
     rates = trajectory.drive.table[::2][first:, : len(model.driven), 1]
-    return Energetics(trajectory.grid.times(1)[first:], torque, rates)
+    return Energetics(trajectory.grid.times(1)[first:], torque, rates, model.tree.actuator_of)
 
 
 def trial_parameter(name: str, unit: str, scale: float, meaning: str) -> Parameter:

@@ -19,7 +19,7 @@ import numpy as np
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Array, Parameter
 from swimid.robots.file import Fluid
-from swimid.robots.planar import Coefficient, Connection, Driven, factors
+from swimid.robots.planar import Actuator, Coefficient, Connection, Driven, factors
 from swimid.swimmer.planar.engine import PASSIVE
 
 #: Maximum number of coefficient vectors whose input arrays are cached.
@@ -197,7 +197,7 @@ class Table:
 #: Keys of links, joints and elements whose strings are not physical quantities.
 WORDS = {
     *("name", "link", "parent", "child", "kind", "inertia_about", "frame", "added_mass_direction"),
-    *("input", "column", "measured"),
+    *("input", "column", "measured", "actuator"),
 }
 
 
@@ -226,33 +226,69 @@ class Axis:
         return self.column.replace("_rad", "_rate_rad_s")
 
 
+@dataclass(frozen=True)
+class Actuated:
+    """Actuator of one or several driven joints.
+
+    Attributes
+    ----------
+    name : str
+        Name of the actuator, or of the joint that has the actuator for itself.
+    column : str
+        Log column of its angle.
+    driven : Actuator
+        Law by which it follows the drive.
+    """
+
+    name: str
+    column: str
+    driven: Actuator
+
+    @property
+    def command(self) -> str:
+        """Log column of the commanded angle."""
+        return self.column.replace("joint", "cmd", 1)
+
+
 def check_names(body: Any, part: str) -> None:
     """Raise an error for duplicate or unknown names in one part of the robot file.
 
     The error states the dotted path of the name.
     """
     links = [link.name for link in body.links]
-    for kind, given in (("links", links), ("joints", [joint.name for joint in body.joints])):
+    joints = [joint.name for joint in body.joints]
+    for kind, given in (("links", links), ("joints", joints)):
         for n, own in enumerate(given):
             if own in given[:n]:
                 raise InputError(f"the name '{own}' stands twice", column=f"{part}.{kind}.{n}")
+    for name in body.actuators:
+        if name in joints:
+            raise InputError(
+                f"a joint is called '{name}', too",
+                column=f"{part}.actuators.{name}",
+                hint="rename one of them",
+            )
     used = [(f"joints.{j.name}.{end}", getattr(j, end)) for j in body.joints for end in ("parent", "child")]
     used += [(f"elements.{n}.link", e.link) for n, e in enumerate(body.elements)]
     asked = [(f"elements.{n}.input", e.input) for n, e in enumerate(body.elements) if e.kind == "load"]
     asked += [(f"joints.{j.name}.torque.input", j.torque.input) for j in body.joints if j.torque is not None]
-    inputs = list(body.inputs)
-    for kind, known, names in (("link", links, used), ("input", inputs, asked)):
+    follow = [
+        (f"joints.{j.name}.driven.actuator", j.driven.actuator)
+        for j in body.joints
+        if j.driven is not None and j.driven.actuator is not None
+    ]
+    tables = ("link", links, used), ("input", list(body.inputs), asked), ("actuator", body.actuators, follow)
+    for kind, known, names in tables:
         for where, name in names:
             if name not in known:
-                hint = suggestion(name, known, f"'{part}.{kind}s' has")
+                hint = suggestion(name, list(known), f"'{part}.{kind}s' has")
                 raise InputError(f"there is no {kind} '{name}'", column=f"{part}.{where}", hint=hint)
-    known = list(body.coefficients)
+    stated = list(body.coefficients)
     for path, quantity in quantities(body, part):
-        unknown = sorted(Polynomial.of(quantity).names - set(known))
+        unknown = sorted(Polynomial.of(quantity).names - set(stated))
         if unknown:
-            raise InputError(
-                f"there is no coefficient '{unknown[0]}'", column=path, hint=suggestion(unknown[0], known)
-            )
+            hint = suggestion(unknown[0], stated)
+            raise InputError(f"there is no coefficient '{unknown[0]}'", column=path, hint=hint)
 
 
 def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
@@ -260,7 +296,8 @@ def quantities(body: Any, part: str) -> Iterator[tuple[str, float | str]]:
 
     In the path, a member of a list has its name, or its index if it has no name.
     """
-    yield from _leaves(body.model_dump(include={"links", "joints", "elements", "inputs", "holder"}), part)
+    parts = {"links", "joints", "elements", "inputs", "actuators", "holder"}
+    yield from _leaves(body.model_dump(include=parts), part)
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, float | str]]:
@@ -337,6 +374,10 @@ class Tree(ABC):
     links : list of Link or Body
         Parents before children. The first link is the base.
     driven, passive : list of Axis
+    actuators : list of Actuated
+        Actuators of the driven joints, in the order of the first joint that each of them moves.
+    actuator_of : list of int
+        Index of the actuator of each driven joint.
     free_base : bool
     topology : ndarray of int, shape (links, 3)
         Indices of the parent, the driven joint and the passive joint of each link; -1 for none.
@@ -369,6 +410,7 @@ class Tree(ABC):
         axes = [Axis(j, f"joint{k + 1}_rad", self.index[j.child]) for k, j in enumerate(moving)]
         self.driven = [a for a in axes if a.joint.driven is not None]
         self.passive = [a for a in axes if a.joint.passive is not None]
+        self.actuators, self.actuator_of = _actuated(body, self.driven)
         self.topology = np.full((len(self.links), 3), -1, dtype=np.int64)
         for i in range(1, len(self.links)):
             self.topology[i, 0] = self.index[self._joints[i].parent]
@@ -465,6 +507,21 @@ class Tree(ABC):
     @abstractmethod
     def _place(self, joint: Any) -> Row:
         """Return the row of a joint in the ``joint`` input array. The joint of the base is None."""
+
+
+def _actuated(body: Any, driven: Sequence[Axis]) -> tuple[list[Actuated], list[int]]:
+    """Return the actuators of driven joints, and the index of the actuator of each joint."""
+    found: dict[str, Actuated] = {}
+    names = []
+    for axis in driven:
+        law = axis.joint.driven
+        own = Actuated(axis.name, axis.column, law)
+        if law.actuator is not None:
+            own = Actuated(law.actuator, f"joint_{law.actuator}_rad", body.actuators[law.actuator])
+        found.setdefault(own.name, own)
+        names.append(own.name)
+    order = list(found)
+    return list(found.values()), [order.index(name) for name in names]
 
 
 def check_apparent(inertia: Array, sizes: Array, *, column: str, hint: str) -> None:

@@ -35,6 +35,7 @@ from swimid.swimmer import drive as driven
 from swimid.swimmer.model import Swimmer
 from swimid.swimmer.options import STEP_S
 from swimid.swimmer.planar.model import MultilinkModel
+from swimid.swimmer.tree import Actuated
 
 #: Minimum initial speed of a log that begins in motion: as a fraction of the maximum speed in the log, and as
 #: a number of standard errors of the initial speed. Both must be exceeded.
@@ -144,7 +145,7 @@ def load(
         Interpretations of the robot's source that replace those of the file.
     channels : sequence of str
         Columns to fit. By default these are the pose if it is logged, otherwise the velocities, and the
-        logged angles of passive joints and of driven joints behind a servo.
+        logged angles of passive joints and of driven joints behind a servo or a shared actuator.
     start_state : {"auto", "rest", "estimate", "steady"}
         State at the first sample. ``auto`` takes the key ``start_state`` of each trial. Without that key, the
         opening of the log decides. ``steady`` is the limit cycle under the trial's drive.
@@ -254,16 +255,16 @@ def _interpolated(time_s: Array, values: Array, asked_s: Array) -> Array:
 
 
 def with_logged_joints(swim: SwimInput, model: Swimmer, log: Log) -> SwimInput:
-    """Return the input of a model with the motions of its driven joints from a log.
+    """Return the input of a model with the motions of its actuators from a log.
 
     Raises
     ------
     InputError
-        The log lacks the angle and the command of a joint.
+        The log lacks the angle and the command of an actuator.
     """
-    if not model.driven:
+    if not model.actuators:
         return swim
-    motions = [_logged_motion(model, k, log) for k in range(len(model.driven))]
+    motions = [_logged_motion(actuator, log) for actuator in model.actuators]
     commanded = any(is_command for _, is_command in motions)
     return replace(swim, joints=[motion for motion, _ in motions], commanded=commanded)
 
@@ -318,27 +319,20 @@ def cycle_of(command: StrokeDrive, model: Swimmer, path: Path | None = None) -> 
 
 
 def input_columns(model: Swimmer) -> list[str]:
-    """Return the log columns of angles and commands of the driven joints, and of the inputs."""
-    angles = [axis.column for axis in model.driven]
-    commands = [_command_column(name) for name in angles]
+    """Return the log columns of angles and commands of the actuators, and of the inputs."""
+    angles = [actuator.column for actuator in model.actuators]
+    commands = [actuator.command for actuator in model.actuators]
     return [*angles, *commands, *(law.column for law in model.inputs.values())]
 
 
-def _command_column(joint: str) -> str:
-    """Return the column name of a joint's commanded angle."""
-    return joint.replace("joint", "cmd")
+def _logged_motion(actuator: Actuated, log: Log) -> tuple[Any, bool]:
+    """Return the motion of an actuator from its log, and whether this motion is a command.
 
-
-def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
-    """Return the motion of a driven joint from its log, and whether this motion is a command.
-
-    The measured angle is preferred, except that the commanded angle is preferred for a joint with a servo. A
-    joint with a gain of 0 stays straight if neither angle is logged.
+    The measured angle is preferred, except that the commanded angle is preferred for an actuator with a
+    servo. An actuator with a gain of 0 stays straight if neither angle is logged.
     """
-    axis = model.driven[number]
-    law, command = axis.driven, _command_column(axis.column)
-    assert law is not None
-    candidates = [axis.column, command]
+    law, command = actuator.driven, actuator.command
+    candidates = [actuator.column, command]
     if law.servo is not None:
         candidates.reverse()
     for candidate in candidates:
@@ -348,10 +342,10 @@ def _logged_motion(model: Swimmer, number: int, log: Log) -> tuple[Any, bool]:
     if law.gain == 0.0 and not law.bias_gain:
         return drives.straight, False
     raise InputError(
-        f"the driven joint '{axis.name}' needs this column, or '{command}'",
+        f"the driven joint or actuator '{actuator.name}' needs this column, or '{command}'",
         file=log.path,
         line=log.first_line - 1 if log.first_line else None,
-        column=axis.column,
+        column=actuator.column,
         hint="or give the trial a 'drive' in the trials file",
     )
 
@@ -383,7 +377,7 @@ def _default_channels(model: Swimmer, log: Log) -> list[str]:
     else:
         chosen = logged(model.reactions)
     chosen += logged([a.column for a in model.passive])
-    chosen += logged([a.column for a in model.driven if a.driven and a.driven.servo])
+    chosen += logged([a.column for a in model.driven if a.driven and a.driven.computed])
     if not chosen:
         names = ", ".join(c.name for c in model.channels)
         raise InputError("holds none of the robot's channels", file=log.path, hint=f"it may have: {names}")

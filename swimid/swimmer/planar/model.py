@@ -378,6 +378,7 @@ class Body:
     density_kg_m3, step_s : float
         Density of the water, and maximum integration step.
     driven, passive : sequence of Axis
+    actuators : sequence of Actuated
     masses_kg : list of float
         Mass of each link, without added mass.
     """
@@ -391,7 +392,7 @@ class Body:
         self.reference_m = model.reference_m
         self.density_kg_m3 = model.robot.fluid.density_kg_m3
         self.step_s = model.max_step
-        self.driven, self.passive = model.driven, model.passive
+        self.driven, self.passive, self.actuators = model.driven, model.passive, model.actuators
         rigid = model.tree.rigid(np.array([p.start for p in model.parameters[: len(model.tree.names)]]))
         self.masses_kg = [float(row[0]) for row in rigid]
         self._centres = [_centre(row) for row in rigid]
@@ -521,43 +522,47 @@ class Body:
         """Return the inertia of a passive joint's child link about the joint, with added mass, kg m2."""
         return float(tables["inertia"][self.passive[joint].link, 5])
 
-    def carried(self, tables: dict[str, Any], joint: int) -> tuple[float, float]:
-        """Return inertia and quadratic drag, about a driven joint, of all links that this joint moves.
+    def carried(self, tables: dict[str, Any], actuator: int) -> tuple[float, float]:
+        """Return inertia and quadratic drag, about an actuator, of all links that this actuator moves.
 
-        The joints behind it are straight. The inertia is in kg m2 and includes added mass. The drag is that
-        in still water, in N m s2/rad2.
+        All joints are straight, and the base is at rest. The inertia is in kg m2 and includes added mass. The
+        drag is that in still water, in N m s2/rad2.
         """
-        root, topology = self.driven[joint].link, tables["topology"]
+        topology = tables["topology"]
         straight = {a.column: np.zeros(1) for a in (*self.driven, *self.passive)}
         straight |= {name: np.zeros(1) for name in self.pose}
         start = np.array([p.start for p in self._model.parameters])
         x, y, heading = (part[:, 0] for part in self.frames(start, straight))
+        # compute velocities and turn rates of the links at an actuator rate of 1 rad/s
+        vx, vy, turn = np.zeros((3, len(x)))
+        slopes = self._model.joints.slopes(start)
+        for axis, slope, own in zip(self.driven, slopes, self._model.tree.actuator_of, strict=True):
+            if own == actuator:
+                turn[axis.link] = slope
         inertia, drag = 0.0, 0.0
-        moved = np.zeros(len(x), dtype=bool)
-        for link in range(root, len(x)):
-            moved[link] = link == root or moved[topology[link, 0]]
-            if not moved[link]:
-                continue
-            c, s = np.cos(heading[link]), np.sin(heading[link])
-            dx, dy = x[link] - x[root], y[link] - y[root]
-            # compute the velocity along and across the link at a joint rate of 1 rad/s
-            along, across = s * dx - c * dy, c * dx + s * dy
+        for link in range(1, len(x)):
+            parent = topology[link, 0]
+            vx[link] = vx[parent] - turn[parent] * (y[link] - y[parent])
+            vy[link] = vy[parent] + turn[parent] * (x[link] - x[parent])
+            turn[link] += turn[parent]
+            c, s, r = np.cos(heading[link]), np.sin(heading[link]), turn[link]
+            along, across = c * vx[link] + s * vy[link], c * vy[link] - s * vx[link]
             uu, uv, ur, vv, vr, rr = tables["inertia"][link]
-            inertia += uu * along**2 + vv * across**2 + rr
-            inertia += 2.0 * (uv * along * across + ur * along + vr * across)
-            own = tables["drag"][tables["drag_link"] == link]
-            drag += own[:, 2] @ np.abs(along - own[:, 1]) ** 3 + own[:, 3] @ np.abs(across + own[:, 0]) ** 3
-            drag += own[:, 6].sum()
+            inertia += uu * along**2 + vv * across**2 + rr * r**2
+            inertia += 2.0 * (uv * along * across + ur * along * r + vr * across * r)
+            rows = tables["drag"][tables["drag_link"] == link]
+            ahead, aside = np.abs(along - r * rows[:, 1]), np.abs(across + r * rows[:, 0])
+            drag += rows[:, 2] @ ahead**3 + rows[:, 3] @ aside**3 + rows[:, 6].sum() * abs(r) ** 3
             fin = tables["foil"][tables["foil_link"] == link]
             flat = fin[:, 2] * (fin[:, 4] + 2.0 * fin[:, 5])
-            drag += flat @ np.hypot(along - fin[:, 1], across + fin[:, 0]) ** 3
+            drag += flat @ np.hypot(along - r * fin[:, 1], across + r * fin[:, 0]) ** 3
         return float(inertia), float(drag)
 
     @cached_property
     def loads(self) -> list[tuple[float, float]]:
-        """Inertia and quadratic drag of the links that each driven joint moves, as :meth:`carried` states."""
+        """Inertia and quadratic drag of the links that each actuator moves, as :meth:`carried` states."""
         tables = self.tables()
-        return [self.carried(tables, k) for k in range(len(self.driven))]
+        return [self.carried(tables, k) for k in range(len(self.actuators))]
 
     def normal_drag(self, tables: dict[str, Any]) -> tuple[NDArray[np.int64], Array]:
         """Return the points at which drag across links acts.
