@@ -29,7 +29,7 @@ from swimid.fitting.model import CruiseInput, RigInput, Stroke, Trial
 from swimid.propulsion.model import RecoilModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
-from swimid.robots.planar import Hydrostatics
+from swimid.robots.planar import Hydrostatics, Input, Load
 from tests.effect_cases import (
     FORCE,
     INERTIA,
@@ -234,6 +234,23 @@ def test_null_and_tries_of_a_decay(effect: Effect) -> None:
 def test_null_and_tries_of_pulled_bodies(effect: Effect) -> None:
     check_null(weight_model(quadratic_drag=2.0, added_mass=0.4), weight_trial(), effect)
     check_null(TOW, TOWED, effect)
+
+
+def test_load_friction_leaves_the_commands_of_thrusters_alone() -> None:
+    def thrust(body: Any) -> None:
+        body.inputs["stern"] = Input(column="stern_N")
+        body.elements.append(Load(kind="load", link="head", input="stern", at_m=0.1, forward_N=1.0))
+
+    model, plain = changed(robots.read("tfish"), thrust), swimmer("tfish")
+    pushed = swim(plain)
+    pushed = replace(pushed, swim=replace(pushed.swim, inputs={"stern": lambda t: 0.1 * np.sin(t)}))
+    (size,) = LoadFriction().parameters(plain, [swim(plain)])
+    (found,) = LoadFriction().parameters(model, [pushed])
+    assert found == size
+    (change,) = LoadFriction().hooks(np.array([found.scale]), pushed, model).command
+    thrusts = np.sin(TIME)
+    np.testing.assert_array_equal(change(TIME, thrusts, len(model.driven)), thrusts)
+    assert np.abs(change(TIME, thrusts, 0) - thrusts).max() > 0.0
 
 
 def test_where_hardening_and_frictions_do_not_apply() -> None:

@@ -490,7 +490,8 @@ class LoadFriction(Friction):
             return (parameter("share", "1", size, words, 0.0, 0.9),)
         yields = []
         for trial in trials:
-            for load, (time, told, _) in zip(model.body.loads, model.commands(trial), strict=True):
+            # The commands of the actuators precede those of the inputs, which carry no joint.
+            for load, (time, told, _) in zip(model.body.loads, model.commands(trial), strict=False):
                 torque = float(np.max(_torque(load, time, told), initial=0.0))
                 if torque > 0.0:
                     yields.append(0.5 * float(np.ptp(told)) / torque)
@@ -510,7 +511,7 @@ class LoadFriction(Friction):
 
                 return base.bridge_missing(stuck, time_s, angle)
 
-            return base.on_command(model, trial, command)
+            return base.on_command(model, trial, base.only_joints(model, command))
         if not (trial.rig.pulley or self.everywhere):
             return Hooks()
         measured = trial.inputs.get("force_N")
