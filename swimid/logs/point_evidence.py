@@ -8,7 +8,7 @@ import numpy as np
 
 from swimid.logs import wave
 from swimid.logs.bundle import FALSE_ALARM
-from swimid.logs.linkage import Array, Complex
+from swimid.logs.linkage import Array
 from swimid.logs.points import MAX_BIAS, WRONG_DISTANCE, Posed
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -190,38 +190,21 @@ def wave_of(posed: Posed | None, frequency_hz: float | None) -> wave.Wave | None
     """
     if posed is None or frequency_hz is None or len(posed.fit.linkage.parent) < 2:
         return None
-    linkage, axes = posed.fit.linkage, posed.fit.linkage.shape(posed.fit.state.angles)
-    last = len(linkage.parent) - 1
-    for link in range(len(linkage.parent)):
-        if _depth(posed, link) > _depth(posed, last):
-            last = link
-    way = [last]
-    while way[0]:
-        way.insert(0, int(linkage.parent[way[0]]))
-    ends = _stations(axes, way, linkage.rear)
-    straight = _stations(linkage.shape(np.zeros((1, len(linkage.parent)))), way, linkage.rear)[0]
-    behind = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(straight)))])
+    linkage = posed.fit.linkage
+    way = wave.spine(linkage.parent.tolist(), (linkage.parent >= 0).tolist())
+    angles = posed.fit.state.angles
+    ends, straight = (
+        wave.stations_of(way, origins, origins + axes * linkage.rear)
+        for axes, origins, _ in map(linkage.shape, (angles, np.zeros((1, angles.shape[1]))))
+    )
     names = [f"x_{posed.unit}", *linkage.columns]
     known = np.ones(len(ends), dtype=bool)
     for name in names:
         known &= np.isfinite(posed.columns.get(name, np.full(len(ends), np.nan)))
     stations = posed.fit.state.position[:, None] / linkage.scale + ends
     stations = np.where(known[:, None], stations, np.nan)
-    return wave.measure(posed.time_s, stations, behind, posed.fit.state.angles[:, 0], frequency_hz)
-
-
-def _depth(posed: Posed, link: int) -> int:
-    depth = 0
-    while link > 0:
-        link, depth = int(posed.fit.linkage.parent[link]), depth + 1
-    return depth
-
-
-def _stations(shape: tuple[Complex, Complex, Complex], way: list[int], rear: Complex) -> Complex:
-    axes, origins, _ = shape
-    return np.column_stack(
-        [*(origins[:, k] for k in way), origins[:, way[-1]] + axes[:, way[-1]] * rear[way[-1]]]
-    )
+    behind = wave.distances(straight[0])
+    return wave.measure(posed.time_s, stations, behind, angles[:, 0], frequency_hz)
 
 
 def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:
