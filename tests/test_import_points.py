@@ -259,6 +259,55 @@ def test_places_are_calibrated(imported: Imported, tmp_path: Path) -> None:
     assert found["tip y"]["stderr"] > 0.001
 
 
+HINGES = {name: PLACES[name] for name in ("snout", "hip", "knee", "heel", "tip")}
+
+
+@pytest.mark.parametrize(
+    ("places", "degrees", "weak"),
+    [
+        pytest.param(HINGES, (9, 11, 13, 18), {"snout": "x", "hip": "x", "knee": "x"}, id="one on each link"),
+        pytest.param(HINGES, (25, 25, 25, 30), {}, id="larger angles"),
+        pytest.param(PLACES, (9, 11, 13, 18), {}, id="two on a link"),
+        pytest.param(PLACES, (0, 0, 13, 18), {"hip": "y"}, id="still joints"),
+    ],
+)
+def test_places_that_the_film_does_not_determine(
+    places: point_films.Places,
+    degrees: tuple[float, ...],
+    weak: dict[str, str],
+    swimid: Run,
+    tmp_path: Path,
+) -> None:
+    """With one point on each link, all of them may move along a body that bends little."""
+    made = point_films.film(seed=102, frames=300, noise_px=0.3, places=places, amplitudes_deg=degrees)
+    rng = np.random.default_rng(2)
+    moved = {
+        name: (link, x + 0.003 * np.cos(turn), y + 0.003 * np.sin(turn))
+        for (name, (link, x, y)), turn in zip(
+            places.items(), rng.uniform(0, 2 * np.pi, len(places)), strict=True
+        )
+    }
+    film = point_films.write_deeplabcut(made, tmp_path / "film.csv")
+    scale = "scale: {metres_per_pixel: 0.0006666666666666667}"
+    points = point_films.write_points(tmp_path / "points.yaml", moved, extra=scale)
+    words = ("--rate-hz", "60", "--robot", "tfish", "--points", points, "--calibrate-points")
+    ran = swimid("import", film, *words, "-o", tmp_path / "run.csv", "--json")
+    found = ran.json["result"]["points"]["undetermined"]
+    assert all(axis in found.get(name, "") for name, axis in weak.items())
+    said = "the film does not determine the places of"
+    assert (said in ran.err) == bool(weak)
+    assert (said in ran.json["result"]["verdict"]["text"]) == bool(weak)
+    if not weak:
+        assert found == {}
+        estimated = ran.json["result"]["points"]["estimated"]
+        off = [
+            (estimated[f"{name} {axis}"]["value"] - value) / estimated[f"{name} {axis}"]["stderr"]
+            for name, (_, *true) in places.items()
+            for axis, value in zip("xy", true, strict=True)
+        ]
+        assert np.abs(off).max() < 4
+
+
 BAD = [
     (
         "points: {nose: {link: head, at_m: [0, 0]}}",

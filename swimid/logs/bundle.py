@@ -45,6 +45,9 @@ MAX_EXPONENT = 5.0
 #: Seed of the simulated noise by which the bias of the global quantities is estimated, and number of pairs of
 #: simulated films.
 SEED, PAIRS, STEP = 20261127, 2, 0.003
+#: Minimum fraction of the variance of the stated places that must remain unknown, so that a place counts as
+#: not determined by the film.
+UNDETERMINED = 0.25
 #: Start value of the standard deviation of the places of points that are estimated from the film, m.
 PLACE_SD_M = 0.005
 
@@ -112,6 +115,9 @@ class Fit:
         The noise is proportional to the likelihood to the power of minus this exponent.
     place_sd_m : float
         Estimated standard deviation of the errors of the stated places, m; 0 if they are not estimated.
+    undetermined : ndarray, shape (2 * points, k)
+        Orthonormal directions in the space of the places (x of all points, then y) that the film does not
+        determine.
     faults : list of Fault
     level : float
         Probability of a chance removal for a single point in a single frame.
@@ -124,6 +130,7 @@ class Fit:
     noise: Array
     exponent: float
     place_sd_m: float
+    undetermined: Array
     faults: list[Fault]
     level: float
 
@@ -164,6 +171,7 @@ def fit(film: Film, linkage: Linkage) -> Fit:
         estimate.noise,
         estimate.exponent,
         estimate.place_sd_m,
+        estimate.undetermined(),
         faults,
         estimate.level,
     )
@@ -377,20 +385,26 @@ class _Estimate:
 
         The curvature of the sum of squares is computed by differences of the scores, with the states solved
         again. The normal matrix would overstate what noisy angles determine.
+
+        The simulated films also give the information without noise. Noise adds to the normal matrix, and
+        doubled noise adds it twice (simulation extrapolation, Cook and Stefanski 1994,
+        doi:10.1080/01621459.1994.10476871).
         """
         if not self.linkage.free:
             return
         weight, prior = np.where(self.used, 1.0 / self.variance, 0.0), self.prior
         made = links.scores(self.linkage, self.film.seen, weight, self.state)
-        rng, bias = np.random.default_rng(SEED), np.zeros(len(prior))
+        rng, bias, noisy = np.random.default_rng(SEED), np.zeros(len(prior)), np.zeros_like(made.normal)
         true = links.predicted(self.linkage, self.state)
         for _ in range(PAIRS):
             x, y = rng.normal(size=(2, *self.used.shape)) * np.sqrt(self.variance)
             for sign in (1.0, -1.0):
                 seen = true + sign * (x + 1j * y)
                 state = links.solve(self.linkage, seen, weight, self.state)
-                value = links.scores(self.linkage, seen, weight, state).value
-                bias += value.sum(axis=0) / (2 * PAIRS)
+                simulated = links.scores(self.linkage, seen, weight, state)
+                bias += simulated.value.sum(axis=0) / (2 * PAIRS)
+                noisy += simulated.normal / (2 * PAIRS)
+        self.information = 2.0 * made.normal - noisy
         # Differences along the axes of the covariance, by one standard error to either side.
         values, vectors = np.linalg.eigh(links.inverted(made.normal + np.diag(prior[:, 1])))
         kept = values > 0
@@ -417,6 +431,35 @@ class _Estimate:
         self.state = self.state.moved(made.rest - made.gain @ step)
         self.linkage = self.linkage.changed(step, covariance)
         self._solve()
+
+    def undetermined(self) -> Array:
+        """Return the directions in the space of the places that the film does not determine.
+
+        A direction counts as determined if the film leaves less than :data:`UNDETERMINED` of the variance of
+        the stated places. The errors of the stated places are taken from the directions that the film
+        determines better. Rotations of all points of a link about its only joint are left out: no film shows
+        the zero of such a joint angle.
+        """
+        count = 2 * len(self.linkage.names)
+        if "places" not in self.linkage.free:
+            return np.zeros((count, 0))
+        turns = self.linkage.turns()
+        axes = np.linalg.svd(turns, full_matrices=True)[0][:, np.linalg.matrix_rank(turns) :]
+        own, common = self.information[-count:, -count:], self.information[-count:, :-count]
+        if common.size:
+            own = own - common @ common.T / self.information[0, 0]
+        values, vectors = np.linalg.eigh(axes.T @ own @ axes)
+        directions = axes @ vectors
+        off = self.linkage.place - self.stated
+        moved = directions.T @ np.concatenate([off.real, off.imag])
+        error, found = self.place_sd_m**2, 0
+        for k in range(len(values)):
+            if k + 1 < len(values):
+                error = float(np.mean(moved[k + 1 :] ** 2))
+            if values[k] * error > 1.0 / UNDETERMINED - 1.0:
+                break
+            found = k + 1
+        return np.asarray(directions[:, :found])
 
     def _exponent(self, squares: Array, freedom: Array) -> float:
         """Return the exponent of the likelihood in the noise, by maximum likelihood; 0 if not significant.

@@ -7,16 +7,13 @@ from typing import Any
 import numpy as np
 
 from swimid.logs import wave
-from swimid.logs.bundle import FALSE_ALARM
+from swimid.logs.bundle import FALSE_ALARM, UNDETERMINED
 from swimid.logs.linkage import Array
 from swimid.logs.points import MAX_BIAS, WRONG_DISTANCE, Posed
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import Check, Figure, Table, Trace
 
-#: Minimum fraction of the variance of the stated places that must remain unknown, so that a place counts as
-#: not determined by the film.
-UNDETERMINED = 0.25
 METHODS = [
     "Pose and joint angles are weighted least-squares estimates from all tracked points of a frame. The "
     "noise of each point is estimated by restricted maximum likelihood. A point is left out if its residual "
@@ -90,6 +87,10 @@ def checks(posed: Posed) -> list[Check]:
         names = ", ".join(posed.misplaced)
         reason = f"points do not sit at their places: {names}"
         made.append(ev.check("Places of points", names or "as stated", not names, "as stated", reason=reason))
+    if "places" in posed.fit.linkage.free:
+        names = posed.undetermined_text
+        reason = f"the film does not determine the places of {names}"
+        made.append(ev.check("Places not determined", names or "none", not names, "none", reason=reason))
     return made
 
 
@@ -155,7 +156,10 @@ def _places(posed: Posed, errors: Array) -> Table:
     for k, name in enumerate(linkage.names):
         place, stated = linkage.place[k], posed.stated.place[k]
         x, y = errors[k], errors[len(linkage.names) + k]
-        free = [word for word, error in (("x", x), ("y", y)) if error**2 > UNDETERMINED * sd**2]
+        weak = posed.undetermined.get(name, "")
+        free = [
+            word for word, error in (("x", x), ("y", y)) if word in weak or error**2 > UNDETERMINED * sd**2
+        ]
         rows.append(
             {
                 "point": name,
