@@ -114,6 +114,27 @@ def test_warnings_name_points_and_frames(swimid: Run, tmp_path: Path) -> None:
     assert "3 exchanged, 1 stray" in ran.out
 
 
+@pytest.mark.parametrize(("pair", "share"), [(("hip", "tip"), 0.7), (("snout", "back"), 1.0)])
+def test_labels_exchanged_in_most_frames(
+    pair: tuple[str, str], share: float, imported: Imported, tmp_path: Path
+) -> None:
+    """The distances on the robot tell in which frames two labels are right."""
+    made = point_films.film(seed=37, frames=200)
+    wrong = np.random.default_rng(2).random(200) < share
+    i, j = (made.names.index(name) for name in pair)
+    for side in (made.column, made.row):
+        side[np.ix_(wrong, [i, j])] = side[np.ix_(wrong, [j, i])]
+    places = point_films.write_points(tmp_path / "points.yaml")
+    record, result = imported(made, "--robot", "tfish", "--points", places)
+    (fault,) = [one for one in result["points"]["left_out"] if one["fault"] == "exchanged"]
+    assert fault["points"] == list(pair)
+    assert fault["frames"] == np.flatnonzero(wrong).tolist()
+    errors = _errors(record, made)
+    for name in ("x_m", "y_m", "yaw_rad", "joint2_rad"):
+        assert np.sqrt(np.nanmean(errors[name] ** 2)) == pytest.approx(1.0, abs=0.35), name
+    assert max(result["points"]["noise_px"].values()) < 1.0
+
+
 def test_the_noise_follows_the_likelihood(imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(seed=8, noise_px=0.4, likelihood_slope=2.0)
     places = point_films.write_points(tmp_path / "points.yaml")

@@ -8,7 +8,7 @@ faults is left out (Bonferroni's bound; data snooping, Baarda 1968).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -26,6 +26,10 @@ HALF_NORMAL = float(special.ndtri(0.75))
 MAX_ROBUST, MAX_ITERATIONS, NOISE_RTOL, STEP_SE = 12, 25, 0.005, 0.05
 #: Maximum number of times that the faults are searched again with the new noise.
 MAX_SEARCHES = 5
+#: Exchange of two labels in the whole film: minimum ratio of the largest to the smallest noise of a point
+#: from which it is tried, number of points with the largest noise whose labels are exchanged, number of
+#: frames in which this is tried, and minimum ratio by which it must reduce the noise.
+SUSPICIOUS, SUSPECTS, SAMPLE, MIN_GAIN = 5.0, 4, 200, 1.25
 #: Number of values that the prior of the noise of a point is worth. Its mean is that of all points. It acts
 #: only where the residuals cannot tell the noise of one point from that of another.
 PRIOR_VALUES = 4.0
@@ -75,6 +79,10 @@ class Film:
     def part(self, rows: Flags) -> Film:
         """Return a film of the chosen frames."""
         return Film(self.time_s[rows], self.seen[rows], self.there[rows], self.likelihood[rows])
+
+    def ordered(self, points: list[int]) -> Film:
+        """Return a film whose labels are those of other points, by index."""
+        return Film(self.time_s, self.seen[:, points], self.there[:, points], self.likelihood[:, points])
 
 
 @dataclass
@@ -150,15 +158,11 @@ def fit(film: Film, linkage: Linkage) -> Fit:
     squares is divided by the sum of their redundancies, and not by their number (Foerstner 1979). The first
     estimates are robust: medians of normalised residuals.
     """
-    state = links.start(linkage, film.time_s, film.seen, film.there)
-    estimate = _Estimate(film, linkage, state)
+    estimate = _Estimate.of(film, linkage)
     estimate.begin()
-    for _ in range(MAX_SEARCHES):
-        before = estimate.used.copy()
-        estimate.search()
-        estimate.refine()
-        if (estimate.used == before).all():
-            break
+    estimate.settle()
+    if estimate.exchange(linkage):
+        estimate.settle()
     estimate.unfold()
     estimate.remove_bias()
     found = estimate.residuals()
@@ -197,6 +201,11 @@ class _Estimate:
         )
         if "places" in linkage.free:
             self.place_sd_m = PLACE_SD_M
+
+    @classmethod
+    def of(cls, film: Film, linkage: Linkage) -> _Estimate:
+        """Return an estimate with start values of the states."""
+        return cls(film, linkage, links.start(linkage, film.time_s, film.seen, film.there))
 
     @property
     def variance(self) -> Array:
@@ -267,6 +276,55 @@ class _Estimate:
             self.place_sd_m = float(np.sqrt(squares[-2 * len(self.noise) :].mean()))
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         return float(np.max(np.abs(step) / errors))
+
+    def settle(self) -> None:
+        """Search faults and refine the estimate in turn until the faults do not change."""
+        for _ in range(MAX_SEARCHES):
+            before = self.used.copy()
+            self.search()
+            self.refine()
+            if (self.used == before).all():
+                break
+
+    def exchange(self, linkage: Linkage) -> bool:
+        """Start anew from two labels that are exchanged in the whole film, if that reduces the noise.
+
+        Return whether this was done.
+
+        If labels are wrong in most frames, their noise contains the errors, and no frame stands out. With the
+        labels exchanged, the frames in which they were right stand out instead. The search that follows uses
+        the labels as they were tracked. A chain has no stated distances that tell which labels are right.
+
+        Parameters
+        ----------
+        linkage : Linkage
+            Linkage with start values of its global quantities.
+        """
+        if "lengths" in linkage.free or self.noise.max() < SUSPICIOUS * self.noise.min():
+            return False
+        rows = np.zeros(len(self.used), dtype=bool)
+        rows[:: max(len(rows) // SAMPLE, 1)] = True
+        stated = replace(linkage, free=linkage.free - {"places"})
+        some, points = self.film.part(rows), range(len(self.noise))
+        suspects = np.argsort(-self.noise)[:SUSPECTS].tolist()
+        orders = [list(points)]
+        for pair in combinations(suspects, 2):
+            orders.append([sum(pair) - k if k in pair else k for k in points])
+        tried = [_Estimate.of(some.ordered(order), stated) for order in orders]
+        for trial in tried:
+            trial.begin()
+        levels = [float(np.log(trial.noise).mean()) for trial in tried]
+        best = int(np.argmin(levels))
+        if levels[0] - levels[best] < np.log(MIN_GAIN):
+            return False
+        found = tried[best]
+        whole = _Estimate.of(self.film.ordered(orders[best]), found.linkage)
+        whole.noise = self.noise = found.noise
+        whole._solve()
+        self.place_sd_m = min(self.place_sd_m, PLACE_SD_M)
+        self.state = whole.state
+        self.linkage = replace(found.linkage, free=linkage.free, covariance=linkage.covariance)
+        return True
 
     # ------------------------------------------------------------ faults
 
