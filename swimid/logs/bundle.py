@@ -308,8 +308,10 @@ class _Estimate:
         some, points = self.film.part(rows), range(len(self.noise))
         suspects = np.argsort(-self.noise)[:SUSPECTS].tolist()
         orders = [list(points)]
-        for pair in combinations(suspects, 2):
-            orders.append([sum(pair) - k if k in pair else k for k in points])
+        for i, j in combinations(suspects, 2):
+            order = list(points)
+            order[i], order[j] = j, i
+            orders.append(order)
         tried = [_Estimate.of(some.ordered(order), stated) for order in orders]
         for trial in tried:
             trial.begin()

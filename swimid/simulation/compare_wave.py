@@ -195,8 +195,12 @@ def table(waves: Mapping[str, BodyWave]) -> ev.Table:
 
 
 def _row(trial: str, name: str, one: WaveQuantity, factor: float = 1.0) -> list[Any]:
-    cells = (one.measured, one.low, one.high, one.simulated, one.difference)
-    return [trial, name, *(None if value is None else factor * value for value in cells)]
+    cells: list[Any] = [trial, name]
+    for value in (one.measured, one.low, one.high, one.simulated, one.difference):
+        if value is not None:
+            value = factor * value
+        cells.append(value)
+    return cells
 
 
 def _caption(waves: Mapping[str, BodyWave]) -> str:
