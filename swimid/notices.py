@@ -94,7 +94,7 @@ CODES: dict[str, str] = {
     "SWM101": "a body larger than a marker is followed",
     "SWM110": "a measured force has the wrong sign",
     "SWM120": "tracked points left out",
-    "SWM121": "tracked points contradict the robot file",
+    "SWM121": "places of tracked points are wrong or not determined",
     "SWM150": "lines of a checkpoint ignored",
     "SWM151": "a checkpoint cannot be written",
 }

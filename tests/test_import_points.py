@@ -114,6 +114,27 @@ def test_warnings_name_points_and_frames(swimid: Run, tmp_path: Path) -> None:
     assert "3 exchanged, 1 stray" in ran.out
 
 
+@pytest.mark.parametrize(("pair", "share"), [(("hip", "tip"), 0.7), (("snout", "back"), 1.0)])
+def test_labels_exchanged_in_most_frames(
+    pair: tuple[str, str], share: float, imported: Imported, tmp_path: Path
+) -> None:
+    """The distances on the robot tell in which frames two labels are right."""
+    made = point_films.film(seed=37, frames=200)
+    wrong = np.random.default_rng(2).random(200) < share
+    i, j = (made.names.index(name) for name in pair)
+    for side in (made.column, made.row):
+        side[np.ix_(wrong, [i, j])] = side[np.ix_(wrong, [j, i])]
+    places = point_films.write_points(tmp_path / "points.yaml")
+    record, result = imported(made, "--robot", "tfish", "--points", places)
+    (fault,) = [one for one in result["points"]["left_out"] if one["fault"] == "exchanged"]
+    assert fault["points"] == list(pair)
+    assert fault["frames"] == np.flatnonzero(wrong).tolist()
+    errors = _errors(record, made)
+    for name in ("x_m", "y_m", "yaw_rad", "joint2_rad"):
+        assert np.sqrt(np.nanmean(errors[name] ** 2)) == pytest.approx(1.0, abs=0.35), name
+    assert max(result["points"]["noise_px"].values()) < 1.0
+
+
 def test_the_noise_follows_the_likelihood(imported: Imported, tmp_path: Path) -> None:
     made = point_films.film(seed=8, noise_px=0.4, likelihood_slope=2.0)
     places = point_films.write_points(tmp_path / "points.yaml")
@@ -257,6 +278,55 @@ def test_places_are_calibrated(imported: Imported, tmp_path: Path) -> None:
     # joints at both ends fix the frame of a tail link; a rotation of the fin about its only joint stays open
     assert found["hip y"]["stderr"] < 0.0003
     assert found["tip y"]["stderr"] > 0.001
+
+
+HINGES = {name: PLACES[name] for name in ("snout", "hip", "knee", "heel", "tip")}
+
+
+@pytest.mark.parametrize(
+    ("places", "degrees", "weak"),
+    [
+        pytest.param(HINGES, (9, 11, 13, 18), {"snout": "x", "hip": "x", "knee": "x"}, id="one on each link"),
+        pytest.param(HINGES, (25, 25, 25, 30), {}, id="larger angles"),
+        pytest.param(PLACES, (9, 11, 13, 18), {}, id="two on a link"),
+        pytest.param(PLACES, (0, 0, 13, 18), {"hip": "y"}, id="still joints"),
+    ],
+)
+def test_places_that_the_film_does_not_determine(
+    places: point_films.Places,
+    degrees: tuple[float, ...],
+    weak: dict[str, str],
+    swimid: Run,
+    tmp_path: Path,
+) -> None:
+    """With one point on each link, all of them may move along a body that bends little."""
+    made = point_films.film(seed=102, frames=300, noise_px=0.3, places=places, amplitudes_deg=degrees)
+    rng = np.random.default_rng(2)
+    moved = {
+        name: (link, x + 0.003 * np.cos(turn), y + 0.003 * np.sin(turn))
+        for (name, (link, x, y)), turn in zip(
+            places.items(), rng.uniform(0, 2 * np.pi, len(places)), strict=True
+        )
+    }
+    film = point_films.write_deeplabcut(made, tmp_path / "film.csv")
+    scale = "scale: {metres_per_pixel: 0.0006666666666666667}"
+    points = point_films.write_points(tmp_path / "points.yaml", moved, extra=scale)
+    words = ("--rate-hz", "60", "--robot", "tfish", "--points", points, "--calibrate-points")
+    ran = swimid("import", film, *words, "-o", tmp_path / "run.csv", "--json")
+    found = ran.json["result"]["points"]["undetermined"]
+    assert all(axis in found.get(name, "") for name, axis in weak.items())
+    said = "the film does not determine the places of"
+    assert (said in ran.err) == bool(weak)
+    assert (said in ran.json["result"]["verdict"]["text"]) == bool(weak)
+    if not weak:
+        assert found == {}
+        estimated = ran.json["result"]["points"]["estimated"]
+        off = [
+            (estimated[f"{name} {axis}"]["value"] - value) / estimated[f"{name} {axis}"]["stderr"]
+            for name, (_, *true) in places.items()
+            for axis, value in zip("xy", true, strict=True)
+        ]
+        assert np.abs(off).max() < 4
 
 
 BAD = [

@@ -8,7 +8,7 @@ faults is left out (Bonferroni's bound; data snooping, Baarda 1968).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -26,6 +26,10 @@ HALF_NORMAL = float(special.ndtri(0.75))
 MAX_ROBUST, MAX_ITERATIONS, NOISE_RTOL, STEP_SE = 12, 25, 0.005, 0.05
 #: Maximum number of times that the faults are searched again with the new noise.
 MAX_SEARCHES = 5
+#: Exchange of two labels in the whole film: minimum ratio of the largest to the smallest noise of a point
+#: from which it is tried, number of points with the largest noise whose labels are exchanged, number of
+#: frames in which this is tried, and minimum ratio by which it must reduce the noise.
+SUSPICIOUS, SUSPECTS, SAMPLE, MIN_GAIN = 5.0, 4, 200, 1.25
 #: Number of values that the prior of the noise of a point is worth. Its mean is that of all points. It acts
 #: only where the residuals cannot tell the noise of one point from that of another.
 PRIOR_VALUES = 4.0
@@ -45,6 +49,9 @@ MAX_EXPONENT = 5.0
 #: Seed of the simulated noise by which the bias of the global quantities is estimated, and number of pairs of
 #: simulated films.
 SEED, PAIRS, STEP = 20261127, 2, 0.003
+#: Minimum fraction of the variance of the stated places that must remain unknown, so that a place counts as
+#: not determined by the film.
+UNDETERMINED = 0.25
 #: Start value of the standard deviation of the places of points that are estimated from the film, m.
 PLACE_SD_M = 0.005
 
@@ -72,6 +79,10 @@ class Film:
     def part(self, rows: Flags) -> Film:
         """Return a film of the chosen frames."""
         return Film(self.time_s[rows], self.seen[rows], self.there[rows], self.likelihood[rows])
+
+    def ordered(self, points: list[int]) -> Film:
+        """Return a film whose labels are those of other points, by index."""
+        return Film(self.time_s, self.seen[:, points], self.there[:, points], self.likelihood[:, points])
 
 
 @dataclass
@@ -112,6 +123,9 @@ class Fit:
         The noise is proportional to the likelihood to the power of minus this exponent.
     place_sd_m : float
         Estimated standard deviation of the errors of the stated places, m; 0 if they are not estimated.
+    undetermined : ndarray, shape (2 * points, k)
+        Orthonormal directions in the space of the places (x of all points, then y) that the film does not
+        determine.
     faults : list of Fault
     level : float
         Probability of a chance removal for a single point in a single frame.
@@ -124,6 +138,7 @@ class Fit:
     noise: Array
     exponent: float
     place_sd_m: float
+    undetermined: Array
     faults: list[Fault]
     level: float
 
@@ -143,15 +158,11 @@ def fit(film: Film, linkage: Linkage) -> Fit:
     squares is divided by the sum of their redundancies, and not by their number (Foerstner 1979). The first
     estimates are robust: medians of normalised residuals.
     """
-    state = links.start(linkage, film.time_s, film.seen, film.there)
-    estimate = _Estimate(film, linkage, state)
+    estimate = _Estimate.of(film, linkage)
     estimate.begin()
-    for _ in range(MAX_SEARCHES):
-        before = estimate.used.copy()
-        estimate.search()
-        estimate.refine()
-        if (estimate.used == before).all():
-            break
+    estimate.settle()
+    if estimate.exchange(linkage):
+        estimate.settle()
     estimate.unfold()
     estimate.remove_bias()
     found = estimate.residuals()
@@ -164,6 +175,7 @@ def fit(film: Film, linkage: Linkage) -> Fit:
         estimate.noise,
         estimate.exponent,
         estimate.place_sd_m,
+        estimate.undetermined(),
         faults,
         estimate.level,
     )
@@ -189,6 +201,11 @@ class _Estimate:
         )
         if "places" in linkage.free:
             self.place_sd_m = PLACE_SD_M
+
+    @classmethod
+    def of(cls, film: Film, linkage: Linkage) -> _Estimate:
+        """Return an estimate with start values of the states."""
+        return cls(film, linkage, links.start(linkage, film.time_s, film.seen, film.there))
 
     @property
     def variance(self) -> Array:
@@ -259,6 +276,57 @@ class _Estimate:
             self.place_sd_m = float(np.sqrt(squares[-2 * len(self.noise) :].mean()))
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         return float(np.max(np.abs(step) / errors))
+
+    def settle(self) -> None:
+        """Search faults and refine the estimate in turn until the faults do not change."""
+        for _ in range(MAX_SEARCHES):
+            before = self.used.copy()
+            self.search()
+            self.refine()
+            if (self.used == before).all():
+                break
+
+    def exchange(self, linkage: Linkage) -> bool:
+        """Start anew from two labels that are exchanged in the whole film, if that reduces the noise.
+
+        Return whether this was done.
+
+        If labels are wrong in most frames, their noise contains the errors, and no frame stands out. With the
+        labels exchanged, the frames in which they were right stand out instead. The search that follows uses
+        the labels as they were tracked. A chain has no stated distances that tell which labels are right.
+
+        Parameters
+        ----------
+        linkage : Linkage
+            Linkage with start values of its global quantities.
+        """
+        if "lengths" in linkage.free or self.noise.max() < SUSPICIOUS * self.noise.min():
+            return False
+        rows = np.zeros(len(self.used), dtype=bool)
+        rows[:: max(len(rows) // SAMPLE, 1)] = True
+        stated = replace(linkage, free=linkage.free - {"places"})
+        some, points = self.film.part(rows), range(len(self.noise))
+        suspects = np.argsort(-self.noise)[:SUSPECTS].tolist()
+        orders = [list(points)]
+        for i, j in combinations(suspects, 2):
+            order = list(points)
+            order[i], order[j] = j, i
+            orders.append(order)
+        tried = [_Estimate.of(some.ordered(order), stated) for order in orders]
+        for trial in tried:
+            trial.begin()
+        levels = [float(np.log(trial.noise).mean()) for trial in tried]
+        best = int(np.argmin(levels))
+        if levels[0] - levels[best] < np.log(MIN_GAIN):
+            return False
+        found = tried[best]
+        whole = _Estimate.of(self.film.ordered(orders[best]), found.linkage)
+        whole.noise = self.noise = found.noise
+        whole._solve()
+        self.place_sd_m = min(self.place_sd_m, PLACE_SD_M)
+        self.state = whole.state
+        self.linkage = replace(found.linkage, free=linkage.free, covariance=linkage.covariance)
+        return True
 
     # ------------------------------------------------------------ faults
 
@@ -377,20 +445,26 @@ class _Estimate:
 
         The curvature of the sum of squares is computed by differences of the scores, with the states solved
         again. The normal matrix would overstate what noisy angles determine.
+
+        The simulated films also give the information without noise. Noise adds to the normal matrix, and
+        doubled noise adds it twice (simulation extrapolation, Cook and Stefanski 1994,
+        doi:10.1080/01621459.1994.10476871).
         """
         if not self.linkage.free:
             return
         weight, prior = np.where(self.used, 1.0 / self.variance, 0.0), self.prior
         made = links.scores(self.linkage, self.film.seen, weight, self.state)
-        rng, bias = np.random.default_rng(SEED), np.zeros(len(prior))
+        rng, bias, noisy = np.random.default_rng(SEED), np.zeros(len(prior)), np.zeros_like(made.normal)
         true = links.predicted(self.linkage, self.state)
         for _ in range(PAIRS):
             x, y = rng.normal(size=(2, *self.used.shape)) * np.sqrt(self.variance)
             for sign in (1.0, -1.0):
                 seen = true + sign * (x + 1j * y)
                 state = links.solve(self.linkage, seen, weight, self.state)
-                value = links.scores(self.linkage, seen, weight, state).value
-                bias += value.sum(axis=0) / (2 * PAIRS)
+                simulated = links.scores(self.linkage, seen, weight, state)
+                bias += simulated.value.sum(axis=0) / (2 * PAIRS)
+                noisy += simulated.normal / (2 * PAIRS)
+        self.information = 2.0 * made.normal - noisy
         # Differences along the axes of the covariance, by one standard error to either side.
         values, vectors = np.linalg.eigh(links.inverted(made.normal + np.diag(prior[:, 1])))
         kept = values > 0
@@ -417,6 +491,35 @@ class _Estimate:
         self.state = self.state.moved(made.rest - made.gain @ step)
         self.linkage = self.linkage.changed(step, covariance)
         self._solve()
+
+    def undetermined(self) -> Array:
+        """Return the directions in the space of the places that the film does not determine.
+
+        A direction counts as determined if the film leaves less than :data:`UNDETERMINED` of the variance of
+        the stated places. The errors of the stated places are taken from the directions that the film
+        determines better. Rotations of all points of a link about its only joint are left out: no film shows
+        the zero of such a joint angle.
+        """
+        count = 2 * len(self.linkage.names)
+        if "places" not in self.linkage.free:
+            return np.zeros((count, 0))
+        turns = self.linkage.turns()
+        axes = np.linalg.svd(turns, full_matrices=True)[0][:, np.linalg.matrix_rank(turns) :]
+        own, common = self.information[-count:, -count:], self.information[-count:, :-count]
+        if common.size:
+            own = own - common @ common.T / self.information[0, 0]
+        values, vectors = np.linalg.eigh(axes.T @ own @ axes)
+        directions = axes @ vectors
+        off = self.linkage.place - self.stated
+        moved = directions.T @ np.concatenate([off.real, off.imag])
+        error, found = self.place_sd_m**2, 0
+        for k in range(len(values)):
+            if k + 1 < len(values):
+                error = float(np.mean(moved[k + 1 :] ** 2))
+            if values[k] * error > 1.0 / UNDETERMINED - 1.0:
+                break
+            found = k + 1
+        return np.asarray(directions[:, :found])
 
     def _exponent(self, squares: Array, freedom: Array) -> float:
         """Return the exponent of the likelihood in the noise, by maximum likelihood; 0 if not significant.

@@ -136,6 +136,24 @@ class Linkage:
             origins[:, k] = origins[:, up] + axes[:, up] * self.joint[k]
         return axes, origins, origins[:, self.link] + axes[:, self.link] * self.place
 
+    def turns(self) -> Array:
+        """Return the rotations of the points of each link that has one joint about this joint.
+
+        Returns
+        -------
+        ndarray, shape (2 * points, k)
+            Displacements of all points (x, then y) for each of k links.
+        """
+        found = []
+        for link in range(len(self.parent)):
+            joints = list(self.joint[np.asarray(self.parent) == link])
+            if link:
+                joints.append(0j)
+            if len(joints) == 1:
+                turn = np.where(self.link == link, 1j * (self.place - joints[0]), 0j)
+                found.append(np.concatenate([turn.real, turn.imag]))
+        return np.array(found).T.reshape(2 * len(self.link), len(found))
+
     # ------------------------------------------------------------ global quantities
 
     @property

@@ -7,16 +7,13 @@ from typing import Any
 import numpy as np
 
 from swimid.logs import wave
-from swimid.logs.bundle import FALSE_ALARM
-from swimid.logs.linkage import Array, Complex
+from swimid.logs.bundle import FALSE_ALARM, UNDETERMINED
+from swimid.logs.linkage import Array
 from swimid.logs.points import MAX_BIAS, WRONG_DISTANCE, Posed
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import Check, Figure, Table, Trace
 
-#: Minimum fraction of the variance of the stated places that must remain unknown, so that a place counts as
-#: not determined by the film.
-UNDETERMINED = 0.25
 METHODS = [
     "Pose and joint angles are weighted least-squares estimates from all tracked points of a frame. The "
     "noise of each point is estimated by restricted maximum likelihood. A point is left out if its residual "
@@ -90,6 +87,10 @@ def checks(posed: Posed) -> list[Check]:
         names = ", ".join(posed.misplaced)
         reason = f"points do not sit at their places: {names}"
         made.append(ev.check("Places of points", names or "as stated", not names, "as stated", reason=reason))
+    if "places" in posed.fit.linkage.free:
+        names = posed.undetermined_text
+        reason = f"the film does not determine the places of {names}"
+        made.append(ev.check("Places not determined", names or "none", not names, "none", reason=reason))
     return made
 
 
@@ -155,7 +156,10 @@ def _places(posed: Posed, errors: Array) -> Table:
     for k, name in enumerate(linkage.names):
         place, stated = linkage.place[k], posed.stated.place[k]
         x, y = errors[k], errors[len(linkage.names) + k]
-        free = [word for word, error in (("x", x), ("y", y)) if error**2 > UNDETERMINED * sd**2]
+        weak = posed.undetermined.get(name, "")
+        free = [
+            word for word, error in (("x", x), ("y", y)) if word in weak or error**2 > UNDETERMINED * sd**2
+        ]
         rows.append(
             {
                 "point": name,
@@ -190,38 +194,21 @@ def wave_of(posed: Posed | None, frequency_hz: float | None) -> wave.Wave | None
     """
     if posed is None or frequency_hz is None or len(posed.fit.linkage.parent) < 2:
         return None
-    linkage, axes = posed.fit.linkage, posed.fit.linkage.shape(posed.fit.state.angles)
-    last = len(linkage.parent) - 1
-    for link in range(len(linkage.parent)):
-        if _depth(posed, link) > _depth(posed, last):
-            last = link
-    way = [last]
-    while way[0]:
-        way.insert(0, int(linkage.parent[way[0]]))
-    ends = _stations(axes, way, linkage.rear)
-    straight = _stations(linkage.shape(np.zeros((1, len(linkage.parent)))), way, linkage.rear)[0]
-    behind = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(straight)))])
+    linkage = posed.fit.linkage
+    way = wave.spine(linkage.parent.tolist(), (linkage.parent >= 0).tolist())
+    angles = posed.fit.state.angles
+    ends, straight = (
+        wave.stations_of(way, origins, origins + axes * linkage.rear)
+        for axes, origins, _ in map(linkage.shape, (angles, np.zeros((1, angles.shape[1]))))
+    )
     names = [f"x_{posed.unit}", *linkage.columns]
     known = np.ones(len(ends), dtype=bool)
     for name in names:
         known &= np.isfinite(posed.columns.get(name, np.full(len(ends), np.nan)))
     stations = posed.fit.state.position[:, None] / linkage.scale + ends
     stations = np.where(known[:, None], stations, np.nan)
-    return wave.measure(posed.time_s, stations, behind, posed.fit.state.angles[:, 0], frequency_hz)
-
-
-def _depth(posed: Posed, link: int) -> int:
-    depth = 0
-    while link > 0:
-        link, depth = int(posed.fit.linkage.parent[link]), depth + 1
-    return depth
-
-
-def _stations(shape: tuple[Complex, Complex, Complex], way: list[int], rear: Complex) -> Complex:
-    axes, origins, _ = shape
-    return np.column_stack(
-        [*(origins[:, k] for k in way), origins[:, way[-1]] + axes[:, way[-1]] * rear[way[-1]]]
-    )
+    behind = wave.distances(straight[0])
+    return wave.measure(posed.time_s, stations, behind, angles[:, 0], frequency_hz)
 
 
 def wave_data(beat: wave.Wave, unit: str) -> dict[str, Any]:

@@ -146,12 +146,35 @@ class Posed:
             "empty": self.empty,
             "distances": [asdict(one) for one in self.distances],
             "misplaced": self.misplaced,
+            "undetermined": self.undetermined,
             "estimated": {
                 name: {"value": float(value), "stderr": float(error)}
                 for name, value, error in zip(linkage.quantities, linkage.values, errors, strict=True)
                 if name != "scale"
             },
         }
+
+    @property
+    def undetermined(self) -> dict[str, str]:
+        """Coordinates of the places that the film does not determine, such as ``x`` or ``x, y``, by point.
+
+        They have at least half of the largest component of the directions that are not determined.
+        """
+        names, axes = self.fit.linkage.names, self.fit.undetermined
+        shares = np.sum(axes**2, axis=1).reshape(2, -1)
+        if not axes.size:
+            return {}
+        found = {}
+        for name, share in zip(names, shares.T, strict=True):
+            words = [word for word, part in zip("xy", share, strict=True) if part >= 0.25 * shares.max()]
+            if words:
+                found[name] = ", ".join(words)
+        return found
+
+    @property
+    def undetermined_text(self) -> str:
+        """Coordinates that the film does not determine, as text; empty if there are none."""
+        return ", ".join(f"{name} ({words})" for name, words in self.undetermined.items())
 
     @property
     def frames(self) -> np.ndarray:
@@ -412,7 +435,7 @@ LEFT_OUT = {
 
 
 def _warn(posed: Posed, path: Path) -> None:
-    """Warn of points that were left out, and of wrong distances and places."""
+    """Warn of points that were left out, and of places and distances that are wrong or not determined."""
     for kind, word in LEFT_OUT.items():
         found = [(names, count, frames) for of, names, count, frames in posed.faults if of == kind]
         if not found:
@@ -422,6 +445,9 @@ def _warn(posed: Posed, path: Path) -> None:
             parts.append(f"and {len(found) - MAX_LISTED} more")
         total = sum(count for _, count, _ in found)
         warn("SWM120", f"{path.name}: {word}, left out {total} ×: {'; '.join(parts)}")
+    if posed.undetermined:
+        text = f"the film does not determine the places of {posed.undetermined_text}"
+        warn("SWM121", f"{path.name}: {text}: bend the joints more, or track two points on a link")
     for one in posed.distances:
         if one.wrong:
             text = f"{' and '.join(one.names)} are {one.measured:.4g} ± {one.stderr:.1g} {posed.unit} apart"

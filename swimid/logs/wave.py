@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,13 +27,15 @@ class Wave:
     behind : ndarray, shape (k,)
         Distance of each station behind the front end along the straight body, in the unit of the positions.
     amplitude, phase : list of Estimate, one for each station
-        Amplitude of the lateral motion, and phase lag behind the station that moves most, rad.
+        Amplitude of the lateral motion, and phase lag behind the reference station, rad.
     length, speed : Estimate or None
         Wavelength, and speed of the wave along the body in units per s; None if the phase does not increase
         towards the rear significantly.
     windows : int
         Number of windows of two cycles.
     frequency_hz : float
+    reference : int
+        Index of the station whose phase lag is zero.
     """
 
     behind: Array
@@ -42,12 +45,62 @@ class Wave:
     speed: Estimate | None
     windows: int
     frequency_hz: float
+    reference: int
+
+
+def spine(parent: Sequence[int], moving: Sequence[bool]) -> list[int]:
+    """Return the links from the base to the link that has the most moving joints ahead of it.
+
+    Of several such links it is the last.
+
+    Parameters
+    ----------
+    parent : sequence of int
+        Index of the parent of each link. Parents precede their children; the base is link 0.
+    moving : sequence of bool
+        Whether a joint moves each link against its parent.
+
+    >>> spine([-1, 0, 1, 0], [False, True, True, True])
+    [0, 1, 2]
+    """
+    depth = [0]
+    for up, moves in zip(parent[1:], moving[1:], strict=True):
+        depth.append(depth[up] + int(moves))
+    way = [max(range(len(depth)), key=lambda link: (depth[link], link))]
+    while way[0]:
+        way.insert(0, int(parent[way[0]]))
+    return way
+
+
+def stations_of(way: Sequence[int], fronts: Complex, rears: Complex) -> Complex:
+    """Return the front ends of the links of a spine, and the rear end of its last link, shape (n, k).
+
+    Parameters
+    ----------
+    way : sequence of int
+        Links from the base to the rear, as :func:`spine` returns them.
+    fronts, rears : ndarray of complex, shape (n, links)
+        Front end and rear end of each link, x + iy.
+    """
+    return np.column_stack([fronts[:, list(way)], rears[:, way[-1]]])
+
+
+def distances(straight: Complex) -> Array:
+    """Return the distance of each station of a straight body behind its front end, shape (k,)."""
+    return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(straight)))])
 
 
 def measure(
-    time_s: Array, stations: Complex, behind: Array, heading: Array, frequency_hz: float
+    time_s: Array,
+    stations: Complex,
+    behind: Array,
+    heading: Array,
+    frequency_hz: float,
+    like: Wave | None = None,
 ) -> Wave | None:
-    """Measure the wave along a body; return None if there are fewer than three windows of two cycles.
+    """Measure the wave along a body.
+
+    Return None if there are fewer than three windows of two cycles, or if a body does not move.
 
     Parameters
     ----------
@@ -60,6 +113,10 @@ def measure(
         Heading of the first link, rad; NaN where unknown.
     frequency_hz : float
         Stroke frequency.
+    like : Wave, optional
+        Wave with the same stations to compare with. Its reference station is used, and the phases are those
+        that are nearest to its phases. By default, the reference is the station that moves most, whose phase
+        is the most accurate.
 
     Notes
     -----
@@ -84,11 +141,17 @@ def measure(
     if len(found) < MIN_WINDOWS:
         return None
     waves = np.array(found)
-    # The phase of the station that moves most is the most accurate. The front end may be close to a node.
     most = int(np.argmax(np.abs(waves).mean(axis=0)))
+    if like is not None:
+        most = like.reference
+    if not np.abs(waves[:, most]).all():
+        return None
     waves *= (np.conj(waves[:, most]) / np.abs(waves[:, most]))[:, None]
     mean = waves.mean(axis=0)
     usual = np.unwrap(np.angle(mean))
+    if like is not None:
+        nearest = usual[most] - np.array([lag.value for lag in like.phase])
+        usual += 2 * np.pi * np.round((nearest - usual) / (2 * np.pi))
     phases = usual + np.angle(waves * np.conj(mean))
     lags = phases[:, most : most + 1] - phases
     weight = np.abs(mean) ** 2
@@ -108,6 +171,7 @@ def measure(
         speed,
         len(waves),
         frequency_hz,
+        most,
     )
 
 

@@ -28,7 +28,7 @@ from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results import parameters as parameters_format
 from swimid.results.result import FileResult
-from swimid.simulation import catalogue, compare_series
+from swimid.simulation import catalogue, compare_series, compare_wave
 from swimid.simulation.cases import value_text
 from swimid.simulation.catalogue import Applied
 from swimid.simulation.compare_series import SIDES, ChannelScore, Compared, ComparisonFile, CycleComparison
@@ -517,6 +517,8 @@ def _methods(file: ComparisonFile) -> list[str]:
             "If the parameter file had no start state of a trial, it was estimated from the whole trial with "
             "all shared parameters held."
         )
+    if file.waves:
+        sentences.append(compare_wave.method())
     return sentences
 
 
@@ -524,7 +526,7 @@ def _methods(file: ComparisonFile) -> list[str]:
 
 
 def _tables(file: ComparisonFile) -> list[ev.Table]:
-    """Return tables of errors by channel, motion profiles, mean speeds, and errors by trial."""
+    """Return tables of errors by channel, motion profiles, mean speeds, body waves, and errors by trial."""
     pooled = ev.Table(
         id="channels",
         title="Errors of all trials together",
@@ -532,7 +534,8 @@ def _tables(file: ComparisonFile) -> list[ev.Table]:
         rows=[[*_errors(name, s), s.samples] for name, s in file.channels.items()],
         caption="NRMSE is over the measured range; bias is the mean of measured minus simulated.",
     )
-    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), _scores(file)]
+    waves = compare_wave.table(file.waves)
+    tables = [pooled, *_profile_tables(file.profiles), _speeds(file), waves, _scores(file)]
     return [table for table in tables if table.rows]
 
 
@@ -602,7 +605,8 @@ def _figures(
 ) -> list[ev.Figure]:
     """Return the figures of the evidence.
 
-    They show motion profiles, or else time series and mean speeds, and the paths of a robot in a plane.
+    They show motion profiles, or else time series and mean speeds. Body waves and paths follow for a robot in
+    a plane.
     """
     if experiment.model.timed_runs:
         runs = {d.trial.id: (p.measured, p.simulated) for d in done for p in d.pairs.values()}
@@ -617,6 +621,10 @@ def _figures(
                 if len(speeds):
                     groups[name] = speeds[:, 0], speeds[:, 1]
             drawn.append(_agreement("speeds", "Mean speed of the last beats", groups))
+    beating = [d for d in done if d.record.wave is not None]
+    if beating:
+        shown = {t: d.record.wave for t, d in _telling(beating).items() if d.record.wave is not None}
+        drawn.append(compare_wave.figure(shown))
     body = experiment.model.body
     if body is not None and body.free:
         names = body.pose[:2]

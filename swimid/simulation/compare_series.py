@@ -18,6 +18,7 @@ from swimid.fitting.fit_common import Experiment
 from swimid.fitting.model import Array, Channel, Model, Trial
 from swimid.logs import kinematics
 from swimid.notices import warn
+from swimid.simulation import compare_wave
 from swimid.simulation.catalogue import Applied
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ class TrialComparison(yamlio.Document):
     channels: dict[str, ChannelScore]
     mean_speed: Speed | None = None
     cruise: Cruise | None = None
+    #: Body wave; null without measured joint angles or without a beat.
+    wave: compare_wave.BodyWave | None = None
 
 
 class CycleComparison(yamlio.Document):
@@ -138,6 +141,11 @@ class ComparisonFile(yamlio.ResultFile):
     def mean_speeds(self) -> list[tuple[TrialComparison, float, float]]:
         """Trials with a mean speed, each with the measured and the simulated mean speed, m/s."""
         return [(t, t.mean_speed.measured, t.mean_speed.simulated) for t in self.trials if t.mean_speed]
+
+    @property
+    def waves(self) -> dict[str, compare_wave.BodyWave]:
+        """Body wave of each trial that has one, by trial."""
+        return {t.id: t.wave for t in self.trials if t.wave is not None}
 
 
 Start = Literal["file", "estimated", "neutral"]
@@ -215,7 +223,8 @@ def compare_trial(
         model, level = model.at_own_level(values, trial)
         if level:
             start, start_values = "estimated", level
-    pairs = _logged_pairs(model, trial, model.attempt(values, trial))
+    simulated = model.attempt(values, trial)
+    pairs = _logged_pairs(model, trial, simulated)
     frequency, body, drive = None, model.body, {}
     if trial.swim.beat is not None:
         from swimid.simulation.cases import drive_block
@@ -236,10 +245,11 @@ def compare_trial(
     speed = None
     if body is not None and frequency is not None:
         speed = mean_speed(trial, pairs, body, frequency)
-    measured, simulated = fit_common.own_axes(
+    along = fit_common.own_axes(
         {n: p.measured for n, p in pairs.items()}, {n: p.simulated for n, p in pairs.items()}
     )
-    own = {n: replace(p, measured=measured[n], simulated=simulated[n]) for n, p in pairs.items()}
+    own = {n: replace(p, measured=along[0][n], simulated=along[1][n]) for n, p in pairs.items()}
+    geometry = _replaced(model, values, trial.swim.coefficients or {})
     placed = fit_common.pose_channels(model)
     record = TrialComparison(
         id=trial.id,
@@ -251,6 +261,7 @@ def compare_trial(
         channels={name: _score([p], frequency, own_motion=name in placed) for name, p in own.items()},
         mean_speed=speed,
         cruise=_cruise(applied, trial, values, pairs),
+        wave=compare_wave.compare(model, geometry, trial, simulated, pairs, frequency),
     )
     return Compared(trial, pairs, own, record)
 

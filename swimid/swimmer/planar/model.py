@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError
 from swimid.fitting.drives import Beat
 from swimid.fitting.model import TRACEABLE, Array, Hooks, Parameter, Scales, SwimInput, Trial
+from swimid.logs import wave
 from swimid.notices import Progress, silent
 from swimid.robots import planar as parts
 from swimid.robots.file import Fluid
@@ -28,6 +29,7 @@ from swimid.swimmer.model import Run, Swimmer, flows, trial_parameter, turned
 from swimid.swimmer.planar import engine
 from swimid.swimmer.tree import (
     SYMMETRIC,
+    Axis,
     Polynomial,
     Row,
     Rows,
@@ -460,18 +462,64 @@ class Body:
         length = np.array(self.lengths_m)[:, None]
         return x - length * np.cos(heading), y - length * np.sin(heading)
 
+    @cached_property
+    def spine(self) -> list[int]:
+        """Indices of the links from the base to the rear."""
+        topology = self._model.tree.topology
+        moving = np.any(topology[:, 1:] >= 0, axis=1)
+        return wave.spine(topology[:, 0].tolist(), moving.tolist())
+
+    @cached_property
+    def joints(self) -> dict[int, Axis]:
+        """Moving joint of each link with its parent, by the index of the link."""
+        return {axis.link: axis for axis in (*self.driven, *self.passive)}
+
+    @property
+    def stations(self) -> list[str]:
+        """Names of the stations of :meth:`midline`: both ends of the robot, and the joints between them."""
+        names = ["front end"]
+        for link in self.spine[1:]:
+            name = f"front of {self._model.tree.links[link].name}"
+            if link in self.joints:
+                name = self.joints[link].name
+            names.append(name)
+        return [*names, "rear end"]
+
+    def midline(self, values: Array, columns: Mapping[str, Array]) -> tuple[NDArray[np.complex128], Array]:
+        """Return the stations on the midline of the robot, and the heading of the base.
+
+        Parameters
+        ----------
+        values, columns
+            As for :meth:`frames`.
+
+        Returns
+        -------
+        stations : ndarray of complex, shape (n, k)
+            Front end of each link of :attr:`spine`, and the rear end of the last link, x + iy, m.
+        heading : ndarray, shape (n,)
+            rad.
+        """
+        frames = self.frames(values, columns)
+        fronts, rears = ((x + 1j * y).T for x, y in (frames[:2], self.rear_ends(frames)))
+        return wave.stations_of(self.spine, fronts, rears), frames[2][0]
+
     def straight(self, values: Array) -> tuple[Array, Array]:
         """Return the distances of the front and rear ends of the links from the robot's front end, m.
 
         All joints are straight.
         """
-        columns = {a.column: np.zeros(1) for a in (*self._model.driven, *self._model.passive)}
-        if self.free:
-            columns |= {name: np.zeros(1) for name in self.pose}
-        frames = self.frames(values, columns or {"": np.zeros(1)})
+        frames = self.frames(values, self.at_rest())
         x0, y0 = frames[0][0], frames[1][0]
         front, rear = (np.hypot(x - x0, y - y0)[:, 0] for x, y in (frames[:2], self.rear_ends(frames)))
         return front, rear
+
+    def at_rest(self) -> dict[str, Array]:
+        """Return channels for :meth:`frames`, shape (1,) each: the joints are straight, the pose is zero."""
+        columns = {axis.column: np.zeros(1) for axis in self.joints.values()}
+        if self.free:
+            columns |= {name: np.zeros(1) for name in self.pose}
+        return columns or {"": np.zeros(1)}
 
     def length(self, values: Array) -> float:
         """Return the length of the robot, m.
@@ -529,10 +577,8 @@ class Body:
         drag is that in still water, in N m s2/rad2.
         """
         topology = tables["topology"]
-        straight = {a.column: np.zeros(1) for a in (*self.driven, *self.passive)}
-        straight |= {name: np.zeros(1) for name in self.pose}
         start = np.array([p.start for p in self._model.parameters])
-        x, y, heading = (part[:, 0] for part in self.frames(start, straight))
+        x, y, heading = (part[:, 0] for part in self.frames(start, self.at_rest()))
         # compute velocities and turn rates of the links at an actuator rate of 1 rad/s
         vx, vy, turn = np.zeros((3, len(x)))
         slopes = self._model.joints.slopes(start)
