@@ -27,7 +27,7 @@ from tests.generators.mujoco_speeds import BEATS, DURATION_S, run
 
 #: Duration of the segments that are predicted from their measured first state, s.
 SEGMENT_S = 2.5
-#: Number of starting points of a fit, and standard deviation of the logarithm of their values about the defaults.
+#: Number of starting points of a fit, and standard deviation of the logarithm of their values.
 STARTS, SPREAD = 4, 0.7
 #: Width and height of each link, m. The heights are published, the widths are guesses.
 SIZES = {"body": (0.04, 0.105), "tail": (0.02, 0.09), "fin": (0.002, 0.112)}
