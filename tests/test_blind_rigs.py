@@ -245,6 +245,7 @@ def finished(tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_case_runs_apart_from_its_label(finished: Path) -> None:
     record = json.loads((finished / "results" / "0001" / "result.json").read_text())
     assert [step["status"] for step in record["steps"]] == [0] * len(record["steps"])
@@ -256,6 +257,7 @@ def test_a_case_runs_apart_from_its_label(finished: Path) -> None:
     assert "arrays/runs/mean_speed_m_s" in np.load(finished / "labels" / "0001.npz")
 
 
+@pytest.mark.slow
 def test_a_finished_case_is_not_run_again(finished: Path) -> None:
     case = {"number": 2, "robot": "cruise", "kind": "single", "effects": ["servo-lag"], "size": 1.0}
     runner.run([case], finished, 1, program=("/nowhere",))
@@ -265,6 +267,7 @@ def test_a_finished_case_is_not_run_again(finished: Path) -> None:
     assert json.loads(label.read_text())["effects"] == ["servo-lag"]
 
 
+@pytest.mark.slow
 def test_right_and_wrong_answers_are_distinguished(finished: Path) -> None:
     rows = {row["number"]: row for row in score.read(finished)}
     assert [rows[k]["first"] for k in range(5)] == [False] * 5
@@ -327,6 +330,7 @@ def test_closed_is_recomputed_with_the_labels_floor() -> None:
     assert row["closed"] == pytest.approx((0.1**2 - 0.05**2) / (0.1**2 - (0.04 / 2.0) ** 2))
 
 
+@pytest.mark.slow
 def test_the_true_closed_share_comes_from_the_noise_free_motions(finished: Path) -> None:
     row = next(r for r in score.read(finished) if r["number"] == 1)
     assert (row["claimed"], row["interval"]) == (0.9, (0.8, 0.95))

@@ -351,6 +351,7 @@ def test_a_validation_trial_that_is_not_predicted_is_reported(tmp_path: Path) ->
     assert "another setting" in file.advice[0].text
 
 
+@pytest.mark.slow
 def test_without_a_parameter_file_the_robot_file_is_refitted(rig: tuple[Path, Path], tmp_path: Path) -> None:
     out = tmp_path / "gap.yaml"
     ran = command("diagnose", rig[0], "-o", out)

@@ -19,6 +19,9 @@ TEXT = (EXAMPLES / "eel.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^swimid (.*)$", TEXT, re.M)
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Ran]]:
     """The folder in which every command of the page ran, and what each said."""

@@ -54,13 +54,15 @@ def test_friction_of_a_pulley_under_load(tmp_path: Path) -> None:
     assert stderr < 0.02
 
 
-@pytest.mark.parametrize("size, seed", [(1.0, 5), pytest.param(3.0, 6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size, seed", [(1.0, 5), (3.0, 6)])
 def test_a_moment_that_is_not_proportional_to_the_roll(tmp_path: Path, size: float, seed: int) -> None:
     """The true moments are a sine and a hyperbolic sine, the fitted ones cubic: 15 % are allowed."""
     value, _ = rig(tmp_path, "free-decay", "hardening", size, seed)["hardening_rad_2"]
     assert abs(value) == pytest.approx(0.2 * size / np.radians(20.0) ** 2, rel=0.15)
 
 
+@pytest.mark.slow
 def test_friction_of_a_bearing_that_falls_with_speed(tmp_path: Path) -> None:
     """The true friction has a tail at twice the Stribeck speed, where a Gaussian is nearly zero."""
     cause = rig(tmp_path, "free-decay", "stribeck", 3.0, 6)

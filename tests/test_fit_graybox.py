@@ -132,6 +132,7 @@ def _rewrite(path: Path, change: Callable[[Table], Table]) -> None:
 
 
 class TestRecovery:
+    @pytest.mark.slow
     def test_speed_and_yaw_rate(self, swimid: Swimid, tmp_path: Path) -> None:
         file = _fit(swimid, _write(tmp_path, _runs(), RATES))
         off = _deviations(file, TRUTH)
@@ -223,6 +224,7 @@ class TestChoices:
         assert len(off) == 8
         assert max(map(abs, off.values())) < 3, off
 
+    @pytest.mark.slow
     def test_bounds_and_fixed(self, swimid: Swimid, tmp_path: Path) -> None:
         trials = _write(tmp_path, _runs(shared=True), RATES)
         file = _fit(

@@ -19,6 +19,7 @@ def test_the_generators_do_not_know_the_package() -> None:
     assert ran.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_case_is_the_same_whenever_it_is_made(tmp_path: Path, name: str) -> None:
     folders = [tmp_path / "first", tmp_path / "second"]

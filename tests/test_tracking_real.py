@@ -38,7 +38,7 @@ def tracked(tmp_path, folder, name, proposed, *options):
     return pd.read_csv(tmp_path / "run.csv", comment="#")
 
 
-@pytest.mark.parametrize("proposed", [False, True])
+@pytest.mark.parametrize("proposed", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_tractor_has_its_published_speed(tmp_path, proposed):
     """It is found in all frames but one at most, and moves by 2.49 px a frame."""
     log = tracked(tmp_path, "tracktor", "tractor_video.mp4", proposed)
@@ -54,7 +54,7 @@ def test_the_tractor_has_its_published_speed(tmp_path, proposed):
     assert offset.std() < 2
 
 
-@pytest.mark.parametrize("proposed", [False, True])
+@pytest.mark.parametrize("proposed", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_green_ball_is_found_only_when_it_is_visible(tmp_path, proposed):
     """A ball that is moved in and out of the picture is found only in frames that show it."""
     log = tracked(tmp_path, "green_ball", "ball2.mp4", proposed)

@@ -337,7 +337,7 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     "own servo": (
         {"actuator": "tendon", "servo": {"natural_frequency_hz": 5}}, "'servo' would drive the joint", "",
     ),
-    "ratio and table": ({"actuator": "tendon", "ratio": 1, "table_deg": TABLE}, "not both", ""),
+    "ratio and table": ({"actuator": "tendon", "ratio": 0.2, "table_deg": TABLE}, "not both", ""),
     "ratio of nothing": ({"ratio": 0.2}, "'ratio' needs an 'actuator'", ""),
     "one row": ({"actuator": "tendon", "table_deg": [[0, 0]]}, "at least 2", ""),
     "repeated value": (

@@ -180,7 +180,8 @@ class Driven(Actuator):
 
     @model_validator(mode="after")
     def _one_law(self) -> Self:
-        stated = self.model_fields_set
+        fields = Driven.model_fields
+        stated = {name for name in self.model_fields_set if getattr(self, name) != fields[name].default}
         transmission = sorted(stated & {"ratio", "table_deg"})
         own = sorted(stated & set(Actuator.model_fields))
         if self.actuator is None:
