@@ -524,7 +524,8 @@ def diagnosed(folder: Path, *options: str, name: str = "gap.yaml") -> Answer:
     if ran.returncode:
         raise RuntimeError(ran.stderr)
     gap = json.loads(ran.stdout)["result"]
-    said = [*gap["reasons"], *gap["unsure"], *(advice["text"] for advice in gap["advice"]), ran.stderr]
+    shown = json.loads((folder / name).with_suffix(".evidence.json").read_text())["verdict"]["text"]
+    said = [*gap["reasons"], shown, *(advice["text"] for advice in gap["advice"]), ran.stderr]
     return Answer.of(gap, "\n".join(said))
 
 

@@ -56,7 +56,7 @@ SWIMMING: Causes = {
     "fin-flexibility": {"compliance_rad_N": 0.5},
     "hardening": {"hardening_rad_2": 20.0},
     "joint-damping": {"damping_N_m_s_rad": 0.003},
-    "joint-locked": {"locked_joint4": 0.2},
+    "joint-locked": {"locked_joint4": 0.3},
     "joint-stiffness": {"change": 0.5, "hardening_rad_2": 3.0},
     "lift-damping": {"lift_N_s2_m2": 20.0},
     "linear-drag": {"linear_N_s_m": 1.0},
