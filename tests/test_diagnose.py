@@ -300,6 +300,7 @@ def test_the_same_seed_gives_the_same_file(rig: tuple[Path, Path], tmp_path: Pat
     assert documents[0] == documents[1]
 
 
+@pytest.mark.slow
 def test_only_the_effects_asked_for_are_tried(rig: tuple[Path, Path]) -> None:
     ran = command(
         "diagnose",

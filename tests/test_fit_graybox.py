@@ -563,6 +563,7 @@ class TestWrongModels:
         assert out.exists()
         assert "did not converge" in ran.err
 
+    @pytest.mark.slow
     def test_bounds_that_stopped_the_fit_are_named(self, swimid: Swimid, tmp_path: Path) -> None:
         trials, out = _write(tmp_path, _runs(), RATES), tmp_path / "fit.yaml"
         ran = swimid("fit-graybox", trials, "--bounds", "c_d4=0,3", "--max-iterations", "6", "-o", out)

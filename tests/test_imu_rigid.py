@@ -79,6 +79,7 @@ def test_the_generator_agrees_with_its_own_integral() -> None:
     [(rigid.POOR, 1.0), pytest.param(rigid.Unit(), 2.0, marks=pytest.mark.slow)],
     ids=["chip", "27 rad_s"],
 )
+@pytest.mark.slow
 def test_rests_after_a_minute_of_fast_turning_leave_the_attitude_good(
     unit: rigid.Unit, pace: float, swimid: Callable[..., Ran], tmp_path: Path
 ) -> None:

@@ -311,6 +311,7 @@ class TestTendonFish:
             central = (4 * narrow - wide) / 3
             assert np.linalg.norm(forward - central) < 1e-5 * np.linalg.norm(central), parameter.name
 
+    @pytest.mark.slow
     @needs_casadi
     def test_sensitivities(self) -> None:
         """Finite differences of the engine agree with variations of the independent equations."""

@@ -70,6 +70,7 @@ def test_the_rule_follows_its_optima(rule: StiffnessRule) -> None:
     assert rule.file.curves[0].coefficients == pytest.approx(np.polyfit(f, stiff, 2)[::-1], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_also_after_an_interrupt(tmp_path: Path) -> None:
     given = {**SMALL, "generations": 3, "jobs": 1}
     whole, parted, other = (tmp_path / f"{name}.yaml" for name in ("whole", "parted", "other"))

@@ -108,6 +108,7 @@ def test_a_robot_near_the_camera_is_not_the_scene():
     assert np.isnan(scene_shifts(frames[::10])[1:]).all()
 
 
+@pytest.mark.slow
 def test_a_marker_beside_a_rule_of_its_colour_is_followed(tmp_path):
     """The moving thing is the marker; the rule of its colour is left out, and other colours are listed."""
     fish = clutter.straight(20, 160, 93, 0)
