@@ -260,25 +260,10 @@ class DrivenJoints:
         ratios: tuple[float, ...],
         hooks: Hooks,
     ) -> DrivenMotion:
-        lead_s = _memory_s(trial.swim, servos, hooks)
-        if lead_s == 0.0:
-            return self._actuated(trial, grid, phase_rad, servos, ratios, hooks)
         # begin the motion earlier, so that the initial transients of servos and backlash have decayed at the
         # first step
-        before = math.ceil(lead_s / grid.step_s)
-        early = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
-        whole = self._actuated(trial, early, phase_rad, servos, ratios, hooks)
-        return DrivenMotion(whole.table[2 * before :], whole.joints)
-
-    def _actuated(
-        self,
-        trial: Trial,
-        grid: Grid,
-        phase_rad: float,
-        servos: Servos,
-        ratios: tuple[float, ...],
-        hooks: Hooks,
-    ) -> DrivenMotion:
+        before = math.ceil(_memory_s(trial.swim, servos, hooks) / grid.step_s)
+        grid = Grid(grid.begin_s - before * grid.step_s, grid.step_s, grid.steps + before)
         half, commands = self._commanded(trial, grid, phase_rad)
         motions: list[Motion] = []
         actual: list[Array] = []
@@ -299,7 +284,7 @@ class DrivenJoints:
                 motions.append(motion)
         joints = zip(self._transmissions, self._tree.actuator_of, ratios, strict=True)
         moved = [law.motion(motions[k], ratio) for law, k, ratio in joints]
-        return DrivenMotion(table(len(half), moved, self.mounts_rad), len(moved))
+        return DrivenMotion(table(len(half), moved, self.mounts_rad)[2 * before :], len(moved))
 
     def _commanded(self, trial: Trial, grid: Grid, phase_rad: float) -> tuple[Array, list[Motion]]:
         """Return the times of the half steps of the grid, and the commanded motion of each actuator.

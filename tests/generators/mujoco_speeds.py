@@ -36,6 +36,15 @@ def run(model: mujoco.MjModel, frequency_hz: float, amplitude_rad: float) -> flo
     return float(np.hypot(*moved) / (rows * model.opt.timestep))
 
 
+def simulated(params: Path, frequency_hz: float, amplitude_deg: float) -> float:
+    """Return the final speed by swimid, m/s."""
+    drive = {"frequency_hz": frequency_hz, "amplitude_deg": amplitude_deg, "ramp_s": 0.0}
+    log = swimid.simulate(params=params, duration_s=DURATION_S, **drive).frame
+    rows = log["t_s"].to_numpy() <= DURATION_S - BEATS / frequency_hz
+    place = log[["x_m", "y_m"]].to_numpy()
+    return float(np.hypot(*(place[-1] - place[rows][-1])) * frequency_hz / BEATS)
+
+
 def main(trials: Path, params: Path) -> None:
     """Print speeds and times of all drives of a trials file."""
     warnings.simplefilter("ignore")
@@ -48,11 +57,7 @@ def main(trials: Path, params: Path) -> None:
     for name, drive in drives.items():
         hertz, degrees = drive["frequency_hz"], drive["amplitude_deg"]
         begin = time.perf_counter()
-        settings = {"frequency_hz": hertz, "amplitude_deg": degrees, "duration_s": DURATION_S, "ramp_s": 0.0}
-        log = swimid.simulate(params=params, **settings).frame
-        rows = log["t_s"].to_numpy() <= DURATION_S - BEATS / hertz
-        place = log[["x_m", "y_m"]].to_numpy()
-        own = float(np.hypot(*(place[-1] - place[rows][-1])) * hertz / BEATS)
+        own = simulated(params, hertz, degrees)
         middle = time.perf_counter()
         theirs = run(model, hertz, np.radians(degrees))
         end = time.perf_counter()

@@ -23,7 +23,7 @@ from scipy.signal import savgol_filter
 
 import swimid
 from swimid.robots import file as robot_file
-from tests.generators.mujoco_speeds import BEATS, DURATION_S, run
+from tests.generators.mujoco_speeds import run, simulated
 
 #: Duration of the segments that are predicted from their measured first state, s.
 SEGMENT_S = 2.5
@@ -155,11 +155,7 @@ def main(path: Path) -> None:
         rows = round(int(log["t_s"].iloc[-1] * hertz) / hertz / np.median(np.diff(log["t_s"])))
         moved = log[["x_m", "y_m"]].iloc[[0, rows]].to_numpy()
         measured = float(np.hypot(*(moved[1] - moved[0])) / log["t_s"].iloc[rows])
-        settings = {"frequency_hz": hertz, "amplitude_deg": degrees, "duration_s": DURATION_S, "ramp_s": 0.0}
-        swum = swimid.simulate(params=path.parent / "own.yaml", **settings).frame
-        last = swum["t_s"].to_numpy() <= DURATION_S - BEATS / hertz
-        place = swum[["x_m", "y_m"]].to_numpy()
-        ours = float(np.hypot(*(place[-1] - place[last][-1])) * hertz / BEATS)
+        ours = simulated(path.parent / "own.yaml", hertz, degrees)
         theirs = run(model, hertz, np.radians(degrees))
         print(f"{entry['id']:7s} {entry['role']:9s} {measured:12.4f} {theirs:14.4f} {ours:8.4f}")
 
