@@ -5,6 +5,7 @@
     SwimidError
     +-- UsageError          2  options or arguments are wrong
     +-- InputError          3  a file cannot be read or is invalid   (also a ValueError)
+        +-- NotEnoughMemory 3  the input does not fit into the memory
     +-- NoTrustworthyResult 4  the computation ended without a result that can be trusted
         +-- Interrupted   130  the user stopped the computation
 """
@@ -154,6 +155,10 @@ class InputError(SwimidError, ValueError):
         super().__init__(": ".join(filter(None, [where, message])), hint=hint)
         self.file, self.line, self.frame, self.row, self.column = file, line, frame, row, column
         self.reason = in_words_of_the_caller(message)
+
+
+class NotEnoughMemory(InputError):
+    """Error for an input that does not fit into the memory, or into the memory limit of the process."""
 
 
 class NoTrustworthyResult(SwimidError):

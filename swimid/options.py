@@ -108,6 +108,14 @@ class Options(BaseModel):
     beside : tuple of str
         Endings of the files that are written next to the output. The default is the ending of the evidence
         file.
+    makes : str
+        Kind of file that the command makes, by which a batch connects steps: ``log``, ``parameters``,
+        ``setup``, ``result``, ``picture`` or ``page``.
+    metrics : tuple of str
+        Dotted names of numbers in the ``--json`` answer that the summary of a batch shows besides the
+        estimates. ``*`` stands for any name.
+    lock : bool
+        Whether the output is locked while the command runs.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)

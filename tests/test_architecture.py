@@ -21,7 +21,7 @@ PAGE = ROOT / "docs" / "architecture.md"
 #: Level of each package, and of each module that all use: it imports from itself and from lower levels.
 LEVEL = {
     name: int(level)
-    for level, name in re.findall(r"^\| (\d) \| `(\w+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
+    for level, name in re.findall(r"^\| (\d+) \| `(\w+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
 }
 PACKAGES = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
 

@@ -19,6 +19,7 @@ class RwlsOptions(
     argument="LOG...",
     output="Parameter file to write.",
     output_flags=("-o", "--result"),
+    makes="parameters",
 ):
     r"""Identify an ARX or ARMAX model by recursive weighted least squares.
 

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
-from swimid.errors import InputError, Interrupted, SwimidError, UsageError, naming
+from swimid.errors import Interrupted, NotEnoughMemory, SwimidError, UsageError, naming
 from swimid.files import atomic, provenance
 from swimid.notices import Notice, Progress, Step, recorded, silent
 
@@ -99,6 +99,9 @@ class Run:
         notices: list[Notice] = []
         written: list[Path] = []
         interrupts: list[Callable[[], None]] = []
+        locked = self.output
+        if not found()[self.command].lock:
+            locked = None
 
         def noted(interrupt: Callable[[], None]) -> None:
             # Record the interrupt, because a search may catch its exception and return the best result so
@@ -112,7 +115,7 @@ class Run:
                 naming(None),
                 recorded() as notices,
                 atomic.noted() as written,
-                atomic.locked(self.output),
+                atomic.locked(locked),
             ):
                 outcome = work()
             if interrupts:
@@ -131,6 +134,8 @@ class Run:
             click.echo(f"{lead}: {error}", err=True)
             sys.exit(error.exit_status)
         self._print({"result": outcome.data}, notices, outcome.outputs, outcome)
+        if outcome.exit_status:
+            sys.exit(outcome.exit_status)
 
     def _as_error(self, caught: BaseException, written: list[Path]) -> SwimidError:
         """Convert the exception that ended the command into a :class:`SwimidError`.
@@ -140,7 +145,7 @@ class Run:
         if isinstance(caught, SwimidError):
             return caught
         if isinstance(caught, MemoryError):
-            return InputError(f"not enough memory for this input: {caught}")
+            return NotEnoughMemory(f"not enough memory for this input: {caught}")
         if not isinstance(caught, KeyboardInterrupt):
             hint = "run again with --debug and report the traceback"
             return Bug(f"{type(caught).__name__}: {caught}", hint=hint)
@@ -257,7 +262,8 @@ class CommandSpec:
 
     Attributes
     ----------
-    command, section, output, argument, output_flags, required, stdout, beside, function, module
+    command, section, output, argument, output_flags, required, stdout, beside, function, module, makes,
+    metrics, lock
         Class arguments of the class of options.
     package, options, help : str
         Name of the package, and name and docstring of the class of options.
@@ -276,6 +282,9 @@ class CommandSpec:
     beside: tuple[str, ...] = (EVIDENCE,)
     function: str = ""
     module: str = ""
+    makes: str = ""
+    metrics: tuple[str, ...] = ()
+    lock: bool = True
 
     def model(self) -> type[Options]:
         """Import the class of options of the command, and return this class."""
@@ -366,6 +375,22 @@ class Command(click.Command):
             click.echo(outcome.text)
             outcome = replace(outcome, text="")
         return outcome
+
+
+def check_words(spec: CommandSpec, words: list[str]) -> None:
+    """Check the words of a command line after the name of the command, without an execution of the command.
+
+    Raises
+    ------
+    click.UsageError
+        If an option does not exist or is missing, or if a value has the wrong type.
+    UsageError
+        If a value is not allowed.
+    """
+    context = Command(spec).make_context(spec.command, list(words))
+    declared = spec.model().declared()
+    given = {name: value_of(entry, context.params[name]) for name, entry in declared.items()}
+    spec.model().of(given)
 
 
 def _argument(metavar: str) -> list[click.Parameter]:
@@ -540,6 +565,7 @@ SECTIONS = (
     "Simulate and compare",
     "Diagnose",
     "Put to work",
+    "Many at once",
     "Publish",
     "Help yourself",
 )

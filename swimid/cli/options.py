@@ -14,6 +14,7 @@ class ImportLogOptions(
     module="commands",
     argument="FILE",
     output="The log, CSV or Parquet by its ending; with --guess the mapping.",
+    makes="log",
 ):
     """Import a log of a tracker, of motion capture, of a robot or of a laboratory, or any table.
 

@@ -16,6 +16,8 @@ class DiagnoseOptions(
     command="diagnose",
     section="Diagnose",
     output="Gap file to write (YAML).",
+    makes="result",
+    metrics=("closed.share",),
 ):
     """Name the unmodelled effect behind a gap between trials and simulation.
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import swimid
-from swimid.errors import file_errors
+from swimid.errors import UsageError, file_errors
 from swimid.files import tabular
 
 
@@ -106,7 +106,7 @@ def collect(
     block: dict[str, Any] = {
         "command": command_line(),
         "version": swimid.__version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": now().isoformat(timespec="seconds"),
         "inputs": digests or digests_of(inputs),
         "packages": _versions(),
     }
@@ -115,6 +115,28 @@ def collect(
     if settings:
         block["settings"] = settings
     return block
+
+
+def now() -> datetime:
+    """Return the present time (UTC), or the time that the variable ``SOURCE_DATE_EPOCH`` states.
+
+    The variable holds seconds since 1970 (reproducible-builds.org). With it, two runs write the same bytes.
+
+    Raises
+    ------
+    UsageError
+        If the variable is not a whole number of seconds.
+    """
+    stated = os.environ.get("SOURCE_DATE_EPOCH")
+    if not stated:
+        return datetime.now(UTC)
+    try:
+        return datetime.fromtimestamp(int(stated), UTC)
+    except (ValueError, OverflowError, OSError) as error:
+        text = (
+            f"the environment variable SOURCE_DATE_EPOCH is '{stated}', and must be whole seconds since 1970"
+        )
+        raise UsageError(text, hint="unset SOURCE_DATE_EPOCH") from error
 
 
 def says_simulated(given: Input) -> bool:
@@ -185,7 +207,7 @@ _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b"
 #: hand.
 _FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
 #: Pattern of the beginning of a file that swimid wrote, up to the mark. Its alternatives are, in this order:
-#: log, JSON, JSON Schema, findings of ``doctor``, XML, Python, HTML, C header, CSV of a Pareto front, SVG,
+#: log, JSON, JSON Schema, findings of ``doctor``, XML, Python, shell script, HTML, C header, CSV of a Pareto front, SVG,
 #: PNG, GIF.
 _BEGINNING = re.compile(
     "|".join((
@@ -195,6 +217,7 @@ _BEGINNING = re.compile(
         r'\{\s*"swimid": "[^"]*",\s*"python": ',
         r"<\?xml [^>]*>\s*<!--\s*Written by swimid \d",
         r'"""Written by swimid \d',
+        r"#!/bin/bash\n# Written by swimid\.",
         r"<!DOCTYPE html>\s*<html\b[^>]*>\s*<head>\s*(?:<meta [^>]*>\s*)*?"
         r'<meta name="generator" content="swimid ',
         r"/\*(?:(?!\*/).)*\*/\s*#ifndef SWIMID_STIFFNESS_RULE_H\b",

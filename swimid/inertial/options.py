@@ -14,6 +14,7 @@ class TrackImuOptions(
     argument="IMU",
     output="The log, CSV or Parquet by its ending.",
     required=True,
+    makes="log",
 ):
     """Compute velocity, position and attitude from an inertial recording, each with its uncertainty band.
 

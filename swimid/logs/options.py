@@ -97,6 +97,7 @@ class PlotOptions(
     output="The picture: .svg or .png.",
     required=True,
     beside=(),
+    makes="picture",
 ):
     """Draw logs: channels, track from above, and spectra. Several logs are drawn over each other.
 

@@ -24,6 +24,7 @@ class MapOptions(
     function="performance_map",
     argument="",
     output="Map file to write (YAML).",
+    makes="result",
 ):
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
@@ -52,6 +53,7 @@ class OptimiseStiffnessOptions(
     section="Put to work",
     argument="",
     output="Rule file to write (YAML).",
+    makes="result",
 ):
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
@@ -95,6 +97,7 @@ class OptimiseGaitOptions(
     section="Put to work",
     argument="",
     output="Gait file to write (YAML).",
+    makes="result",
 ):
     r"""Find the best gait within limits.
 

@@ -13,6 +13,7 @@ class FitPropulsionOptions(
     command="fit-propulsion",
     section="Identify",
     output="Parameter file to write (YAML).",
+    makes="parameters",
 ):
     """Identify the propulsion of a caudal fin.
 

@@ -17,12 +17,12 @@ class ReportOptions(
     output="The report. Without it, or with -o -, it goes to stdout.",
     stdout={"format": "md"},
     beside=(),
+    makes="page",
 ):
     """Make one self-contained page from any mixture of results.
 
-    RESULT is a parameter file, a gap file or a log. The evidence that swimid wrote beside it
-    (drag.yaml: drag.evidence.json) brings its figures, checks and methods. Nothing is
-    computed again.
+    RESULT is a parameter file, a gap file, a log, or a folder of them. The evidence that swimid wrote beside
+    it (drag.yaml: drag.evidence.json) brings its figures, checks and methods. Nothing is computed again.
 
     Examples:
       swimid report drag.yaml propulsion.yaml -o report.html

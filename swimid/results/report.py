@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 import swimid
 from swimid.errors import UsageError
 from swimid.files import atomic
-from swimid.files.provenance import sha256
+from swimid.files.provenance import now, sha256
 from swimid.notices import CODES, Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import drawing, numbers
@@ -59,8 +59,8 @@ def report(
     Parameters
     ----------
     inputs : sequence of paths and results
-        Parameter files, gap files and logs, each with its ``.evidence.json`` in the same folder, or results
-        in memory.
+        Parameter files, gap files and logs, each with its ``.evidence.json`` in the same folder, or a folder
+        of them, or results in memory.
     output : path, optional
         File to write. With None or ``-`` no file is written.
     progress : Progress
@@ -87,7 +87,7 @@ def report(
     """
     if not inputs:
         raise UsageError("name at least one result file")
-    sources = list(dict.fromkeys(i if isinstance(i, Result) else Path(i) for i in inputs))
+    sources = list(dict.fromkeys(source for given in inputs for source in _sources(given)))
     paths = [source for source in sources if isinstance(source, Path)]
     target, kind = None, options.format or "html"
     if output is not None and str(output) != "-":
@@ -102,7 +102,7 @@ def report(
     heading = options.title or "Identification report"
     if options.title is None and len(contents) == 1:
         heading = contents[0].title
-    created = datetime.now(UTC)
+    created = now()
     digests = {str(result.path): "of nothing: it was in memory" for result in results}
     digests |= {str(path): sha256(path) for path in paths}
     text = render(
@@ -125,6 +125,21 @@ def report(
         return Text("report", text.rstrip("\n"), data, document=text)
     atomic.write_text(target, text)
     return Text("report", "\n".join(lines), data, [target], document=text)
+
+
+def _sources(given: str | Path | Result) -> list[Path | Result]:
+    """Return the results that an input of a report names: itself, or all results of a folder."""
+    if isinstance(given, Result):
+        return [given]
+    path = Path(given)
+    if not path.is_dir():
+        return [path]
+    found: list[Path | Result] = []
+    for place in sorted(path.glob("*.evidence.json"), key=lambda one: one.stat().st_mtime_ns):
+        found.append(place.with_name(ev.read(place).result))
+    if not found:
+        raise UsageError(f"the folder {path} has no result with evidence", hint="name a result file")
+    return found
 
 
 def _read(path: Path) -> Result:

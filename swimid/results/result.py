@@ -38,6 +38,7 @@ FORMATS = {
     "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
     "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
     "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
+    "swimid-run-comparison/1": "swimid.batch.compare_runs:ComparedRuns",
 }
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
 LOG = "swimid.logs.tracks:Logged"
@@ -108,6 +109,11 @@ class Result:
     kind: ClassVar[str] = "Result"
     #: Ending of the name of a result file that is not written yet.
     ending: ClassVar[str] = ".yaml"
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status of the command that prints this result."""
+        return 0
 
     def summary(self) -> str:
         """Return a summary of the result in plain text, as the command prints it."""

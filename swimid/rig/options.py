@@ -14,6 +14,7 @@ class FitDragOptions(
     command="fit-drag",
     section="Identify",
     output="Parameter file to write (YAML).",
+    makes="parameters",
 ):
     """Identify drag, added mass and friction from a rig.
 

@@ -16,6 +16,7 @@ class SensitivityOptions(
     command="sensitivity",
     section="Diagnose",
     output="Sensitivity file to write (YAML).",
+    makes="result",
 ):
     """Rank the coefficients of a swimmer by their effect on each output.
 

@@ -32,6 +32,8 @@ class CompareOptions(
     command="compare",
     section="Simulate and compare",
     output="Comparison file to write (YAML).",
+    makes="result",
+    metrics=("channels.*.nrmse",),
 ):
     """Compare recorded trials with their simulation.
 
@@ -87,6 +89,7 @@ class SimulateOptions(
     argument="",
     output="Log to write (.csv or .parquet).",
     beside=(),
+    makes="log",
 ):
     """Simulate any robot from any parameter file.
 

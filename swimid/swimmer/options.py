@@ -53,6 +53,7 @@ class FitGrayboxOptions(
     section="Identify",
     output="Parameter file to write (YAML).",
     beside=(".evidence.json", ".front.csv"),
+    makes="parameters",
 ):
     """Identify the coefficients of a multi-link swimmer.
 

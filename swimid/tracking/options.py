@@ -25,6 +25,8 @@ class TrackVideoOptions(
     output="The log, CSV or Parquet by its ending.",
     required=True,
     beside=(".evidence.json", ".png"),
+    makes="log",
+    metrics=("found_share",),
 ):
     """Track coloured markers in a film, and write a log of pose and speeds.
 
@@ -106,6 +108,7 @@ class TrackSetupOptions(
     output="The setup file to write.",
     required=True,
     beside=(".markers.png",),
+    makes="setup",
 ):
     """Draft a setup from a film: propose markers, draw them, and write a YAML file to edit.
 

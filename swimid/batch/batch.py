@@ -1,0 +1,180 @@
+"""Command ``swimid batch``: run of a plan, which does the items that are missing or changed."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from swimid.batch import executors, item, slurm, status, summary
+from swimid.batch.options import BatchOptions
+from swimid.batch.plan import Item, Resolved, folder_of, resolve
+from swimid.errors import Interrupted, UsageError
+from swimid.files import atomic
+from swimid.files.provenance import is_own
+from swimid.notices import Progress, show, silent
+from swimid.options import takes
+from swimid.results.result import Result
+
+#: States of items that a run does. Items of the states ``failed`` and ``refused`` are done on request.
+TODO = ("missing", "outdated")
+#: Exit status of a run in which an item is refused, failed or without result.
+INCOMPLETE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Batch(Result):
+    """Result of ``batch``: number of items by state, and the items that need attention.
+
+    ``document`` is the :class:`~swimid.batch.summary.Summary` of the run.
+    """
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status: 4 if an item was refused, failed or without result, 0 otherwise."""
+        finished = set(self.data.get("states", {})) <= {"done", *TODO}
+        return 0 if finished else INCOMPLETE
+
+
+@takes(BatchOptions)
+def batch(
+    plan: str | Path,
+    *,
+    output: str | Path,
+    options: BatchOptions,
+    force: bool = False,
+    progress: Progress = silent,
+) -> Result:
+    """Take many films, logs or trials files through chains of commands.
+
+    Each item is done in a process of its own and leaves its results and its state in
+    ``output/items/<name>``. Items that are done with these inputs, options and version are not repeated. A
+    killed run loses the items in progress only.
+
+    Parameters
+    ----------
+    plan : path
+        Plan file (swimid-plan/1, ``docs/batch.md``).
+    output : path
+        Folder of the run. It is made if it does not exist.
+    force : bool
+        Whether the folder may have files that are not of a run.
+    progress : Progress
+        Progress over the items.
+
+    Returns
+    -------
+    Result
+        ``.document`` is the summary of the run, ``.data`` its numbers of items by state.
+
+    Raises
+    ------
+    InputError
+        If the plan is invalid, or if the cluster does not answer.
+    UsageError
+        If the folder is not empty and not that of a run.
+    Interrupted
+        After Ctrl-C. The same call goes on.
+    """
+    path, run = Path(plan), Path(output)
+    if not force:
+        _insist_own(run)
+    resolved = resolve(path, run)
+    first, step = options.part
+    mine = resolved.items[first::step]
+    if options.dry_run:
+        return _listed(resolved, mine, run, options)
+    if options.slurm is not None:
+        return slurm.write(options.slurm, path, run, options, len(mine), force)
+    run.mkdir(parents=True, exist_ok=True)
+    atomic.write_text(run / "plan.json", resolved.model_dump_json(indent=1) + "\n")
+    if not options.collect:
+        wanted = {*TODO, *options.retry}
+        todo = [one.id for one in mine if status.state_of(one, folder_of(run, one.id))[0] in wanted]
+        _do(run, todo, len(mine), options, progress)
+    found = summary.of_run(resolved, run)
+    outputs: list[Path] = []
+    if options.shard is None:
+        outputs = summary.write(found, run)
+    return _answer(found, mine, outputs)
+
+
+def _insist_own(run: Path) -> None:
+    """Raise an error if a folder has content and is not the folder of a run."""
+    if run.exists() and not run.is_dir():
+        raise UsageError(f"the output {run} is a file", hint="name a folder")
+    if (
+        run.is_dir()
+        and any(run.iterdir())
+        and not ((run / "plan.json").is_file() and is_own(run / "plan.json"))
+    ):
+        raise UsageError(
+            f"the folder {run} has files that are not of a run", hint="name a new folder, or give --force"
+        )
+
+
+def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress: Progress) -> None:
+    """Do the items with the given names."""
+    if not todo:
+        return
+    item.stopping.clear()
+    jobs = options.jobs or os.cpu_count() or 1
+    counts: Counter[str] = Counter(before=total - len(todo))
+    try:
+        with (
+            progress("items", total=len(todo)) as step,
+            executors.opened(jobs, options.cluster) as pool,
+        ):
+            futures = [pool.submit(item.run_item, str(run.resolve()), ident) for ident in todo]
+            try:
+                for future in as_completed(futures):
+                    counts[future.result()] += 1
+                    show(step, ", ".join(f"{count} {state}" for state, count in counts.items()))
+                    step()
+            finally:
+                if not all(future.done() for future in futures):
+                    item.stop()
+    except KeyboardInterrupt:
+        finished = sum(count for state, count in counts.items() if state not in ("missing", "before"))
+        text = (
+            f"interrupted; {finished} of {len(todo)} items are finished: the same command goes on from there"
+        )
+        raise Interrupted(text) from None
+
+
+def _listed(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptions) -> Batch:
+    """Return the list of items with their states and commands, for a dry run."""
+    lines: list[str] = []
+    items: list[dict[str, Any]] = []
+    shown: set[str] = set()
+    wanted = {*TODO, *options.retry}
+    for one in mine:
+        state = status.state_of(one, folder_of(run, one.id))[0]
+        verb = "run" if state in wanted else "keep"
+        lines.append(f"{verb:5s} {state:9s} {one.id}")
+        items.append({"id": one.id, "state": state, "run": verb == "run", "files": one.files})
+        if one.group not in shown:
+            shown.add(one.group)
+            lines += [f"      $ swimid {' '.join(argv)}" for step in one.steps for argv in step.argv[:1]]
+    count = sum(entry["run"] for entry in items)
+    lines.append(
+        f"{count} of {len(items)} items would be run. Commands are shown for the first item of each group."
+    )
+    return Batch("batch", "\n".join(lines), {"items": items})
+
+
+def _answer(found: summary.Summary, mine: list[Item], outputs: list[Path]) -> Batch:
+    """Return the result of a run for the terminal."""
+    names = {one.id for one in mine}
+    entries = [entry for entry in found.entries if entry.id in names]
+    counts = Counter(entry.state for entry in entries)
+    data: dict[str, Any] = {
+        "items": len(entries),
+        "states": dict(counts),
+        "entries": json.loads(json.dumps([entry.plain() for entry in entries])),
+    }
+    return Batch("batch", summary.text(entries), data, outputs, document=found)

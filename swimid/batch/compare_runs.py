@@ -1,0 +1,298 @@
+"""Command ``swimid compare-runs``: estimates that differ between runs, or between days of one robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy import stats
+
+from swimid.batch import status
+from swimid.batch.options import CompareRunsOptions
+from swimid.batch.plan import Resolved, folder_of
+from swimid.batch.status import Metric
+from swimid.errors import InputError, UsageError
+from swimid.files import provenance, yamlio
+from swimid.options import takes
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.result import FileResult, load_result
+
+#: Maximum number of panels of the figure, and of rows of the table of estimates that is not folded.
+MAX_PANELS, MAX_ROWS = 12, 12
+
+
+class Quantity(yamlio.Document):
+    """Estimates of one quantity of one item in all runs. An estimate that a run lacks is null."""
+
+    item: str
+    quantity: str
+    unit: str
+    values: list[float | None]
+    stderr: list[float | None]
+    #: Probability of differences this large if the quantity were the same in all runs (chi-squared test). It
+    #: is null if a standard error is unknown, and if all values are equal.
+    p: float | None = None
+    changed: bool = False
+
+
+class RunComparison(yamlio.ResultFile):
+    """Content of a comparison of runs."""
+
+    kind: ClassVar[str] = "comparison of runs"
+    format: Literal["swimid-run-comparison/1"] = "swimid-run-comparison/1"
+    runs: list[str]
+    false_discovery_rate: float
+    quantities: list[Quantity]
+    #: For each item that is not the same in all runs: what differs between the runs.
+    differences: dict[str, list[str]] = {}
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedRuns(FileResult[RunComparison]):
+    """Result of ``compare-runs``: estimates of all runs side by side, and those that changed."""
+
+    file_type = RunComparison
+
+
+@dataclass
+class _Found:
+    """Estimates, inputs, steps, version and state of one item in one run."""
+
+    metrics: Mapping[str, Metric]
+    state: str
+    version: str
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    steps: str = ""
+
+
+@takes(CompareRunsOptions)
+def compare_runs(
+    runs: Sequence[str | Path], *, options: CompareRunsOptions, output: str | Path | None = None
+) -> ComparedRuns:
+    """Compare the estimates of several runs, or results of one robot from several days.
+
+    A quantity is tested with the weighted sum of squared deviations from the weighted mean, which is
+    chi-squared distributed if the quantity is the same in all runs. The false discovery rate over all
+    quantities is controlled (Benjamini and Hochberg 1995).
+
+    Parameters
+    ----------
+    runs : sequence of paths
+        Two or more folders of runs, or result files, in the order of time.
+    output : path, optional
+        Comparison file to write.
+
+    Raises
+    ------
+    UsageError
+        If fewer than two runs are given.
+    InputError
+        If a folder is not that of a run, a file is not a result, or the runs have no estimate in common.
+    """
+    paths = [Path(run) for run in runs]
+    if len(paths) < 2:
+        raise UsageError("a comparison needs two runs", hint="swimid compare-runs run1 run2")
+    found = [_read(path) for path in paths]
+    names = _names(paths)
+    quantities = _quantities(found)
+    if not quantities:
+        have = ", ".join(sorted({item or "one result" for run in found for item in run}))
+        raise InputError("the runs have no estimate in common", file=paths[0], hint=f"their items: {have}")
+    tested = [q for q in quantities if q.p is not None]
+    if tested:
+        adjusted = stats.false_discovery_control([q.p for q in tested])
+        for quantity, p in zip(tested, adjusted, strict=True):
+            quantity.changed = bool(p <= options.false_discovery_rate)
+    order = {id(q): k for k, q in enumerate(quantities)}
+    quantities.sort(key=lambda q: (not q.changed, 2.0 if q.p is None else q.p, order[id(q)]))
+    inputs = [path / "plan.json" if path.is_dir() else path for path in paths]
+    origin = provenance.collect(inputs, settings=options.settings())
+    file = RunComparison(
+        runs=names,
+        false_discovery_rate=options.false_discovery_rate,
+        quantities=quantities,
+        differences=_differences(found, names),
+        provenance=origin,
+    )
+    return ComparedRuns.of(file, _evidence(file)).saved(output)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return the name of the folder or file of each run, or its path if two names are equal."""
+    names = [path.resolve().name for path in paths]
+    if len(set(names)) < len(names):
+        return [path.as_posix() for path in paths]
+    return names
+
+
+def _read(path: Path) -> dict[str, _Found]:
+    """Read the items of a run, or one result file as a run with a single item without a name."""
+    if not path.is_dir():
+        result = load_result(path)
+        data = result.data or {}
+        origin = getattr(result.document, "provenance", {})
+        metrics = status.metrics_of(data, ["channels.*.nrmse"])
+        return {"": _Found(metrics, "done", str(origin.get("version", "")))}
+    items = {}
+    for item in Resolved.of_run(path).items:
+        shown = status.read(folder_of(path, item.id))
+        if shown is None:
+            items[item.id] = _Found({}, "missing", "")
+        else:
+            items[item.id] = _Found(
+                shown.metrics, shown.state, shown.version, shown.inputs, shown.steps_sha256
+            )
+    return items
+
+
+def _quantities(found: Sequence[Mapping[str, _Found]]) -> list[Quantity]:
+    """Return the estimates that two or more runs have, with the test of their equality."""
+    rows = []
+    for item in dict.fromkeys(name for run in found for name in run):
+        having = [run.get(item) for run in found]
+        for name in dict.fromkeys(n for one in having if one for n in one.metrics):
+            metrics = [one.metrics.get(name) if one else None for one in having]
+            known = [m for m in metrics if m is not None]
+            units = {m.unit for m in known}
+            if len(known) < 2 or len(units) > 1:
+                continue
+            stderr = [None if m is None or not math.isfinite(m.stderr) else m.stderr for m in metrics]
+            rows.append(
+                Quantity(
+                    item=item,
+                    quantity=name,
+                    unit=units.pop(),
+                    values=[m and m.value for m in metrics],
+                    stderr=stderr,
+                    p=_p_value(known),
+                )
+            )
+    return rows
+
+
+def _p_value(known: Sequence[Metric]) -> float | None:
+    """Return the p-value of the hypothesis that all estimates are of one value; None if it is not tested."""
+    errors = np.array([one.stderr for one in known])
+    values = np.array([one.value for one in known], dtype=float)
+    if not (np.isfinite(errors).all() and (errors > 0).all()) or np.ptp(values) == 0:
+        return None
+    weights = errors**-2
+    mean = (weights * values).sum() / weights.sum()
+    return float(stats.chi2.sf((weights * (values - mean) ** 2).sum(), len(values) - 1))
+
+
+def _differences(found: Sequence[Mapping[str, _Found]], names: Sequence[str]) -> dict[str, list[str]]:
+    """Return for each item what is not the same in all runs: presence, state, version, steps, inputs."""
+    said: dict[str, list[str]] = {}
+    for item in dict.fromkeys(name for run in found for name in run):
+        having = {name: run[item] for name, run in zip(names, found, strict=True) if item in run}
+        texts = []
+        if len(having) < len(names):
+            texts.append(f"only in {', '.join(having)}")
+        for what in ("state", "version"):
+            values = {name: getattr(one, what) or "unknown" for name, one in having.items()}
+            if len(set(values.values())) > 1:
+                texts.append(f"{what}: " + ", ".join(f"{value} in {name}" for name, value in values.items()))
+        if len({one.steps for one in having.values()}) > 1:
+            texts.append("other steps, options or version")
+        contents = [{Path(n).name: digest for n, digest in one.inputs.items()} for one in having.values()]
+        changed = {n for one in contents for n in one if any(other.get(n) != one[n] for other in contents)}
+        if changed:
+            texts.append(f"other content of {', '.join(sorted(changed))}")
+        if texts:
+            said[item] = texts
+    return said
+
+
+def _evidence(file: RunComparison) -> ev.Evidence:
+    changed = [q for q in file.quantities if q.changed]
+    tested = [q for q in file.quantities if q.p is not None]
+    rate = f"{100 * file.false_discovery_rate:g} %"
+    equal = sum(len(set(q.values)) == 1 for q in file.quantities)
+    text = (
+        f"{len(changed)} of {len(tested)} tested estimates differ between the runs by more than their errors."
+    )
+    if equal:
+        text += f" {equal} are equal to the last digit."
+    if not tested and not equal:
+        text = "No estimate has a standard error in two runs, so no change can be tested."
+    check = ev.check(
+        "Estimates that differ", f"{len(changed)} of {len(tested)}", None, f"false discovery rate {rate}",
+        "Chi-squared test of each estimate, with the false discovery rate of Benjamini and Hochberg.",
+    )  # fmt: skip
+    rows = [[_label(q), _finding(q), *_cells(q)] for q in file.quantities]
+    columns = ["estimate", "finding", *file.runs]
+    first = max(len(changed), min(len(rows), MAX_ROWS))
+    tables = [ev.Table(id="estimates", title="Estimates", columns=columns, rows=rows[:first])]
+    if rows[first:]:
+        title = f"{len(rows) - first} more estimates"
+        tables.append(ev.Table(id="more", title=title, columns=columns, rows=rows[first:], folded=True))
+    if file.differences:
+        lines: list[list[Any]] = [
+            [item or "result", said] for item, texts in file.differences.items() for said in texts
+        ]
+        title = "Items that are not the same"
+        tables.append(ev.Table(id="differences", title=title, columns=["item", "difference"], rows=lines))
+    level: Any = "good"
+    if changed or not (tested or equal):
+        level = "caution"
+    panels = [_panel(q, file.runs) for q in file.quantities[:MAX_PANELS]]
+    caption = "Estimates in the order of the runs; bars are 95 % intervals."
+    return ev.Evidence(
+        command="compare-runs",
+        title=f"Comparison of {len(file.runs)} runs",
+        verdict=ev.Verdict(level=level, text=text, word="changed" if changed else ""),
+        facts={"Runs": ", ".join(file.runs), "False discovery rate": rate},
+        checks=[check],
+        tables=tables,
+        figures=[ev.panels("runs", "Estimates over the runs", caption, panels)],
+        methods=[
+            "Estimates of the runs were compared with a chi-squared test of homogeneity each, with the false "
+            f"discovery rate controlled at {rate} (Benjamini and Hochberg, 1995)."
+        ],
+        references=[
+            "Y. Benjamini, Y. Hochberg, Controlling the false discovery rate, "
+            "J. R. Stat. Soc. B 57, 289-300, 1995."
+        ],
+        provenance=file.provenance,
+    )
+
+
+def _label(quantity: Quantity) -> str:
+    return ", ".join(filter(None, [quantity.item, quantity.quantity]))
+
+
+def _cells(quantity: Quantity) -> list[str]:
+    return [
+        numbers.measured(value, error, quantity.unit)
+        for value, error in zip(quantity.values, quantity.stderr, strict=True)
+    ]
+
+
+def _finding(quantity: Quantity) -> str:
+    if len(set(quantity.values)) == 1:
+        return "equal"
+    if quantity.p is None:
+        return "not tested"
+    if quantity.changed:
+        return f"changed, p {numbers.probability_text(quantity.p)}"
+    return f"p {numbers.probability_text(quantity.p)}"
+
+
+def _panel(quantity: Quantity, runs: Sequence[str]) -> ev.Panel:
+    known = [k for k, value in enumerate(quantity.values) if value is not None]
+    half = [numbers.Z95 * (quantity.stderr[k] or math.nan) for k in known]
+    points = ev.Trace(x=known, y=[quantity.values[k] for k in known], y_error=half, style="points")
+    title = _label(quantity)
+    if quantity.changed:
+        title += " (changed)"
+    return ev.panel(
+        "", numbers.unit_text(quantity.unit) or "1", [points], title=title, x_categories=list(runs)
+    )

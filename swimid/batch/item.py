@@ -1,0 +1,322 @@
+"""One item of a batch, in a process of its own.
+
+:func:`run_item` starts the process, tries an item again after a crash, and records an item that fails. Its
+arguments are texts, so that any executor can send it to any machine. The module run as a program is that
+process.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
+from typing import Any
+
+import swimid
+from swimid.batch import status as states
+from swimid.batch.plan import TRIALS, Item, Resolved, Step, folder_of
+from swimid.batch.status import LOG, STATUS, USAGE, Status, StepStatus
+from swimid.errors import UsageError
+from swimid.files import atomic
+
+#: Number of times that an item is tried again after a crash.
+RETRIES = 2
+#: Exit status of the process of an item that another process does (EX_TEMPFAIL), and after Ctrl-C.
+BUSY, INTERRUPTED = 75, 130
+#: Size of the end of the log that is kept, bytes, and number of its lines that an error shows.
+MAX_LOG, MAX_LINES = 100_000, 15
+#: Environment of the process of an item: each library uses one thread.
+ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "OPENCV_FOR_THREADS_NUM",
+    ),
+    "1",
+)
+
+#: Set when the run was interrupted: no item is started or tried again.
+stopping = threading.Event()
+_processes: set[subprocess.Popen[bytes]] = set()
+
+
+def stop() -> None:
+    """End all items that this process does, and start no other."""
+    stopping.set()
+    for process in list(_processes):
+        process.kill()
+
+
+def run_item(run: str, ident: str) -> str:
+    """Do one item of a run, and return its state.
+
+    After a crash the item is tried twice more. Then it is ``failed``, and its status has the end of its log.
+    An item beyond its time or memory limit fails at once.
+
+    Parameters
+    ----------
+    run : str
+        Folder of the run, with ``plan.json``.
+    ident : str
+        Name of the item.
+    """
+    plan = Resolved.of_run(run)
+    item, folder = plan.of_id(ident), folder_of(Path(run), ident)
+    folder.mkdir(parents=True, exist_ok=True)
+    for attempt in range(1, RETRIES + 2):
+        if stopping.is_set():
+            return "missing"
+        code, log = _process(run, ident, attempt, plan.limits.time_s)
+        if code == BUSY:
+            return "busy"
+        if stopping.is_set() or code == INTERRUPTED:
+            return "missing"
+        (folder / LOG).write_bytes(log)
+        found = states.read(folder)
+        if code == 0 and found is not None:
+            return found.state
+        if code is None:
+            message = f"it took longer than the limit of {plan.limits.time_s:g} s"
+            break
+        message = f"it ended with status {code} in each of {attempt} attempts"
+        if code < 0:
+            with suppress(ValueError):
+                message = f"{signal.Signals(-code).name} ended it in each of {attempt} attempts"
+    error = {"type": "Failed", "message": message, "log": _end(log)}
+    _status(item, folder, "failed", [], error).write(folder)
+    return "failed"
+
+
+def _process(run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | None, bytes]:
+    """Do an item in a new process. Return its exit status and the end of its log.
+
+    The exit status is None if the item took longer than its time limit.
+    """
+    command = [sys.executable, "-m", "swimid.batch.item", str(Path(run).resolve()), ident, str(attempt)]
+    package = str(Path(swimid.__file__).parents[1])
+    paths = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
+    with tempfile.TemporaryFile() as log:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,  # The process ends when this pipe closes, also if this process is killed.
+            stdout=log,
+            stderr=log,
+            env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
+            start_new_session=True,
+        )
+        _processes.add(process)
+        code: int | None = None
+        try:
+            code = process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            process.kill()
+            process.wait()
+            _processes.discard(process)
+            if process.stdin is not None:
+                process.stdin.close()
+        log.seek(max(log.seek(0, os.SEEK_END) - MAX_LOG, 0))
+        return code, log.read()
+
+
+def _end(log: bytes) -> str:
+    return "\n".join(log.decode("utf-8", "replace").splitlines()[-MAX_LINES:])
+
+
+def _status(item: Item, folder: Path, state: Any, steps: list[StepStatus], error: dict[str, Any]) -> Status:
+    read = {*item.inputs, *_read_by_steps(folder)}
+    own = {STATUS, USAGE, LOG}
+    outputs = [
+        path.name for path in folder.iterdir() if path.is_file() and path.name not in own and _is_output(path)
+    ]
+    return Status(
+        id=item.id,
+        state=state,
+        version=swimid.__version__,
+        steps_sha256=item.digest(),
+        inputs=states.digests(folder, sorted(read)),
+        outputs=states.digests(folder, outputs),
+        steps=steps,
+        error=error,
+    )
+
+
+def _is_output(path: Path) -> bool:
+    return path.suffix not in (".partial", ".lock") and not path.name.startswith(".")
+
+
+def _read_by_steps(folder: Path) -> set[str]:
+    """Return the inputs outside of the folder of an item that the evidence of its results lists."""
+    names: set[str] = set()
+    for path in folder.glob("*.evidence.json"):
+        with suppress(OSError, ValueError, AttributeError):
+            inputs = json.loads(path.read_bytes()).get("provenance", {}).get("inputs", {})
+            names |= {
+                name for name in inputs if not (folder / name).resolve().is_relative_to(folder.resolve())
+            }
+    package = Path(swimid.__file__).parent
+    return {name for name in names if not (folder / name).resolve().is_relative_to(package)}
+
+
+# ---------------------------------------------------------------- process of an item
+
+
+def _main(run: str, ident: str, attempt: str) -> int:
+    began = time.monotonic()
+    plan = Resolved.of_run(run)
+    item, folder = plan.of_id(ident), folder_of(Path(run), ident)
+    _limit_memory(plan.limits.memory_mb)
+    os.chdir(folder)
+    try:
+        with atomic.locked(folder / STATUS):
+            _clear(folder)
+            status = _done(item, folder, plan.limits.memory_mb)
+            if status is None:
+                return INTERRUPTED
+            costs = {
+                "seconds": round(time.monotonic() - began, 2),
+                "memory_mb": _peak_mb(),
+                "attempts": int(attempt),
+                "host": socket.gethostname(),
+                "inputs": {name: states.stamp(folder / name) for name in status.inputs},
+            }
+            atomic.write_text(folder / USAGE, json.dumps(costs, indent=1) + "\n")
+            status.write(folder)
+    except UsageError as error:
+        if "is being written by" not in str(error):
+            raise
+        print(error, file=sys.stderr)
+        return BUSY
+    return 0
+
+
+def _clear(folder: Path) -> None:
+    """Remove everything from the folder of an item except its lock and the checkpoints of its commands."""
+    for path in folder.iterdir():
+        if path.suffix in (".partial", ".lock"):
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
+    """Run the steps of an item, and return its status; None after Ctrl-C."""
+    steps: list[StepStatus] = []
+    state = "done"
+    error: dict[str, Any] = {}
+    sketch = None
+    for step in item.steps:
+        if step.command == TRIALS:
+            atomic.write_text(folder / step.outputs[0], step.text)
+            continue
+        shown, code, error = _step(step)
+        if code == INTERRUPTED:
+            return None
+        if code == 1:
+            raise RuntimeError(error["message"])
+        if code == 0:
+            steps.append(shown)
+            if sketch is None:
+                sketch = states.sketch_of(folder / step.outputs[0])
+            continue
+        state = {4: "no result"}.get(code, "refused")
+        if error.get("type") == "NotEnoughMemory":
+            error["message"] += f" (limit of an item: {memory_mb:g} MB)"
+            state = "failed"
+        error["step"] = step.name
+        break
+    status = _status(item, folder, state, steps, error)
+    return status.model_copy(update={"sketch": sketch})
+
+
+def _step(step: Step) -> tuple[StepStatus, int, dict[str, Any]]:
+    """Run the command lines of a step. Return what it found, its exit status and its error."""
+    shown = StepStatus(name=step.name)
+    order = ["bad", "caution", "good", ""]
+    for argv, output in zip(step.argv, step.outputs, strict=True):
+        code, answer = _command(argv)
+        if code:
+            return shown, code, answer.get("error", {})
+        verdict = _verdict(Path(output))
+        if order.index(verdict.get("level", "")) < order.index(shown.level):
+            shown.level, shown.text = verdict["level"], verdict["text"]
+        shown.warnings += [one["code"] for one in answer["warnings"]]
+        found = states.metrics_of(answer["result"], step.metrics)
+        if len(step.argv) > 1:
+            found = {f"{Path(output).stem}: {name}": one for name, one in found.items()}
+        shown.metrics |= found
+    return shown, 0, {}
+
+
+def _verdict(output: Path) -> dict[str, str]:
+    """Return the verdict in the evidence of a result; empty for a file without evidence."""
+    place = output.with_name(f"{output.stem}.evidence.json")
+    if not place.is_file():
+        return {}
+    found: dict[str, str] = json.loads(place.read_bytes())["verdict"]
+    return found
+
+
+def _command(argv: list[str]) -> tuple[int, dict[str, Any]]:
+    """Run a command of swimid in this process. Return its exit status and its ``--json`` answer."""
+    from swimid.cli.main import main
+
+    print("$", "swimid", *argv, file=sys.stderr, flush=True)
+    sys.argv = ["swimid", *argv]
+    out, code = io.StringIO(), 0
+    try:
+        with redirect_stdout(out):
+            main(args=[*argv, "--json", "--no-progress", "--debug"], prog_name="swimid")
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+    with suppress(ValueError):
+        return code, json.loads(out.getvalue())
+    return code or 1, {"error": {"type": "UsageError", "message": "the command gave no answer; see log.txt"}}
+
+
+def _limit_memory(limit_mb: float) -> None:
+    """Limit the memory of this process. Only Linux counts private memory in this limit."""
+    if sys.platform == "linux":
+        import resource
+
+        size = int(limit_mb * 1e6)
+        resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+
+
+def _peak_mb() -> float | None:
+    """Return the maximum memory that this process has used, MB; None on Windows."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    if sys.platform == "darwin":
+        return round(peak / 1e6, 1)
+    return round(peak / 1e3, 1)
+
+
+def _end_with_parent() -> None:
+    """End this process when the pipe on its standard input closes."""
+    while os.read(0, 1):
+        pass
+    os._exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    sys.exit(_main(*sys.argv[1:]))

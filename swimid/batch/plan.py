@@ -1,0 +1,530 @@
+"""Plan file (``swimid-plan/1``) of a batch, and its resolution into items with the commands for each.
+
+A plan names files by globs and states the steps for them. A step is a command of swimid with its options as
+they are typed, or ``trials``, which writes a trials file for the logs of the item. Files in a plan are
+relative to its folder. The resolved plan names files relative to the folder of each item.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import glob
+import hashlib
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_args, get_origin
+
+import click
+from pydantic import BaseModel, Field, field_validator
+
+import swimid
+from swimid.cli import main as cli
+from swimid.errors import InputError, SwimidError, suggestion
+from swimid.files import atomic, yamlio
+from swimid.options import Declared
+
+#: Name of the step that writes a trials file for the logs of an item.
+TRIALS = "trials"
+#: Ending of the output of a command by the kind of file that it makes.
+ENDINGS = {
+    "log": ".csv",
+    "parameters": ".yaml",
+    "setup": ".yaml",
+    "result": ".yaml",
+    "picture": ".svg",
+    "page": ".html",
+}
+#: Placeholder of the positional argument of commands that take one input file of an item at a time.
+EACH = ("VIDEO", "FILE", "IMU")
+#: Kind of file that a required option takes from an earlier step if the plan does not state it.
+TAKEN = {"params": "parameters", "setup": "setup"}
+#: Maximum length of the name of an item, which is the name of its folder, characters.
+MAX_NAME = 120
+
+Steps = list[tuple[str, dict[str, Any]]]
+
+
+def _step(value: Any) -> tuple[str, dict[str, Any]]:
+    """Convert a step of a plan, a name or a mapping of a name to options, into both."""
+    if isinstance(value, str):
+        return value, {}
+    if isinstance(value, Mapping) and len(value) == 1:
+        (name, options), *_ = value.items()
+        if options is None or isinstance(options, Mapping):
+            return str(name), dict(options or {})
+    raise ValueError("a step is a command, or 'command: {option: value}'")
+
+
+class Limits(yamlio.Document):
+    """Limits of one item."""
+
+    time_s: float = Field(default=14400.0, gt=0)
+    #: Memory of the process of an item, MB. Only Linux enforces it.
+    memory_mb: float = Field(default=4000.0, gt=0)
+
+
+class Group(yamlio.Document):
+    """Files that go through the same steps. Each file is an item, or each folder of files is one."""
+
+    files: list[str] = Field(min_length=1)
+    name: str = ""
+    #: Whether the files of one folder are one item.
+    together: bool = False
+    steps: Steps | None = None
+
+    @field_validator("files", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        return [value] if isinstance(value, str) else value
+
+    @field_validator("steps", mode="before")
+    @classmethod
+    def _read_steps(cls, value: Any) -> Any:
+        return value and [_step(one) for one in value]
+
+
+class PlanFile(yamlio.Document):
+    """Content of a plan file."""
+
+    kind: ClassVar[str] = "plan file"
+
+    format: Literal["swimid-plan/1"]
+    limits: Limits = Limits()
+    #: Options of a command in every group.
+    defaults: dict[str, dict[str, Any]] = {}
+    #: Steps of the groups that state none.
+    steps: Steps = []
+    items: list[Group] = Field(min_length=1)
+    #: Options of a command for the files whose path matches a pattern. Later entries win.
+    overrides: dict[str, dict[str, dict[str, Any]]] = {}
+
+    @field_validator("steps", mode="before")
+    @classmethod
+    def _read_steps(cls, value: Any) -> Any:
+        return [_step(one) for one in value]
+
+
+class Step(BaseModel):
+    """Step of an item: command lines to run, or the text of a file to write.
+
+    The command lines name files relative to the folder of the item.
+    """
+
+    name: str
+    command: str
+    outputs: list[str]
+    argv: list[list[str]] = []
+    text: str = ""
+    #: Dotted names of numbers in the answer of the command that the summary shows, with ``*`` for any name.
+    metrics: list[str] = []
+
+
+class Item(BaseModel):
+    """Item of a run: files that go through steps together.
+
+    ``files`` are relative to the folder of the plan, ``inputs`` to the folder of the item. ``root`` is the
+    path from the folder of the item to that of the plan.
+    """
+
+    id: str
+    root: str
+    group: str
+    files: list[str]
+    inputs: list[str]
+    steps: list[Step]
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the steps and of the version of swimid."""
+        text = json.dumps([[step.model_dump() for step in self.steps], swimid.__version__], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+class Resolved(BaseModel):
+    """Resolved plan, which the folder of a run holds as ``plan.json``."""
+
+    format: Literal["swimid-run/1"] = "swimid-run/1"
+    version: str
+    plan: str
+    limits: Limits
+    items: list[Item]
+
+    @classmethod
+    def of_run(cls, run: str | Path) -> Resolved:
+        """Read the resolved plan of a run.
+
+        Raises
+        ------
+        InputError
+            If the folder is not that of a run, or if its plan is damaged.
+        """
+        path = Path(run) / "plan.json"
+        if not path.is_file():
+            raise InputError(
+                "is no folder of a run: it has no plan.json", file=run, hint="swimid batch writes one"
+            )
+        try:
+            return cls.model_validate_json(path.read_bytes())
+        except ValueError as error:
+            raise InputError("is not the plan of a run", file=path, hint="run swimid batch again") from error
+
+    def of_id(self, ident: str) -> Item:
+        """Return the item with the given name."""
+        return next(item for item in self.items if item.id == ident)
+
+
+def folder_of(run: Path, ident: str) -> Path:
+    """Return the folder of an item in the folder of its run."""
+    return run / "items" / ident
+
+
+def resolve(path: Path, run: Path) -> Resolved:
+    """Read a plan file, and return its items with all command lines.
+
+    Parameters
+    ----------
+    path : Path
+        Plan file.
+    run : Path
+        Folder of the run.
+
+    Raises
+    ------
+    InputError
+        If the plan is invalid: a pattern without files, an unknown command or option, a step that lacks its
+        input. The message names the line of the plan.
+    """
+    data = yamlio.load(path)
+    plan = yamlio.validate(data, PlanFile, path)
+    return _Resolution(path, data, plan, run).resolved()
+
+
+@dataclass
+class _Resolution:
+    """Resolution of a plan file. ``data`` is its content with line numbers."""
+
+    path: Path
+    data: Any
+    plan: PlanFile
+    run: Path
+    #: Patterns of the overrides that matched a file, and commands that appear in a group.
+    matched: set[str] = field(default_factory=set)
+    commands: set[str] = field(default_factory=set)
+    #: Pairs of command and options whose values have been checked.
+    checked: set[str] = field(default_factory=set)
+
+    def error(self, message: str, *place: Any, hint: str | None = None) -> InputError:
+        line = yamlio.line_of(self.data, place)
+        return InputError(message, file=self.path, line=line, hint=hint)
+
+    def resolved(self) -> Resolved:
+        named: list[tuple[int, str, list[str]]] = []
+        for number, group in enumerate(self.plan.items):
+            for files in self.sorted_files(number, group):
+                what = files[0]
+                if group.together:
+                    what = os.path.dirname(files[0]) or "."
+                named.append((number, what, files))
+        counts = Counter(name for _, name, _ in named)
+        named = [(number, self.distinct(number, name, counts), files) for number, name, files in named]
+        idents = atomic.file_names([_shortened(name) for _, name, _ in named], [""])
+        items = [
+            self.item(number, ident, files) for ident, (number, _, files) in zip(idents, named, strict=True)
+        ]
+        for pattern, commands in self.plan.overrides.items():
+            if pattern not in self.matched:
+                hint = "patterns are matched with the paths of the files as the plan names them"
+                raise self.error(f"'{pattern}' matches no file of an item", "overrides", pattern, hint=hint)
+            self.insist_used(commands, "overrides", pattern)
+        self.insist_used(self.plan.defaults, "defaults")
+        return Resolved(version=swimid.__version__, plan=self.path.name, limits=self.plan.limits, items=items)
+
+    def distinct(self, number: int, name: str, counts: Mapping[str, int]) -> str:
+        """Return the name of an item, with that of its group if several groups have the item."""
+        if counts[name] == 1:
+            return name
+        group = self.plan.items[number].name
+        if not group or sum(group == other.name for other in self.plan.items) > 1:
+            hint = "give each of these groups a 'name' of its own"
+            raise self.error(f"{name} is an item of two groups", "items", number, hint=hint)
+        return f"{group}/{name}"
+
+    def insist_used(self, commands: Mapping[str, Any], *place: Any) -> None:
+        for command in commands:
+            if command not in self.commands:
+                hint = suggestion(command, sorted(self.commands), "the steps are")
+                raise self.error(f"no step is '{command}'", *place, command, hint=hint)
+
+    def sorted_files(self, number: int, group: Group) -> Iterator[list[str]]:
+        """Yield the files of each item of a group, relative to the folder of the plan."""
+        root, own = self.path.parent, self.run.resolve()
+        found: dict[str, None] = {}
+        for k, pattern in enumerate(group.files):
+            names = sorted(glob.glob(pattern, root_dir=root, recursive=True))
+            paths = [name for name in names if own not in (root / name).resolve().parents]
+            if not [name for name in paths if not (root / name).is_dir()]:
+                raise self.error(
+                    f"no file matches '{pattern}'", "items", number, "files", k,
+                    hint=f"patterns are relative to {root.resolve()}",
+                )  # fmt: skip
+            found |= dict.fromkeys(name for name in paths if not (root / name).is_dir())
+        if not group.together:
+            yield from ([name] for name in found)
+            return
+        folders: dict[str, list[str]] = {}
+        for name in found:
+            folders.setdefault(os.path.dirname(name), []).append(name)
+        yield from folders.values()
+
+    def item(self, number: int, ident: str, files: list[str]) -> Item:
+        """Return an item with the command lines of its steps."""
+        group = self.plan.items[number]
+        given, place = group.steps, ("items", number, "steps")
+        if given is None:
+            given, place = self.plan.steps, ("steps",)  # type: ignore[assignment]
+        if not given:
+            raise self.error(
+                "the group has no steps", "items", number, hint="add steps to it, or to the plan"
+            )
+        chain = _Chain(self, folder_of(self.run, ident), files)
+        for k, (command, options) in enumerate(given):
+            self.commands.add(command)
+            chain.add(command, options, (*place, k))
+        return Item(
+            id=ident,
+            root=Path(os.path.relpath(self.path.parent, chain.folder)).as_posix(),
+            group=group.name or group.files[0],
+            files=files,
+            inputs=sorted(chain.inputs),
+            steps=chain.steps,
+        )
+
+    def options(self, command: str, options: Mapping[str, Any], file: str) -> dict[str, Any]:
+        """Return the options of a step for a file: defaults, those of the step, and overrides."""
+        merged = {**self.plan.defaults.get(command, {}), **options}
+        return merged | self.overridden(command, file)
+
+    def overridden(self, command: str, file: str) -> dict[str, Any]:
+        """Return the options of a command that overrides state for a file."""
+        found: dict[str, Any] = {}
+        for pattern, commands in self.plan.overrides.items():
+            if fnmatch.fnmatchcase(file, pattern):
+                self.matched.add(pattern)
+                found |= commands.get(command, {})
+        return found
+
+
+def _shortened(name: str) -> str:
+    if len(name) <= MAX_NAME:
+        return name
+    return f"{name[: MAX_NAME - 9]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+
+
+@dataclass
+class _Chain:
+    """Steps of one item. ``made`` has the outputs of the steps so far by kind of file."""
+
+    plan: _Resolution
+    folder: Path
+    files: list[str]
+    steps: list[Step] = field(default_factory=list)
+    made: dict[str, list[str]] = field(default_factory=dict)
+    inputs: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.sources = [self.path_of(name) for name in self.files]
+
+    @property
+    def what(self) -> str:
+        """Path of the item by which overrides name it: that of its file, or of the folder of its files."""
+        if len(self.files) == 1:
+            return self.files[0]
+        return os.path.dirname(self.files[0])
+
+    def path_of(self, name: str) -> str:
+        """Return the path of an input relative to the folder of the item, and note it as an input."""
+        place = Path(os.path.relpath(self.plan.path.parent / name, self.folder)).as_posix()
+        self.inputs.add(place)
+        return place
+
+    def add(self, command: str, options: Mapping[str, Any], place: tuple[Any, ...]) -> None:
+        """Append a step. ``place`` are the keys of the step in the plan."""
+        if command == TRIALS:
+            self.add_trials(options)
+            return
+        specs = cli.found()
+        if command not in specs or specs[command].section == "Many at once":
+            known = [TRIALS, *(name for name, spec in specs.items() if spec.makes)]
+            raise self.plan.error(f"there is no command '{command}'", *place, hint=suggestion(command, known))
+        spec = specs[command]
+        name = str(options.get("as", command.replace(" ", "-")))
+        step = Step(name=name, command=command, outputs=[], metrics=list(spec.metrics))
+        words = [([*self.sources], self.what)]
+        if spec.argument in EACH:
+            words = [([source], file) for source, file in zip(self.sources, self.files, strict=True)]
+            stems = atomic.file_names([Path(file).stem for file in self.files], [""])
+        else:
+            words = [(self.argument(spec, place), self.what)]
+            stems = [name]
+        for (files, file), stem in zip(words, stems, strict=True):
+            typed = self.plan.options(command, options, file)
+            output = typed.pop("output", None) or self.named(spec, stem, place)
+            typed.pop("as", None)
+            flag = spec.output_flags[0]
+            argv = [*command.split(), *files, *self.typed(spec, typed, place), flag, str(output)]
+            self.check(spec, argv[len(command.split()) :], typed, place)
+            step.argv.append(argv)
+            step.outputs.append(str(output))
+        if len({one.name for one in [*self.steps, step]}) <= len(self.steps):
+            raise self.plan.error(f"two steps are named '{name}'", *place, hint="name one of them: as: NAME")
+        self.steps.append(step)
+        self.made.setdefault(spec.makes, []).extend(step.outputs)
+
+    def named(self, spec: cli.CommandSpec, stem: str, place: tuple[Any, ...]) -> str:
+        """Return the default name of the output of a step."""
+        if spec.makes not in ENDINGS:
+            raise self.plan.error(
+                f"'{spec.command}' needs a name for its file", *place, hint="add output: NAME"
+            )
+        return stem + ENDINGS[spec.makes]
+
+    def argument(self, spec: cli.CommandSpec, place: tuple[Any, ...]) -> list[str]:
+        """Return the files of the positional argument of a command."""
+        made = self.made
+        chosen = {
+            "TRIALS": made.get(TRIALS, self.sources)[-1:],
+            "LOG...": made.get("log", self.sources),
+            "RESULT...": [p for kind in ("log", "parameters", "result") for p in made.get(kind, [])],
+            "PARAMS": made.get("parameters", self.sources)[-1:],
+        }.get(spec.argument, [])
+        if spec.argument == "TRIALS" and TRIALS not in made:
+            if "log" in made:
+                hint = "a step 'trials: {experiment: ..., robot: ...}' before it writes one"
+                raise self.plan.error(f"'{spec.command}' needs a trials file of the logs", *place, hint=hint)
+            if len(self.sources) > 1:
+                raise self.plan.error(
+                    f"'{spec.command}' takes one trials file", *place, hint="together: false"
+                )
+        if spec.argument == "RESULT..." and not chosen:
+            raise self.plan.error(f"no step before '{spec.command}' makes a result", *place)
+        return chosen
+
+    def typed(self, spec: cli.CommandSpec, options: Mapping[str, Any], place: tuple[Any, ...]) -> list[str]:
+        """Return the options of a step as words of a command line."""
+        declared = spec.model().declared()
+        by_key: dict[str, Declared] = {}
+        for entry in declared.values():
+            by_key |= dict.fromkeys([entry.name, *re.findall(r"--([\w-]+)", entry.flags)], entry)
+        words: list[str] = []
+        stated = set()
+        for key, value in options.items():
+            if key not in by_key:
+                hint = suggestion(str(key), sorted(by_key), f"options of {spec.command}")
+                raise self.plan.error(
+                    f"'{spec.command}' has no option '{key}'", *place, spec.command, key, hint=hint
+                )
+            entry = by_key[key]
+            stated.add(entry.name)
+            words += _words(entry, key, self.with_paths(entry, value, (*place, spec.command, key)))
+        for entry in declared.values():
+            if entry.name == "jobs" and "jobs" not in stated:
+                words += [entry.flag, "1"]
+            if entry.required and entry.name not in stated:
+                words += [entry.flag, self.taken(entry, spec, place)]
+        return words
+
+    def taken(self, entry: Declared, spec: cli.CommandSpec, place: tuple[Any, ...]) -> str:
+        """Return the file that a required option takes from an earlier step."""
+        made = self.made.get(TAKEN.get(entry.name, ""), [])
+        if not made:
+            raise self.plan.error(
+                f"'{spec.command}' needs '{entry.flag.strip('-')}', and no step before it makes one", *place,
+                hint=f"state it: {spec.command}: {{{entry.flag.strip('-')}: FILE}}",
+            )  # fmt: skip
+        return made[-1]
+
+    def with_paths(self, entry: Declared, value: Any, place: tuple[Any, ...]) -> Any:
+        """Replace the files in the value of an option by their paths relative to the folder of the item.
+
+        A file is the output of an earlier step, by the name of the step, or a path relative to the plan.
+        """
+        if isinstance(value, list):
+            return [self.with_paths(entry, one, place) for one in value]
+        if not isinstance(value, str) or entry.written:
+            return value
+        for step in self.steps:
+            if value == step.name and entry.files(value):
+                return step.outputs[-1]
+        root = self.plan.path.parent
+        if entry.files(value):
+            if not (root / value).exists():
+                steps = ", ".join(step.name for step in self.steps) or "none"
+                hint = f"files are relative to {root.resolve()}; steps before it: {steps}"
+                raise self.plan.error(f"there is no file '{value}'", *place, hint=hint)
+            return self.path_of(value)
+        if "FILE" in (entry.metavar or "") and (root / value).is_file():
+            return self.path_of(value)
+        return value
+
+    def check(
+        self, spec: cli.CommandSpec, argv: list[str], options: Mapping[str, Any], place: tuple[Any, ...]
+    ) -> None:
+        """Raise an error if a command does not accept the values of its options."""
+        key = f"{spec.command} {options}"
+        if key in self.plan.checked:
+            return
+        self.plan.checked.add(key)
+        try:
+            cli.check_words(spec, argv)
+        except (click.UsageError, SwimidError) as error:
+            text = error.format_message() if isinstance(error, click.UsageError) else str(error)
+            raise self.plan.error(f"{spec.command}: {text}", *place) from error
+
+    def add_trials(self, options: Mapping[str, Any]) -> None:
+        """Append the step that writes a trials file with a trial for each log of the item."""
+        merged = {**self.plan.plan.defaults.get(TRIALS, {}), **options}
+        each = merged.pop("each", {})
+        root = self.plan.path.parent
+        for key in ("robot", "drag", "table"):
+            if isinstance(merged.get(key), str) and (root / merged[key]).is_file():
+                merged[key] = self.path_of(merged[key])
+        trials = []
+        logs = self.made.get("log", self.sources)
+        for log, file in zip(logs, self.files, strict=True):
+            own = self.plan.overridden(TRIALS, file)
+            trials.append({"id": Path(file).stem, "log": log, **each, **own})
+        content = {"format": "swimid-trials/1", **merged, "trials": trials}
+        name = "trials.yaml"
+        self.steps.append(Step(name=TRIALS, command=TRIALS, outputs=[name], text=yamlio.dumps(content)))
+        self.made[TRIALS] = [name]
+
+
+def _words(entry: Declared, key: str, value: Any) -> list[str]:
+    """Return the words of a command line for an option and its value in a plan."""
+    on, _, off = entry.flags.partition("/")
+    if entry.kind is bool:
+        if key in off:
+            value = not value
+        flag = on if value else off
+        return [flag] if flag else []
+    if value is None:
+        return []
+    if isinstance(value, Mapping):
+        return [word for name, one in value.items() for word in (entry.flag, f"{name}={_word(one)}")]
+    if isinstance(value, list) and not entry.separated:
+        if get_origin(entry.kind) is tuple and get_args(entry.kind)[-1] is not Ellipsis:
+            if "," in (entry.metavar or ""):
+                return [entry.flag, _word(value)]
+            return [entry.flag, *map(_word, value)]
+        return [word for one in value for word in (entry.flag, _word(one))]
+    return [entry.flag, _word(value)]
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ",".join(map(_word, value))
+    return str(value)

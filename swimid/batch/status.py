@@ -1,0 +1,254 @@
+"""Files that an item leaves in its folder: ``status.json`` with its state, and ``usage.json`` with its costs.
+
+The status is written last. It has the state, the SHA-256 of every input and output, and the verdicts and
+estimates that the summary of the run shows. An item whose steps, inputs or version are not those of its
+status is outdated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ValidationError
+
+from swimid.batch.plan import Item
+from swimid.errors import InputError
+from swimid.files import atomic, yamlio
+from swimid.files.provenance import sha256
+from swimid.results import evidence as ev
+from swimid.results import numbers
+
+State = Literal["done", "no result", "refused", "failed"]
+#: States in the order in which they need attention. An item is ``missing`` before it is done, and ``busy``
+#: while another process does it. The states ``outdated`` and ``missing`` have no results that count.
+STATES = ("failed", "refused", "no result", "busy", "missing", "outdated", "done")
+STATUS, USAGE, LOG = "status.json", "usage.json", "log.txt"
+#: Maximum number of traces, and of points of each, in the sketch of a figure.
+MAX_TRACES, MAX_SKETCHED = 3, 48
+
+
+class Metric(BaseModel):
+    """Estimate or score of an item, with its 95 % interval if it has one."""
+
+    value: float
+    low: yamlio.Number = None
+    high: yamlio.Number = None
+    unit: str = "1"
+
+    @property
+    def stderr(self) -> float:
+        """Standard error that corresponds to the interval; NaN without an interval."""
+        if self.low is None or self.high is None:
+            return math.nan
+        return (self.high - self.low) / (2 * numbers.Z95)
+
+
+class Sketch(BaseModel):
+    """Small copy of the first panel of a figure: its axes, and points of its first traces."""
+
+    title: str
+    x_label: str
+    y_label: str
+    equal_aspect: bool
+    traces: list[tuple[list[float | None], list[float | None]]]
+    styles: list[str]
+
+
+class StepStatus(BaseModel):
+    """What the summary shows of one step of an item."""
+
+    name: str
+    level: str = ""
+    text: str = ""
+    warnings: list[str] = []
+    metrics: dict[str, Metric] = {}
+
+
+class Status(BaseModel):
+    """Content of ``status.json``."""
+
+    format: Literal["swimid-item/1"] = "swimid-item/1"
+    id: str
+    state: State
+    version: str
+    #: SHA-256 of steps and version, and of these together with the inputs.
+    steps_sha256: str
+    key: str = ""
+    inputs: dict[str, str] = {}
+    outputs: dict[str, str] = {}
+    steps: list[StepStatus] = []
+    #: Step that was refused or failed, and its error: type, message, hint.
+    error: dict[str, Any] = {}
+    sketch: Sketch | None = None
+
+    @property
+    def level(self) -> str:
+        """Worst verdict of the steps; empty if no step has one."""
+        order = ["bad", "caution", "good", ""]
+        return min((step.level for step in self.steps), key=order.index, default="")
+
+    @property
+    def reason(self) -> str:
+        """Error of the item, or the text of its worst verdict."""
+        if self.error:
+            return ": ".join(filter(None, [self.error.get("step"), self.error.get("message")]))
+        return next((step.text for step in self.steps if step.level == self.level), "")
+
+    @property
+    def metrics(self) -> dict[str, Metric]:
+        """Estimates of all steps. The name of each begins with its step."""
+        return {f"{s.name}: {name}": one for s in self.steps for name, one in s.metrics.items()}
+
+    def write(self, folder: Path) -> None:
+        """Write the status into the folder of the item."""
+        text = json.dumps([self.steps_sha256, self.inputs], sort_keys=True)
+        keyed = self.model_copy(update={"key": hashlib.sha256(text.encode()).hexdigest()})
+        atomic.write_text(folder / STATUS, keyed.model_dump_json(indent=1) + "\n")
+
+
+def read(folder: Path) -> Status | None:
+    """Read the status of an item; None if it has none or a damaged one."""
+    try:
+        return Status.model_validate_json((folder / STATUS).read_bytes())
+    except (OSError, ValidationError):
+        return None
+
+
+def usage(folder: Path) -> dict[str, Any]:
+    """Read time, memory, attempts and host of an item; empty if they are not known."""
+    try:
+        found: dict[str, Any] = json.loads((folder / USAGE).read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return found
+
+
+def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
+    """Return the state of an item and its status.
+
+    The status of an outdated item is returned too, so that its version can be shown.
+    """
+    status = read(folder)
+    if status is None:
+        return "missing", None
+    if status.steps_sha256 != item.digest():
+        return "outdated", status
+    stated = usage(folder).get("inputs", {})
+    for name, digest in status.inputs.items():
+        place = folder / name
+        # As in other tools, an unchanged size and time of modification stand for unchanged content.
+        if stamp(place) != stated.get(name) and _digest(place) != digest:
+            return "outdated", status
+    if not all((folder / name).exists() for name in status.outputs):
+        return "missing", status
+    return status.state, status
+
+
+def stamp(path: Path) -> list[int] | None:
+    """Return size in bytes and time of modification in ns of a file; None for a missing file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return [found.st_size, found.st_mtime_ns]
+
+
+def _digest(path: Path) -> str:
+    try:
+        if path.is_dir():
+            names = "\n".join(sorted(os.listdir(path)))
+            return hashlib.sha256(names.encode()).hexdigest()
+        return sha256(path)
+    except (InputError, OSError):
+        return ""
+
+
+def digests(folder: Path, names: list[str]) -> dict[str, str]:
+    """Return the SHA-256 of each file relative to a folder; empty for one that cannot be read."""
+    return {name: _digest(folder / name) for name in sorted(names)}
+
+
+# ---------------------------------------------------------------- estimates and sketch of a result
+
+
+def metrics_of(answer: Mapping[str, Any], patterns: list[str]) -> dict[str, Metric]:
+    """Return the estimates in the ``--json`` answer of a command, and the numbers that patterns name.
+
+    An estimate is a mapping with ``value`` and ``unit``, and ``stderr`` or ``low`` and ``high``. Estimates of
+    one trial and parameters that the data do not determine are left out.
+    """
+    found = dict(_estimates(answer))
+    for pattern in patterns:
+        for name, value in _named(answer, pattern.split(".")):
+            found[name] = Metric(value=value)
+    return found
+
+
+def _estimates(data: Mapping[str, Any]) -> Iterator[tuple[str, Metric]]:
+    for name, entry in data.items():
+        if not isinstance(entry, Mapping) or "[" in name:
+            continue
+        if not {"value", "unit"} <= entry.keys():
+            yield from _estimates(entry)
+        elif entry.get("status", "estimated") == "estimated" and _is_known(entry["value"]):
+            low, high, error = entry.get("low"), entry.get("high"), entry.get("stderr")
+            if error is not None:
+                low, high = (entry["value"] + sign * numbers.Z95 * error for sign in (-1, 1))
+            yield name, Metric(value=entry["value"], low=low, high=high, unit=entry["unit"])
+
+
+def _is_known(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and math.isfinite(value)
+
+
+def _named(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
+    """Yield dotted name and value of the numbers that a pattern of keys names."""
+    if not keys:
+        if _is_known(data):
+            yield "", float(data)
+        return
+    if not isinstance(data, Mapping):
+        return
+    for key in data:
+        if keys[0] in ("*", key):
+            for rest, value in _named(data[key], keys[1:]):
+                yield f"{key}.{rest}".rstrip("."), value
+
+
+def sketch_of(path: Path) -> Sketch | None:
+    """Return a sketch of the first figure in the evidence of a result; None if it has no figure."""
+    if not ev.sidecar(path).is_file():
+        return None
+    for figure in ev.read(ev.sidecar(path)).figures:
+        for panel in figure.panels:
+            if panel.traces:
+                traces = [_points(trace) for trace in panel.traces[:MAX_TRACES]]
+                return Sketch(
+                    title=panel.title or figure.title,
+                    x_label=panel.x_label,
+                    y_label=panel.y_label,
+                    equal_aspect=panel.equal_aspect,
+                    traces=traces,
+                    styles=[trace.style for trace in panel.traces[:MAX_TRACES]],
+                )
+    return None
+
+
+def _points(trace: ev.Trace) -> tuple[list[float | None], list[float | None]]:
+    x, y = ev.thinned(
+        [math.nan if v is None else v for v in trace.x],
+        [math.nan if v is None else v for v in trace.y],
+        MAX_SKETCHED,
+    )
+    return _short(x), _short(y)
+
+
+def _short(values: Any) -> list[float | None]:
+    return [float(f"{v:.4g}") if math.isfinite(v) else None for v in values]

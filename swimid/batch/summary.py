@@ -1,0 +1,347 @@
+"""Summary of a run: ``summary.csv``, ``metrics.csv`` and ``usage.csv``, and the page ``index.html``.
+
+The summary depends on the statuses of the items only, so that it is the same however the run was done.
+``usage.csv`` is the exception: it has times, memory, attempts and hosts. Estimates of items that are not done
+with the present plan and version are left out.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+import swimid
+from swimid.batch import status as states
+from swimid.batch.plan import Resolved, folder_of
+from swimid.batch.status import Metric, Sketch
+from swimid.files import atomic
+from swimid.results import numbers
+
+#: Robust z score beyond which an estimate is an outlier (Iglewicz and Hoaglin, How to Detect and Handle
+#: Outliers, ASQC 1993), standard deviation of the normal distribution over its median absolute deviation,
+#: and minimum number of items of a group for a score.
+MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
+#: Maximum number of metrics that the page draws unfolded for a group, and of items listed on the terminal.
+MAX_PANELS, MAX_LISTED = 8, 10
+LEVELS = ("bad", "caution", "good", "")
+#: First line of the tables, by which swimid recognises them as its own.
+MADE_BY = "# made_by: swimid batch\n"
+
+
+@dataclass
+class Entry:
+    """Item in the summary of a run."""
+
+    id: str
+    group: str
+    files: list[str]
+    state: str
+    version: str = ""
+    level: str = ""
+    reason: str = ""
+    metrics: dict[str, Metric] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    sketch: Sketch | None = None
+    outputs: list[str] = field(default_factory=list)
+    usage: dict[str, Any] = field(default_factory=dict)
+    log: str = ""
+    hint: str = ""
+    #: Robust z score of each estimate that is an outlier in its group.
+    outliers: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def rank(self) -> tuple[Any, ...]:
+        """Sort key: items that need attention come first."""
+        largest = max(map(abs, self.outliers.values()), default=0.0)
+        return (
+            states.STATES.index(self.state),
+            -bool(self.outliers),
+            LEVELS.index(self.level),
+            -largest,
+            self.id,
+        )
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the item needs attention: it has no result, a bad verdict or an outlier."""
+        return self.state not in ("done", "missing") or self.level == "bad" or bool(self.outliers)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the entry as plain data, without sketch and costs."""
+        kept = {k: v for k, v in asdict(self).items() if k not in ("metrics", "sketch", "usage", "log")}
+        return kept | {"metrics": {name: one.model_dump() for name, one in self.metrics.items()}}
+
+
+@dataclass
+class Summary:
+    """Items of a run, in the order of the plan."""
+
+    plan: str
+    entries: list[Entry]
+
+    @property
+    def ranked(self) -> list[Entry]:
+        """Items, those that need attention first."""
+        return sorted(self.entries, key=lambda entry: entry.rank)
+
+    @property
+    def groups(self) -> dict[str, list[Entry]]:
+        """Items by group."""
+        found: dict[str, list[Entry]] = {}
+        for entry in self.entries:
+            found.setdefault(entry.group, []).append(entry)
+        return found
+
+
+def of_run(plan: Resolved, run: Path) -> Summary:
+    """Return the summary of a run from the statuses of its items."""
+    entries = []
+    for item in plan.items:
+        folder = folder_of(run, item.id)
+        state, status = states.state_of(item, folder)
+        entry = Entry(item.id, item.group, item.files, state)
+        if status is not None:
+            entry.version = status.version
+        if status is not None and state not in ("outdated", "missing"):
+            entry.level, entry.metrics = status.level, status.metrics
+            entry.reason = status.reason.replace(f"{item.root}/", "")
+            entry.warnings = sorted({code for step in status.steps for code in step.warnings})
+            entry.sketch, entry.outputs = status.sketch, sorted(status.outputs)
+            entry.usage = states.usage(folder)
+            entry.log, entry.hint = status.error.get("log", ""), status.error.get("hint") or ""
+        elif state == "outdated" and entry.version != swimid.__version__:
+            entry.reason = f"done by swimid {entry.version}; its results are not used"
+        elif state == "outdated":
+            entry.reason = "its steps or inputs have changed; its results are not used"
+        entries.append(entry)
+    found = Summary(plan.plan, entries)
+    for members in found.groups.values():
+        _find_outliers(members)
+    return found
+
+
+def _find_outliers(members: Sequence[Entry]) -> None:
+    """Add to each item of a group the robust z scores of its outlying estimates.
+
+    The score is the distance from the median over the root of the sum of two variances: that of the group,
+    from its median absolute deviation, and that of the estimate itself.
+    """
+    for name in metric_names(members):
+        having = [entry for entry in members if name in entry.metrics]
+        values = [entry.metrics[name].value for entry in having]
+        if len(values) < MIN_ITEMS:
+            continue
+        middle = statistics.median(values)
+        spread = SD_OF_MAD * statistics.median(abs(v - middle) for v in values)
+        for entry in having:
+            one = entry.metrics[name]
+            own = one.stderr if math.isfinite(one.stderr) else 0.0
+            scale = math.hypot(spread, own)
+            if scale > 0 and abs(one.value - middle) > MAX_Z * scale:
+                entry.outliers[name] = (one.value - middle) / scale
+
+
+def metric_names(members: Sequence[Entry]) -> list[str]:
+    """Return the names of the estimates of a group, those of most items first."""
+    counts = Counter(name for entry in members for name in entry.metrics)
+    order = {name: k for k, name in enumerate(counts)}
+    return sorted(counts, key=lambda name: (-counts[name], order[name]))
+
+
+# ---------------------------------------------------------------- tables
+
+
+def write(found: Summary, run: Path) -> list[Path]:
+    """Write page and tables of a summary into the folder of the run, and return their paths."""
+    rows = [
+        {
+            "item": e.id, "group": e.group, "state": e.state, "verdict": e.level, "reason": e.reason,
+            "outliers": "; ".join(f"{name} (z {z:.1f})" for name, z in e.outliers.items()),
+            "warnings": " ".join(e.warnings), "version": e.version, "files": "; ".join(e.files),
+        }
+        for e in found.ranked
+    ]  # fmt: skip
+    values = [
+        {"item": e.id, "group": e.group, "quantity": name, **m.model_dump()}
+        for e in found.entries
+        for name, m in e.metrics.items()
+    ]
+    costs = [
+        {"item": e.id, **{key: e.usage.get(key) for key in ("seconds", "memory_mb", "attempts", "host")}}
+        for e in found.entries
+    ]
+    columns = ["item", "group", "quantity", "value", "low", "high", "unit"]
+    texts = {
+        "index.html": page(found),
+        "summary.csv": _csv(pd.DataFrame(rows)),
+        "metrics.csv": _csv(pd.DataFrame(values, columns=columns)),
+        "usage.csv": _csv(pd.DataFrame(costs)),
+    }
+    with atomic.together():
+        for name, text in texts.items():
+            atomic.write_text(run / name, text)
+    return [run / name for name in texts]
+
+
+def _csv(table: pd.DataFrame) -> str:
+    return MADE_BY + table.map(_escaped).to_csv(index=False, lineterminator="\n")
+
+
+def _escaped(cell: Any) -> Any:
+    """Protect a text that a spreadsheet would read as a formula, with an apostrophe."""
+    if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t")):
+        return f"'{cell}"
+    return cell
+
+
+def text(entries: Sequence[Entry]) -> str:
+    """Return the summary of a run for a terminal: numbers of items by state, and what needs attention."""
+    counts = Counter(entry.state for entry in entries)
+    levels = Counter(entry.level for entry in entries if entry.state == "done")
+    parts = [f"{counts[state]} {state}" for state in reversed(states.STATES) if counts[state]]
+    lines = [f"{len(entries)} items: {', '.join(parts)}"]
+    if levels:
+        shown = [f"{levels[level]} {level}" for level in ("good", "caution", "bad") if levels[level]]
+        lines.append(f"  verdicts of the items that are done: {', '.join(shown)}")
+    doubtful = sorted((entry for entry in entries if entry.is_doubtful), key=lambda entry: entry.rank)
+    for entry in doubtful[:MAX_LISTED]:
+        said = entry.reason
+        if entry.outliers:
+            name, z = max(entry.outliers.items(), key=lambda pair: abs(pair[1]))
+            said = f"outlier: {name} is {abs(z):.1f} standard deviations from the median of its group"
+        word = entry.state if entry.state != "done" else entry.level
+        lines.append(f"  {word:9s} {entry.id}: {said}"[:200].splitlines()[0])
+    if len(doubtful) > MAX_LISTED:
+        lines.append(f"  and {len(doubtful) - MAX_LISTED} more that need attention: see the page")
+    return "\n".join(lines)
+
+
+# ---------------------------------------------------------------- page
+
+
+def page(found: Summary) -> str:
+    """Return the page of a run: HTML without scripts, with a table that sorts by radio buttons."""
+    environment = Environment(
+        loader=PackageLoader("swimid.batch"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    style = Environment(loader=PackageLoader("swimid.results")).get_template("report.css").render()
+    groups = [_group(name, members) for name, members in found.groups.items()]
+    return environment.get_template("group.html").render(
+        plan=found.plan,
+        version=swimid.__version__,
+        style=style,
+        entries=found.ranked,
+        counts=Counter(entry.state for entry in found.entries),
+        levels=Counter(entry.level for entry in found.entries if entry.state == "done"),
+        states=states.STATES,
+        doubtful=[entry for entry in found.ranked if entry.is_doubtful],
+        orders=_orders(found.entries),
+        groups=groups,
+        number=numbers.number,
+        unit=numbers.unit_text,
+    )
+
+
+def _orders(entries: Sequence[Entry]) -> dict[str, dict[str, int]]:
+    """Return the rank of each item by the columns by which the table can be sorted."""
+    keys: dict[str, Any] = {
+        "attention": lambda e: e.rank,
+        "item": lambda e: e.id,
+        "group": lambda e: (e.group, e.rank),
+        "verdict": lambda e: (LEVELS.index(e.level), e.rank),
+        "outlier": lambda e: (-max(map(abs, e.outliers.values()), default=0.0), e.rank),
+    }
+    return {
+        name: {entry.id: k for k, entry in enumerate(sorted(entries, key=key))} for name, key in keys.items()
+    }
+
+
+#: Width and height of a strip of estimates and of a sketch, in units of the drawing.
+WIDE, HIGH, SMALL_WIDE, SMALL_HIGH = 300, 90, 120, 70
+
+
+def _group(name: str, members: list[Entry]) -> dict[str, Any]:
+    """Return the variables of the page for one group: strips of its estimates, and sketches of its items."""
+    strips = [strip for one in metric_names(members) if (strip := _strip(one, members)) is not None]
+    sketches = [_sketch(entry) for entry in members if entry.sketch is not None]
+    axes = ""
+    if sketches:
+        first = next(entry.sketch for entry in members if entry.sketch is not None)
+        axes = f"{first.title}: {first.y_label} over {first.x_label}"
+    return {
+        "name": name, "count": len(members), "strips": strips[:MAX_PANELS], "more": strips[MAX_PANELS:],
+        "sketches": sketches, "axes": axes,
+    }  # fmt: skip
+
+
+def _strip(name: str, members: Sequence[Entry]) -> dict[str, Any] | None:
+    """Return a strip of the estimates of one quantity over the items of a group; None with fewer than two."""
+    shown = [(k, e, e.metrics[name]) for k, e in enumerate(members) if name in e.metrics]
+    if len(shown) < 2:
+        return None
+    values = [one.value for _, _, one in shown]
+    # Show the typical interval whole, and cut the intervals that are much wider.
+    half = statistics.median(
+        numbers.Z95 * (0.0 if math.isnan(one.stderr) else one.stderr) for _, _, one in shown
+    )
+    margin = 0.08 * (max(values) - min(values)) + half
+    if not margin:
+        margin = 0.5 * abs(values[0]) or 1.0
+    low, high = min(values) - margin, max(values) + margin
+
+    def height(value: float) -> float:
+        return round(HIGH * (1 - (min(max(value, low), high) - low) / (high - low)), 1)
+
+    step = WIDE / max(len(members), 1)
+    points = []
+    for k, entry, one in shown:
+        bar = None
+        if one.low is not None and one.high is not None:
+            bar = (height(one.high), height(one.low))
+        points.append({
+            "x": round((k + 0.5) * step, 1), "y": height(one.value), "bar": bar, "entry": entry,
+            "outlier": name in entry.outliers, "value": one.value,
+        })  # fmt: skip
+    middle = statistics.median(values)
+    return {
+        "name": name, "unit": shown[0][2].unit, "points": points, "median": middle, "at": height(middle),
+        "low": min(values), "high": max(values),
+    }  # fmt: skip
+
+
+def _sketch(entry: Entry) -> dict[str, Any]:
+    """Return the lines of the sketch of an item, scaled to the size of the drawing."""
+    sketch = entry.sketch
+    assert sketch is not None
+    x = [v for xs, _ in sketch.traces for v in xs if v is not None]
+    y = [v for _, ys in sketch.traces for v in ys if v is not None]
+    if not x or not y:
+        return {"entry": entry, "lines": []}
+    wide, high = SMALL_WIDE / (max(x) - min(x) or 1.0), SMALL_HIGH / (max(y) - min(y) or 1.0)
+    if sketch.equal_aspect:
+        wide = high = min(wide, high)
+    lines = []
+    for (xs, ys), style in zip(sketch.traces, sketch.styles, strict=True):
+        parts: list[str] = []
+        drawing = False
+        for a, b in zip(xs, ys, strict=True):
+            if a is None or b is None:
+                drawing = False
+                continue
+            word = "L" if drawing else "M"
+            parts.append(f"{word}{(a - min(x)) * wide:.0f} {SMALL_HIGH - (b - min(y)) * high:.0f}")
+            drawing = True
+        lines.append({"path": "".join(parts), "dots": style in ("points", "stems", "arrows")})
+    return {"entry": entry, "lines": lines}
