@@ -334,6 +334,8 @@ class _Chain:
     steps: list[Step] = field(default_factory=list)
     made: dict[str, list[str]] = field(default_factory=dict)
     inputs: set[str] = field(default_factory=set)
+    #: Names of all outputs so far.
+    written: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.sources = [self.path_of(name) for name in self.files]
@@ -372,25 +374,29 @@ class _Chain:
             stems = [name]
         for (files, file), stem in zip(words, stems, strict=True):
             typed = self.plan.options(command, options, file)
-            output = typed.pop("output", None) or self.named(spec, stem, place)
-            typed.pop("as", None)
+            output = self.named(spec, stem, typed.pop("as", None), place)
             flag = spec.output_flags[0]
             argv = [*command.split(), *files, *self.typed(spec, typed, place), flag, str(output)]
             self.check(spec, argv[len(command.split()) :], typed, place)
             step.argv.append(argv)
             step.outputs.append(str(output))
-        if len({one.name for one in [*self.steps, step]}) <= len(self.steps):
-            raise self.plan.error(f"two steps are named '{name}'", *place, hint="name one of them: as: NAME")
         self.steps.append(step)
         self.made.setdefault(spec.makes, []).extend(step.outputs)
 
-    def named(self, spec: cli.CommandSpec, stem: str, place: tuple[Any, ...]) -> str:
-        """Return the default name of the output of a step."""
-        if spec.makes not in ENDINGS:
-            raise self.plan.error(
-                f"'{spec.command}' needs a name for its file", *place, hint="add output: NAME"
-            )
-        return stem + ENDINGS[spec.makes]
+    def named(self, spec: cli.CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
+        """Return the name of the output of a step, with the usual ending if the stated name has none."""
+        name = str(stated or stem)
+        if Path(name).name != name or name.startswith("."):
+            raise self.plan.error(f"'as: {name}' must be the name of a file without a folder", *place)
+        if stated is None or not Path(name).suffix:
+            if spec.makes not in ENDINGS:
+                hint = "add as: NAME.ENDING"
+                raise self.plan.error(f"'{spec.command}' needs a name for its file", *place, hint=hint)
+            name += ENDINGS[spec.makes]
+        if name in self.written:
+            raise self.plan.error(f"two files would be named {name}", *place, hint="as: NAME names a file")
+        self.written.add(name)
+        return name
 
     def argument(self, spec: cli.CommandSpec, place: tuple[Any, ...]) -> list[str]:
         """Return the files of the positional argument of a command."""

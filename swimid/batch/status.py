@@ -109,7 +109,7 @@ class Status(BaseModel):
         """Write the status into the folder of the item."""
         text = json.dumps([self.steps_sha256, self.inputs], sort_keys=True)
         keyed = self.model_copy(update={"key": hashlib.sha256(text.encode()).hexdigest()})
-        atomic.write_text(folder / STATUS, keyed.model_dump_json(indent=1) + "\n")
+        atomic.write_text(folder / STATUS, keyed.model_dump_json() + "\n")
 
 
 def read(folder: Path) -> Status | None:

@@ -205,9 +205,10 @@ NEAR = 65536
 _SIMULATED = re.compile(r"(?:#[^\n]*\n|\n)*?#[^\n]*\b(?:simulated?|synthetic)\b")
 #: Pattern of the names of file formats that only swimid writes. The excluded formats are also written by
 #: hand.
-_FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/)[a-z-]+/\d+"
+_FORMAT = r"swimid-(?!trials/|robot/|setup/|mapping/|plan/)[a-z-]+/\d+"
 #: Pattern of the beginning of a file that swimid wrote, up to the mark. Its alternatives are, in this order:
-#: log, JSON, JSON Schema, findings of ``doctor``, XML, Python, shell script, HTML, C header, CSV of a Pareto front, SVG,
+#: log, JSON, JSON Schema, findings of ``doctor``, XML, Python, shell script, HTML, C header, CSV of a Pareto
+#: front, SVG,
 #: PNG, GIF.
 _BEGINNING = re.compile(
     "|".join((

@@ -7,6 +7,7 @@ printed page.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 import re
@@ -435,6 +436,19 @@ def write(
         drawn = canvas(figures, title=title, step=step)
         with atomic.replacing(path) as temporary:
             drawn.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
+            if kind == "svg":
+                temporary.write_text(_numbered(temporary.read_text(encoding="utf-8"), ""), encoding="utf-8")
+
+
+def _numbered(text: str, prefix: str) -> str:
+    """Derive the ids of the clip paths in the text of an SVG file from a prefix and their order.
+
+    matplotlib derives them from addresses in memory, which differ between runs.
+    """
+    names = dict.fromkeys(re.findall(r'<clipPath id="(p[0-9a-f]{10})"', text))
+    ids = [f"p{hashlib.sha256(f'{prefix}{k}'.encode()).hexdigest()[:10]}" for k in range(len(names))]
+    new = dict(zip(names, ids, strict=True))
+    return re.sub(r"\bp[0-9a-f]{10}\b", lambda found: new.get(found[0], found[0]), text)
 
 
 # ---------------------------------------------------------------- on a page
@@ -458,7 +472,7 @@ def for_page(figure: Figure, prefix: str) -> list[str]:
         names = ", ".join(trace.label for trace in panel.traces if trace.label)
         title = ": ".join(filter(None, [figure.title, panel.title]))
         about = f"{title}. {panel.y_label} over {panel.x_label}. {names}"
-        drawings.append(_inline(file.getvalue(), about))
+        drawings.append(_inline(_numbered(file.getvalue(), f"{prefix}{index}-"), about))
     return drawings
 
 
