@@ -45,6 +45,8 @@ _NAMES_OF = {
     "swimid.optimisation.optimise_stiffness": ("optimise_stiffness", "StiffnessRule"),
     "swimid.optimisation.optimise_gait": ("optimise_gait", "BestGait"),
     "swimid.exporters.export": ("export",),
+    "swimid.runs.batch": ("batch", "Batch"),
+    "swimid.runs.compare_runs": ("compare_runs", "ComparedRuns"),
     "swimid.results.report": ("report",),
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),

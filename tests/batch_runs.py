@@ -1,4 +1,4 @@
-"""Runs of one plan in several ways, which must leave the same folder: ``python -m tests.batch_runs --items 60``.
+"""Runs of one plan in several ways, which must leave the same folder: ``python -m tests.batch_runs``.
 
 The run is undisturbed, killed several times, on a cluster that loses a worker, and in shards. Every file but
 those with times and memory, and the logs of libraries, must have the same content.
@@ -79,7 +79,7 @@ def sharded(plan: Path, run: Path, count: int) -> None:
 
 
 def on_cluster(plan: Path, run: Path, *, kill_after_s: float | None) -> float:
-    """Do a run on a local cluster of two worker processes, of which one may be killed. Return its time in s."""
+    """Do a run on two worker processes of a cluster, of which one may be killed. Return its time in s."""
     from distributed import LocalCluster
 
     os.environ |= {"PYTHONPATH": str(ROOT), "SOURCE_DATE_EPOCH": ENVIRONMENT["SOURCE_DATE_EPOCH"]}

@@ -130,6 +130,7 @@ OPTIONAL = {
     "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
     "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
     "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
+    "distributed": "batches on a cluster (pip install 'swimid[cluster]')",
     "pymoo": "genetic searches (pip install 'swimid[search]')",
 }
 #: Modules with functions that numba compiles. The function ``warm_up`` of each module compiles them.

@@ -78,6 +78,8 @@ class Run:
     verbose: int = 0
     no_progress: bool = False
     debug: bool = False
+    #: Whether the output is locked while the command runs.
+    lock: bool = True
 
     @property
     def progress(self) -> Progress:
@@ -99,9 +101,6 @@ class Run:
         notices: list[Notice] = []
         written: list[Path] = []
         interrupts: list[Callable[[], None]] = []
-        locked = self.output
-        if not found()[self.command].lock:
-            locked = None
 
         def noted(interrupt: Callable[[], None]) -> None:
             # Record the interrupt, because a search may catch its exception and return the best result so
@@ -115,7 +114,7 @@ class Run:
                 naming(None),
                 recorded() as notices,
                 atomic.noted() as written,
-                atomic.locked(locked),
+                atomic.locked(self.output if self.lock else None),
             ):
                 outcome = work()
             if interrupts:
@@ -337,7 +336,8 @@ class Command(click.Command):
 
     def _called(self, *, files: Any = None, **typed: Any) -> None:
         """Execute the command with the arguments and options that the user typed."""
-        run = Run(self.spec.command, **{one.name: typed.pop(one.name) for one in fields(Run)[1:]})
+        shared = {one.name: typed.pop(one.name) for one in fields(Run) if one.name in typed}
+        run = Run(self.spec.command, lock=self.spec.lock, **shared)
         run(partial(self._outcome, run, files, typed))
 
     def _outcome(self, run: Run, files: Any, typed: dict[str, Any]) -> Result:

@@ -38,7 +38,7 @@ FORMATS = {
     "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
     "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
     "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
-    "swimid-run-comparison/1": "swimid.batch.compare_runs:ComparedRuns",
+    "swimid-run-comparison/1": "swimid.runs.compare_runs:ComparedRuns",
 }
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
 LOG = "swimid.logs.tracks:Logged"

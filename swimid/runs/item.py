@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import swimid
-from swimid.batch import status as states
-from swimid.batch.plan import TRIALS, Item, Resolved, Step, folder_of
-from swimid.batch.status import LOG, STATUS, USAGE, Status, StepStatus
 from swimid.errors import UsageError
 from swimid.files import atomic
+from swimid.runs import status as states
+from swimid.runs.plan import TRIALS, Item, Resolved, Step, folder_of
+from swimid.runs.status import LOG, STATUS, USAGE, Status, StepStatus
 
 #: Number of times that an item is tried again after a crash.
 RETRIES = 2
@@ -104,7 +104,7 @@ def _process(run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | 
 
     The exit status is None if the item took longer than its time limit.
     """
-    command = [sys.executable, "-m", "swimid.batch.item", str(Path(run).resolve()), ident, str(attempt)]
+    command = [sys.executable, "-m", "swimid.runs.item", str(Path(run).resolve()), ident, str(attempt)]
     package = str(Path(swimid.__file__).parents[1])
     paths = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
     with tempfile.TemporaryFile() as log:

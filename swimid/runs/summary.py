@@ -19,11 +19,11 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
-from swimid.batch import status as states
-from swimid.batch.plan import Resolved, folder_of
-from swimid.batch.status import Metric, Sketch
 from swimid.files import atomic
 from swimid.results import numbers
+from swimid.runs import status as states
+from swimid.runs.plan import Resolved, folder_of
+from swimid.runs.status import Metric, Sketch
 
 #: Robust z score beyond which an estimate is an outlier (Iglewicz and Hoaglin, How to Detect and Handle
 #: Outliers, ASQC 1993), standard deviation of the normal distribution over its median absolute deviation,
@@ -230,7 +230,7 @@ def text(entries: Sequence[Entry]) -> str:
 def page(found: Summary) -> str:
     """Return the page of a run: HTML without scripts, with a table that sorts by radio buttons."""
     environment = Environment(
-        loader=PackageLoader("swimid.batch"),
+        loader=PackageLoader("swimid.runs"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from swimid.batch import executors, item, slurm, status, summary
-from swimid.batch.options import BatchOptions
-from swimid.batch.plan import Item, Resolved, folder_of, resolve
 from swimid.errors import Interrupted, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import is_own
 from swimid.notices import Progress, show, silent
 from swimid.options import takes
 from swimid.results.result import Result
+from swimid.runs import executors, item, slurm, status, summary
+from swimid.runs.options import BatchOptions
+from swimid.runs.plan import Item, Resolved, folder_of, resolve
 
 #: States of items that a run does. Items of the states ``failed`` and ``refused`` are done on request.
-TODO = ("missing", "outdated")
+UNFINISHED = ("missing", "outdated")
 #: Exit status of a run in which an item is refused, failed or without result.
 INCOMPLETE = 4
 
@@ -30,13 +30,18 @@ INCOMPLETE = 4
 class Batch(Result):
     """Result of ``batch``: number of items by state, and the items that need attention.
 
-    ``document`` is the :class:`~swimid.batch.summary.Summary` of the run.
+    Attributes
+    ----------
+    document : Summary
+        Items of the run with their states, verdicts and estimates; None after a dry run.
+    exit_status : int
+        Exit status of the command: 4 if an item is refused, failed or without result, 0 otherwise.
     """
 
     @property
     def exit_status(self) -> int:
-        """Exit status: 4 if an item was refused, failed or without result, 0 otherwise."""
-        finished = set(self.data.get("states", {})) <= {"done", *TODO}
+        """Exit status of the command that prints this result."""
+        finished = set(self.data.get("states", {})) <= {"done", *UNFINISHED}
         return 0 if finished else INCOMPLETE
 
 
@@ -79,6 +84,12 @@ def batch(
         If the folder is not empty and not that of a run.
     Interrupted
         After Ctrl-C. The same call goes on.
+
+    Examples
+    --------
+    >>> planned = batch("sample_logs/plan.yaml", output="run", dry_run=True)
+    >>> [item["id"] for item in planned.data["items"]]
+    ['pool_pool.mp4', 'rig_trials.yaml', 'tfish_trials.yaml']
     """
     path, run = Path(plan), Path(output)
     if not force:
@@ -93,7 +104,7 @@ def batch(
     run.mkdir(parents=True, exist_ok=True)
     atomic.write_text(run / "plan.json", resolved.model_dump_json(indent=1) + "\n")
     if not options.collect:
-        wanted = {*TODO, *options.retry}
+        wanted = {*UNFINISHED, *options.retry}
         todo = [one.id for one in mine if status.state_of(one, folder_of(run, one.id))[0] in wanted]
         _do(run, todo, len(mine), options, progress)
     found = summary.of_run(resolved, run)
@@ -151,7 +162,7 @@ def _listed(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptio
     lines: list[str] = []
     items: list[dict[str, Any]] = []
     shown: set[str] = set()
-    wanted = {*TODO, *options.retry}
+    wanted = {*UNFINISHED, *options.retry}
     for one in mine:
         state = status.state_of(one, folder_of(run, one.id))[0]
         verb = "run" if state in wanted else "keep"

@@ -17,12 +17,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ValidationError
 
-from swimid.batch.plan import Item
 from swimid.errors import InputError
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import sha256
 from swimid.results import evidence as ev
 from swimid.results import numbers
+from swimid.runs.plan import Item
 
 State = Literal["done", "no result", "refused", "failed"]
 #: States in the order in which they need attention. An item is ``missing`` before it is done, and ``busy``
@@ -61,7 +61,7 @@ class Sketch(BaseModel):
 
 
 class StepStatus(BaseModel):
-    """What the summary shows of one step of an item."""
+    """Verdict, warnings and estimates of one step of an item."""
 
     name: str
     level: str = ""

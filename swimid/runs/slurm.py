@@ -13,7 +13,7 @@ from swimid.files.provenance import is_own
 from swimid.results.result import Text
 
 if TYPE_CHECKING:
-    from swimid.batch.options import BatchOptions
+    from swimid.runs.options import BatchOptions
 
 #: Number of jobs of an array if the user states none.
 JOBS = 100

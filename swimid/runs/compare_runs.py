@@ -10,18 +10,17 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
-from scipy import stats
 
-from swimid.batch import status
-from swimid.batch.options import CompareRunsOptions
-from swimid.batch.plan import Resolved, folder_of
-from swimid.batch.status import Metric
 from swimid.errors import InputError, UsageError
 from swimid.files import provenance, yamlio
 from swimid.options import takes
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.result import FileResult, load_result
+from swimid.runs import status
+from swimid.runs.options import CompareRunsOptions
+from swimid.runs.plan import Resolved, folder_of
+from swimid.runs.status import Metric
 
 #: Maximum number of panels of the figure, and of rows of the table of estimates that is not folded.
 MAX_PANELS, MAX_ROWS = 12, 12
@@ -56,7 +55,13 @@ class RunComparison(yamlio.ResultFile):
 
 @dataclass(frozen=True, eq=False)
 class ComparedRuns(FileResult[RunComparison]):
-    """Result of ``compare-runs``: estimates of all runs side by side, and those that changed."""
+    """Result of ``compare-runs``: estimates of all runs side by side, and those that changed.
+
+    Attributes
+    ----------
+    file : RunComparison
+        Estimates of each quantity in each run, tests, and differences of the items. :meth:`save` writes it.
+    """
 
     file_type = RunComparison
 
@@ -89,12 +94,22 @@ def compare_runs(
     output : path, optional
         Comparison file to write.
 
+    Returns
+    -------
+    ComparedRuns
+
     Raises
     ------
     UsageError
         If fewer than two runs are given.
     InputError
         If a folder is not that of a run, a file is not a result, or the runs have no estimate in common.
+
+    Examples
+    --------
+    >>> again = compare_runs(["sample_logs/gap/params.yaml", "sample_logs/gap/params.yaml"])
+    >>> [quantity.quantity for quantity in again.file.quantities if quantity.changed]
+    []
     """
     paths = [Path(run) for run in runs]
     if len(paths) < 2:
@@ -107,6 +122,8 @@ def compare_runs(
         raise InputError("the runs have no estimate in common", file=paths[0], hint=f"their items: {have}")
     tested = [q for q in quantities if q.p is not None]
     if tested:
+        from scipy import stats
+
         adjusted = stats.false_discovery_control([q.p for q in tested])
         for quantity, p in zip(tested, adjusted, strict=True):
             quantity.changed = bool(p <= options.false_discovery_rate)
@@ -179,6 +196,8 @@ def _quantities(found: Sequence[Mapping[str, _Found]]) -> list[Quantity]:
 
 def _p_value(known: Sequence[Metric]) -> float | None:
     """Return the p-value of the hypothesis that all estimates are of one value; None if it is not tested."""
+    from scipy import stats
+
     errors = np.array([one.stderr for one in known])
     values = np.array([one.value for one in known], dtype=float)
     if not (np.isfinite(errors).all() and (errors > 0).all()) or np.ptp(values) == 0:
