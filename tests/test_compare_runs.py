@@ -64,9 +64,7 @@ def test_a_change_is_named(tmp_path: Path, rng: np.random.Generator) -> None:
     assert "differ between the runs" in found.summary()
     again = package.load_result(tmp_path / "week.yaml")
     assert again.summary() == found.summary()
-    assert [panel.x_categories for panel in found.evidence.figures[0].panels][0] == [
-        "day0.yaml", "day1.yaml", "day2.yaml",
-    ]  # fmt: skip
+    assert found.evidence.figures[0].panels[0].x_categories == ["day0.yaml", "day1.yaml", "day2.yaml"]
 
 
 def test_estimates_without_errors_are_not_tested(tmp_path: Path) -> None:

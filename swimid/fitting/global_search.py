@@ -5,18 +5,20 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from swimid import executors
 from swimid.errors import NoTrustworthyResult, extra_needed
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import output_error
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import UNFINISHED_ITERATIONS, FitResult
-from swimid.fitting.problem import Problem
+from swimid.fitting.problem import Problem, map_in_threads
 from swimid.notices import Progress, show, silent
 
 #: Maximum relative difference between the costs of two fits that count as the same minimum.
@@ -46,6 +48,7 @@ def multistart(
     jobs: int | None = None,
     max_iterations: int = UNFINISHED_ITERATIONS,
     first: FitResult | None = None,
+    elsewhere: Callable[[Array], Array] | None = None,
     progress: Progress = silent,
 ) -> tuple[FitResult, list[Start]]:
     """Fit from several starting points, and return the best fit.
@@ -61,6 +64,9 @@ def multistart(
         Starting points that are used first. The default is one point, the start values of the parameters.
     first : FitResult, optional
         Result of the fit from the first starting point, if it is already known.
+    elsewhere : callable, optional
+        Function that searches from a starting point on another machine, and returns the end point. The fits
+        then begin at the end points.
 
     Returns
     -------
@@ -85,12 +91,15 @@ def multistart(
     results: list[FitResult] = []
     ends: list[Start] = []
     failures: list[NoTrustworthyResult] = []
-    with progress("starts", total=starts) as step:
-        for k, begin in enumerate(points):
+    with progress("starts", total=starts) as step, ExitStack() as stack:
+        begun: Iterable[Array] = points
+        if elsewhere is not None:
+            begun = stack.enter_context(map_in_threads(elsewhere, points, executors.WAITING))
+        for k, (begin, nearer) in enumerate(zip(points, begun, strict=True)):
             try:
                 found = {0: first}.get(k) or output_error.fit(
                     model, trials, parameters=parameters,
-                    jobs=jobs, begin=begin, tested=False, max_iterations=max_iterations,
+                    jobs=jobs, begin=nearer, tested=False, max_iterations=max_iterations,
                 )  # fmt: skip
             except KeyboardInterrupt:
                 if not results:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -13,6 +15,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
+from swimid import executors
 from swimid.errors import UsageError
 from swimid.files import yamlio
 from swimid.files.atomic import Checkpoint
@@ -168,7 +171,8 @@ def performance_map(
         uncertain = performance.applied.uncertain()[0]
         runs = len(points) * (1 + 2 * len(uncertain))
         performance.model.prepare(progress, simulated_s=runs * options.duration_s, checkpoint=keep)
-        found = _simulate(performance, points, bool(uncertain), options.jobs, keep, progress)
+        cells = Cells(performance, bool(uncertain))
+        found = _simulate(cells, points, options, keep, progress)
         values, stderr = found[..., 0], found[..., 1]
         performance.insist(values)
         if uncertain:
@@ -196,34 +200,56 @@ def performance_map(
     return study.saved(PerformanceMap, file, evidence_of(file, notices, study.origin))
 
 
+@dataclass(frozen=True)
+class Cells:
+    """Simulation of the gaits at grid points of a map, with standard errors if ``uncertain``."""
+
+    performance: Performance
+    uncertain: bool
+
+    @classmethod
+    def of_options(cls, options: MapOptions) -> Cells:
+        """Build the cells of a map, on a worker of a cluster."""
+        performance = Performance.of_options(options)
+        return cls(performance, bool(performance.applied.uncertain()[0]))
+
+    def compute(self, part: Sequence[Point]) -> Array:
+        """Simulate some gaits, and return a flat array of the shape (n, quantities, 2).
+
+        It has values and standard errors. Unknown standard errors are NaN.
+        """
+        if self.uncertain:
+            return np.array([self.performance.with_errors(point) for point in part]).ravel()
+        table = self.performance.table(part)
+        return np.stack([table, np.full_like(table, np.nan)], axis=-1).ravel()
+
+
 def _simulate(
-    performance: Performance,
-    points: Sequence[Point],
-    uncertain: bool,
-    jobs: int | None,
-    checkpoint: Checkpoint,
-    progress: Progress,
+    cells: Cells, points: Sequence[Point], options: MapOptions, checkpoint: Checkpoint, progress: Progress
 ) -> Array:
     """Simulate the gaits at grid points, and return their quantities with standard errors.
 
     The result has the shape (n, quantities, 2): values and standard errors. Unknown standard errors are NaN.
     """
     size = BATCH
-    if uncertain:
+    if cells.uncertain:
         size = 1
     parts = [points[k : k + size] for k in range(0, len(points), size)]
+    compute, jobs = cells.compute, options.jobs
+    with ExitStack() as stack:
+        if options.cluster is not None:
+            pool = stack.enter_context(executors.opened(1, options.cluster))
+            place = "swimid.optimisation.performance_map:Cells.of_options"
+            compute, jobs = (
+                partial(executors.Rebuilt(pool, place, options).call, "compute"),
+                executors.WAITING,
+            )
 
-    def compute(part: Sequence[Point]) -> Array:
-        if uncertain:
-            return np.array([performance.with_errors(point) for point in part]).ravel()
-        table = performance.table(part)
-        return np.stack([table, np.full_like(table, np.nan)], axis=-1).ravel()
+        def one(k: int) -> Array:
+            return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
 
-    def one(k: int) -> Array:
-        return checkpoint.kept(f"points {k}", lambda: compute(parts[k]))
-
-    found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
-    return np.concatenate([rows.reshape(-1, len(performance.units), 2) for rows in found])
+        found = studies.in_parallel(one, len(parts), jobs, "gaits", progress)
+    return np.concatenate([rows.reshape(-1, len(cells.performance.units), 2) for rows in found])
 
 
 # ------------------------------------------------------------ evidence

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from swimid import executors
 from swimid.errors import Interrupted, UsageError
 from swimid.files import atomic
 from swimid.files.provenance import is_own
 from swimid.notices import Progress, show, silent
 from swimid.options import takes
 from swimid.results.result import Result
-from swimid.runs import executors, item, slurm, status, summary
+from swimid.runs import item, slurm, status, summary
 from swimid.runs.options import BatchOptions
 from swimid.runs.plan import Item, Resolved, folder_of, resolve
 

@@ -9,7 +9,7 @@ from typing import Literal, Self
 from pydantic import model_validator
 
 from swimid.errors import UsageError
-from swimid.options import Options, option
+from swimid.options import Options, cluster, option
 
 Retry = Literal["failed", "refused"]
 
@@ -49,10 +49,7 @@ class BatchOptions(
     )
     collect: bool = option(False, recorded=False, help="Do no item. Write the summary of what is there.")
     dry_run: bool = option(False, recorded=False, help="List the items and their states. Write nothing.")
-    cluster: str | None = option(
-        None, metavar="ADDRESS|FILE", recorded=False,
-        help="Address (tcp://host:8786) or scheduler file of a cluster of dask.distributed.",
-    )  # fmt: skip
+    cluster: str | None = cluster()
     slurm: Path | None = option(
         None, written=True, recorded=False, metavar="FOLDER", help="Write the scripts of a Slurm job array."
     )

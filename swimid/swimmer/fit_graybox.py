@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swimid import executors
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.files.atomic import Checkpoint
@@ -30,7 +32,7 @@ from swimid.swimmer.options import FitGrayboxOptions
 
 if TYPE_CHECKING:
     from swimid.fitting.global_search import Start
-    from swimid.swimmer.front import FrontResult
+    from swimid.swimmer.front import FrontResult, Profiles
 
 #: Typical number of Jacobian evaluations in a fit. The expected simulation time is computed from it, and
 #: needs to be correct only within a factor of two.
@@ -121,30 +123,17 @@ def fit_graybox(
     1.0
     """
     with recorded(repeat=True) as notices:
-        experiment = swimmer.load(
-            trials,
-            readings=options.readings,
-            channels=options.channels,
-            start_state=options.start_state,
-            max_step=options.dt,
-        )
-        model, begin = _with_shared(experiment.model, options.share), options.start_from
-        parameters = model.parameters
-        if begin is not None:
-            parameters = _started_from(begin, parameters, options.share)
-        parameters = fit_common.prepare(
-            experiment,
-            output,
-            parameters=parameters,
-            fixed=options.fixed,
-            freed=options.freed,
-            bounds=options.bounds,
-            also=[begin] if isinstance(begin, Path) else [],
-        )
+        posed = Posed.of(trials, options, output)
+        experiment, model, parameters = posed.experiment, posed.model, posed.parameters
         _require_steady_swimming(experiment, parameters)
-        files = [parameters_format.origin(p) for p in (begin, options.front) if p is not None]
+        files = [parameters_format.origin(p) for p in (options.start_from, options.front) if p is not None]
         origin = provenance.collect([*experiment.inputs, *files], settings=options.settings())
-        search = _search(experiment, model, parameters, options, output, origin, progress)
+        with ExitStack() as stack:
+            rebuilt: executors.Rebuilt | None = None
+            if options.cluster is not None:
+                pool = stack.enter_context(executors.opened(1, options.cluster))
+                rebuilt = executors.Rebuilt(pool, "swimid.swimmer.fit_graybox:Posed.of", trials, options)
+            search = _search(posed, options, output, origin, rebuilt, progress)
         result = output_error.with_held_out(search.result)
         file = _parameter_file(experiment, result, origin, output, trials, options)
         checks = [
@@ -186,6 +175,68 @@ def fit_graybox(
 
 
 @dataclass(frozen=True)
+class Posed:
+    """Trials, model and parameters of a fit. A worker of a cluster builds its own."""
+
+    experiment: Experiment
+    model: Model
+    parameters: tuple[Parameter, ...]
+    options: FitGrayboxOptions
+
+    @classmethod
+    def of(
+        cls, trials: str | Path | TrialSet, options: FitGrayboxOptions, output: Path | None = None
+    ) -> Posed:
+        """Read the trials, and prepare model and parameters as the options say."""
+        experiment = swimmer.load(
+            trials,
+            readings=options.readings,
+            channels=options.channels,
+            start_state=options.start_state,
+            max_step=options.dt,
+        )
+        model, begin = _with_shared(experiment.model, options.share), options.start_from
+        parameters = model.parameters
+        if begin is not None:
+            parameters = _started_from(begin, parameters, options.share)
+        parameters = fit_common.prepare(
+            experiment,
+            output,
+            parameters=parameters,
+            fixed=options.fixed,
+            freed=options.freed,
+            bounds=options.bounds,
+            also=[begin] if isinstance(begin, Path) else [],
+        )
+        return cls(experiment, model, parameters, options)
+
+    @cached_property
+    def profiles(self) -> Profiles:
+        """Objectives of a search of a Pareto front."""
+        from swimid.swimmer.front import Profiles
+
+        return Profiles.of(self.experiment, self.model, self.parameters, self.options)
+
+    def objectives(self, points: Array, profile: str | None) -> Array:
+        """Return the objectives at points of the search of a Pareto front, shape (n, m)."""
+        return self.profiles.evaluate(points, profile)
+
+    def end_of(self, begin: Array) -> Array:
+        """Return the estimate of the fit from a starting point, or the starting point if the fit fails."""
+        with suppress(NoTrustworthyResult):
+            return output_error.fit(
+                self.model,
+                self.experiment.trials,
+                parameters=self.parameters,
+                jobs=self.options.jobs,
+                begin=begin,
+                tested=False,
+                max_iterations=self.options.max_iterations,
+            ).estimate
+        return begin
+
+
+@dataclass(frozen=True)
 class _Search:
     """Result of a parameter estimation, with its starting points and its Pareto front.
 
@@ -217,39 +268,38 @@ class _Search:
 
 
 def _search(
-    experiment: Experiment,
-    model: Model,
-    parameters: tuple[Parameter, ...],
+    posed: Posed,
     options: FitGrayboxOptions,
     output: Path | None,
     origin: dict[str, Any],
+    rebuilt: executors.Rebuilt | None,
     progress: Progress,
 ) -> _Search:
-    """Estimate the parameters with the method that the options name."""
+    """Estimate the parameters with the method that the options name. Workers of a cluster use ``rebuilt``."""
+    experiment, model, parameters = posed.experiment, posed.model, posed.parameters
     ahead_s = _simulated_s(experiment.trials, parameters, options)
     if options.method == "least-squares":
         model.prepare(progress, simulated_s=ahead_s)
-        search = _least_squares(model, experiment.trials, parameters, None, options, progress)
+        search = _least_squares(posed, None, options, rebuilt, progress)
     else:
         from swimid.swimmer import front
 
         checkpoint = Checkpoint.beside(output, [origin["inputs"], origin["settings"]])
         model.prepare(progress, simulated_s=ahead_s, checkpoint=checkpoint)
-        found, chosen = front.fit(experiment, model, parameters, options, checkpoint, progress)
+        found, chosen = front.fit(posed, options, checkpoint, rebuilt, progress)
         search = _Search(chosen)
         if options.method == "hybrid":
             begins = found.starts(options.starts or 1)
-            search = _least_squares(model, experiment.trials, parameters, begins, options, progress)
+            search = _least_squares(posed, begins, options, rebuilt, progress)
         search = replace(search, front=found, checkpoint=checkpoint)
     return search
 
 
 def _least_squares(
-    model: Model,
-    trials: Sequence[Trial],
-    parameters: tuple[Parameter, ...],
+    posed: Posed,
     begins: Sequence[Array] | None,
     options: FitGrayboxOptions,
+    rebuilt: executors.Rebuilt | None,
     progress: Progress,
 ) -> _Search:
     """Estimate the parameters by output error from one or several starting points.
@@ -257,8 +307,9 @@ def _least_squares(
     Several starting points are used if the user asks for them, or if the fit from the first starting point
     was quick or has a bad result.
     """
+    model, trials = posed.model, posed.experiment.trials
     settings: dict[str, Any] = {
-        "parameters": parameters,
+        "parameters": posed.parameters,
         "jobs": options.jobs,
         "max_iterations": options.max_iterations,
     }
@@ -274,6 +325,8 @@ def _least_squares(
     settings |= {"starts": starts, "seed": options.seed, "begins": begins, "first": first}
     from swimid.fitting.global_search import multistart
 
+    if rebuilt is not None:
+        settings["elsewhere"] = partial(rebuilt.call, "end_of")
     result, ends = multistart(model, trials, progress=progress, **settings)
     return _Search(result, ends=ends, starts=starts)
 

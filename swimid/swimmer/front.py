@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
+from swimid.executors import WAITING, Rebuilt
 from swimid.files import atomic
 from swimid.files.atomic import Checkpoint
 from swimid.fitting import fit_common, global_search, output_error
@@ -27,11 +28,14 @@ from swimid.fitting.fit_common import Experiment, dtw_distance
 from swimid.fitting.global_search import Front
 from swimid.fitting.model import Array, Model, Parameter, Trial
 from swimid.fitting.output_error import FitResult, Series
-from swimid.fitting.problem import Problem
+from swimid.fitting.problem import Problem, map_in_threads
 from swimid.notices import Progress, show, silent, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.swimmer.options import FitGrayboxOptions
+
+if TYPE_CHECKING:
+    from swimid.swimmer.fit_graybox import Posed
 
 #: Kinds of distance between simulation and measurement, by the unit at the end of a channel's name. Each kind
 #: has a name, and the error that counts as a distance of 1: 0.05 m, 5 degrees, 0.05 m/s and 10 degrees per
@@ -44,6 +48,8 @@ KINDS = {
 }
 #: Maximum time shift between simulation and measurement, as a fraction of the record (Sakoe and Chiba 1978).
 BAND = 0.05
+#: Number of points of a generation that one call on a cluster evaluates.
+SENT = 8
 #: Rules for the choice of one point of a Pareto front, by name.
 RULES = {"least-worst": global_search.least_worst, "knee": global_search.knee}
 #: Titles of three fits: before the search of the front, at the chosen point, and after least squares from
@@ -158,6 +164,24 @@ class Profiles:
                     self._parts.setdefault((name, kind), {})[k] = channels
         self.objectives = list(self._parts)
         self.columns = [f"{kind}[{profile}]" for profile, kind in self.objectives]
+
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        model: Model,
+        parameters: Sequence[Parameter],
+        options: FitGrayboxOptions,
+    ) -> Profiles:
+        """Return the objectives of an experiment as the options of a fit say."""
+        return cls(
+            model,
+            parameters,
+            experiment.trials,
+            experiment.facts["profiles"],
+            scales=options.scales,
+            jobs=options.jobs or os.cpu_count() or 1,
+        )
 
     def _members(self, profile: str | None) -> list[int]:
         """Return the indices of the trials of a motion profile, or of all trials if the profile is None."""
@@ -291,23 +315,23 @@ class FrontResult:
 
 
 def fit(
-    experiment: Experiment,
-    model: Model,
-    parameters: tuple[Parameter, ...],
+    posed: Posed,
     options: FitGrayboxOptions,
     checkpoint: Checkpoint,
+    rebuilt: Rebuilt | None = None,
     progress: Progress = silent,
 ) -> tuple[FrontResult, FitResult]:
     """Search or read the Pareto fronts, choose a point, and return the fronts and the fit at this point.
 
     Parameters
     ----------
-    experiment : Experiment
-    model : Model
-    parameters : tuple of Parameter
+    posed : Posed
+        Trials, model and parameters.
     options : FitGrayboxOptions
     checkpoint : Checkpoint
         Stores the generations, so that an interrupted search can be resumed.
+    rebuilt : Rebuilt, optional
+        ``posed`` on the workers of a cluster, which then evaluate the generations.
     progress : Progress
 
     Raises
@@ -318,17 +342,11 @@ def fit(
     NoTrustworthyResult
         If the search is interrupted, or if every simulation breaks down.
     """
-    profiles = Profiles(
-        model,
-        parameters,
-        experiment.trials,
-        experiment.facts["profiles"],
-        scales=options.scales,
-        jobs=options.jobs or os.cpu_count() or 1,
-    )
+    experiment, model, parameters = posed.experiment, posed.model, posed.parameters
+    profiles = posed.profiles
     searches: dict[str, Front] = {}
     if options.front is None:
-        searches = _search(profiles, options, checkpoint, progress)
+        searches = _search(profiles, options, checkpoint, rebuilt, progress)
         table = _joined(profiles, searches)
     else:
         table = read(options.front, profiles)
@@ -353,9 +371,21 @@ def fit(
 
 
 def _search(
-    profiles: Profiles, options: FitGrayboxOptions, checkpoint: Checkpoint, progress: Progress
+    profiles: Profiles,
+    options: FitGrayboxOptions,
+    checkpoint: Checkpoint,
+    rebuilt: Rebuilt | None,
+    progress: Progress,
 ) -> dict[str, Front]:
     """Search the Pareto front of each motion profile by NSGA-II."""
+
+    def evaluate(points: Array, profile: str) -> Array:
+        if rebuilt is None:
+            return profiles.evaluate(points, profile)
+        parts = np.array_split(points, max(len(points) // SENT, 1))
+        with map_in_threads(lambda part: rebuilt.call("objectives", part, profile), parts, WAITING) as found:
+            return np.concatenate(list(found))
+
     searches: dict[str, Front] = {}
     total = options.generations * len(profiles.names)
     done: list[str] = []
@@ -369,7 +399,7 @@ def _search(
 
             for number, name in enumerate(profiles.names):
                 searches[name] = global_search.nsga2(
-                    partial(profiles.evaluate, profile=name),
+                    partial(evaluate, profile=name),
                     profiles.lower,
                     profiles.upper,
                     objectives=len(profiles.objectives_of(name)),

@@ -15,13 +15,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import as_completed
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from swimid import executors
 from tests.blind import noise_free
 from tests.blind.common import PARAMETER
 
@@ -297,20 +298,21 @@ def run(
     timeout_s: float = 900.0,
     search: Path | None = None,
     relabel: bool = False,
+    cluster: str | None = None,
 ) -> None:
-    """Make and diagnose the cases that have no result yet.
+    """Make and diagnose the cases that have no result yet, in ``jobs`` threads or on a cluster.
 
     With ``relabel`` the labels of the other cases, and the errors against their noise-free motions, are
     written anew. See :func:`diagnose` for ``search``.
     """
     begun = time.perf_counter()
 
-    def one(case: dict[str, Any]) -> None:
+    def one(case: dict[str, Any]) -> str:
         name = f"{case['number']:04d}"
         results = out / "results" / name
         is_done = (results / "result.json").exists()
         if is_done and not relabel:
-            return
+            return ""
         folder = make(case, out, seed)
         if is_done:
             record = json.loads((results / "result.json").read_text())
@@ -323,11 +325,12 @@ def run(
         last = record["steps"][-1]
         took = sum(step["wall_s"] for step in record["steps"])
         state = "" if record["ended"] else f"  {last['command'][0]} ended with {last['status']}"
-        clock = time.perf_counter() - begun
-        print(f"{clock:6.0f} s  {name} {case['robot']:15} {told:34} {took:6.1f} s{state}", flush=True)
+        return f"{name} {case['robot']:15} {told:34} {took:6.1f} s{state}"
 
-    with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(one, cases))
+    with executors.opened(jobs, cluster) as pool:
+        for future in as_completed([pool.submit(one, case) for case in cases]):
+            if future.result():
+                print(f"{time.perf_counter() - begun:6.0f} s  {future.result()}", flush=True)
 
 
 def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
@@ -340,6 +343,7 @@ def arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--effects", nargs="+", default=[], help="only single cases of these")
     parser.add_argument("--only", nargs="+", type=int, default=[], help="only the cases of these numbers")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--cluster", help="address or scheduler file of a cluster")
     parser.add_argument("--timeout", type=float, default=900.0, help="per command, s")
     parser.add_argument("--search", type=Path, help="folder with another version of the program")
     parser.add_argument("--out", type=Path, required=True, help="folder; a run there is taken up again")
@@ -377,6 +381,7 @@ def main(argv: Sequence[str] | None = None, *, program: Sequence[str] = PROGRAM)
             out,
             chosen.seed,
             jobs=chosen.jobs,
+            cluster=chosen.cluster,
             keep=chosen.keep,
             program=program,
             timeout_s=chosen.timeout,
