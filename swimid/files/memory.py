@@ -19,15 +19,15 @@ def physical_bytes() -> int:
     return USUAL_BYTES
 
 
-def check_rows(path: Path, rows: int, columns: int, copies: float, hint: str) -> None:
-    """Raise an error if the rows of a file do not fit in memory.
+def check_fits(path: Path, what: str, needed: float, hint: str) -> None:
+    """Raise an error if the content of a file does not fit in memory.
 
     Parameters
     ----------
-    rows, columns : int
-        Number of rows and columns that are read, each cell as a number of 8 bytes.
-    copies : float
-        Number of copies of the cells that are in memory at once.
+    what : str
+        Name of the content in the message, such as "100 rows of 5 columns".
+    needed : float
+        Memory that the content needs, bytes.
     hint : str
         Action for the user that needs less memory.
 
@@ -35,10 +35,7 @@ def check_rows(path: Path, rows: int, columns: int, copies: float, hint: str) ->
     ------
     InputError
     """
-    needed, most = 8.0 * rows * columns * copies, physical_bytes()
+    most = physical_bytes()
     if needed > most:
-        text = (
-            f"{rows} rows of {columns} columns do not fit in memory: they take {needed / 1e9:.3g} GB, and "
-            f"the computer has {most / 1e9:.3g} GB"
-        )
+        text = f"{what} do not fit in memory: they need {needed / 1e9:.3g} GB of {most / 1e9:.3g} GB"
         raise InputError(text, file=path, hint=hint)

@@ -431,7 +431,8 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
     if table.after:
         rows = len(table.columns[names[0]]) + table.after
         hint = f"import means of successive rows, as in --every {100 * every}, or map fewer columns"
-        memory.check_rows(path, rows // every, len(names), N_COPIES, hint)
+        what = f"{rows // every} rows of {len(names)} columns"
+        memory.check_fits(path, what, 8.0 * N_COPIES * len(names) * (rows // every), hint)
     clock, averager = Clock(), Averager(every)
     pieces: list[MappedLog] = []
     refused: NoRowError | None = None

@@ -64,16 +64,16 @@ MATLAB_MAGIC = (b"MATLAB 5.0", b"MATLAB 7.3")
 MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MATLAB_MAGIC, extra="hdf5")
 
 
-#: Size of the buffer for reading one column of a Parquet file, bytes. Without a buffer a whole row group is
-#: read at once.
-BUFFER_BYTES = 1 << 20
+#: Arguments for reading a Parquet file through a buffer of 1 MiB for each column. By default a whole row
+#: group is read at once, and kept until the end of the file.
+BUFFERED = {"buffer_size": 1 << 20, "pre_buffer": False}
 
 
 def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
     import pyarrow.parquet
 
     types, notes = pyarrow.types, []
-    with pyarrow.parquet.ParquetFile(path, buffer_size=BUFFER_BYTES) as file:
+    with pyarrow.parquet.ParquetFile(path, **BUFFERED) as file:
         schema, count = file.schema_arrow, file.metadata.num_rows
         nested = [f.name for f in schema if types.is_nested(f.type) or types.is_binary(f.type)]
         names = [name for name in schema.names if name not in nested]
@@ -93,7 +93,7 @@ def _rest(path: Path, known: list[str], start: int, names: list[str]) -> Iterato
     """Yield the rows of a Parquet file from row ``start`` on, with only the columns ``names``."""
     import pyarrow.parquet
 
-    with pyarrow.parquet.ParquetFile(path, buffer_size=BUFFER_BYTES) as file:
+    with pyarrow.parquet.ParquetFile(path, **BUFFERED) as file:
         row = 0
         for batch in _batches(file, names):
             if row >= start:
