@@ -440,7 +440,7 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
         try:
             pieces.append(_mapped(mapping, columns, batch, path, metadata, clock))
         except NoRowError as error:
-            refused = error
+            refused = refused or error
             continue
         if every > 1:
             pieces[-1] = _averaged(pieces[-1], averager)
@@ -666,7 +666,10 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
             hits = np.isin(values, pd.to_numeric(options, errors="coerce"))
         if not (kept & hits).any():
             there = ", ".join(_distinct(values[kept])[:10])
-            raise NoRowError(f"has no row with {wanted}; it holds {there}", file=path, column=name)
+            held = "it holds"
+            if table.after:
+                held = "its first rows hold"
+            raise NoRowError(f"has no row with {wanted}; {held} {there}", file=path, column=name)
         kept &= hits
     return kept
 
