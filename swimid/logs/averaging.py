@@ -129,7 +129,7 @@ class Channel:
 
 
 @dataclass
-class Averaged:
+class RowStatistics:
     """Statistics of all rows of a recording whose rows were averaged.
 
     Attributes
@@ -179,12 +179,12 @@ class Averager:
 
     Attributes
     ----------
-    all : Averaged
+    statistics : RowStatistics
         Statistics of the rows that were taken so far.
     """
 
     def __init__(self, every: int) -> None:
-        self.all = Averaged(every)
+        self.statistics = RowStatistics(every)
         self._step_s: float | None = None
         self._last_s = np.nan
         self._rest: dict[str, Array] = {}
@@ -212,7 +212,7 @@ class Averager:
         rows = np.concatenate((self._rest_rows, rows[timed]))
         starts = self._starts(kept[TIME])
         size = len(rows)
-        if len(starts) and not last and size - starts[-1] < self.all.every:
+        if len(starts) and not last and size - starts[-1] < self.statistics.every:
             size, starts = int(starts[-1]), starts[:-1]
         self._rest = {name: values[size:] for name, values in kept.items()}
         self._rest_rows = rows[size:]
@@ -224,22 +224,22 @@ class Averager:
         time_s = columns[TIME][timed]
         if self._step_s is None and len(time_s) > 1:
             self._step_s = usual_step(time_s)
-        everything = self.all
-        everything.rows += len(timed)
-        everything.untimed += len(timed) - len(time_s)
+        statistics = self.statistics
+        statistics.rows += len(timed)
+        statistics.untimed += len(timed) - len(time_s)
         steps = np.diff(np.concatenate(([self._last_s], time_s)))
         steps = steps[np.isfinite(steps)]
         if len(steps):
-            everything.backwards += int(np.count_nonzero(steps < 0))
-            everything.repeated += int(np.count_nonzero(steps == 0))
-            everything.pauses += int(np.count_nonzero(steps > PAUSE * (self._step_s or np.inf)))
-            everything.shortest_s = min(everything.shortest_s, float(steps.min()))
-            everything.longest_s = max(everything.longest_s, float(steps.max()))
+            statistics.backwards += int(np.count_nonzero(steps < 0))
+            statistics.repeated += int(np.count_nonzero(steps == 0))
+            statistics.pauses += int(np.count_nonzero(steps > PAUSE * (self._step_s or np.inf)))
+            statistics.shortest_s = min(statistics.shortest_s, float(steps.min()))
+            statistics.longest_s = max(statistics.longest_s, float(steps.max()))
         if len(time_s):
             self._last_s = float(time_s[-1])
         for name, values in columns.items():
             if name != TIME:
-                everything.channels.setdefault(name, Channel()).take(values)
+                statistics.channels.setdefault(name, Channel()).take(values)
 
     def _starts(self, time_s: Array) -> NDArray[np.intp]:
         """Return the index of the first row of each average. A pause in the time stamps ends an average."""
@@ -248,7 +248,7 @@ class Averager:
         begins[:1] = True
         begins[1:] = np.abs(np.diff(time_s)) > PAUSE * (self._step_s or np.inf)
         piece = np.maximum.accumulate(np.where(begins, row, 0))
-        return np.flatnonzero((row - piece) % self.all.every == 0)
+        return np.flatnonzero((row - piece) % self.statistics.every == 0)
 
 
 def _means(columns: Mapping[str, Array], starts: NDArray[np.intp]) -> dict[str, Array]:

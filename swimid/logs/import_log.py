@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.logs import beat, log, mapping, point_evidence, point_files, points, sampling, tracks, wave
-from swimid.logs.averaging import Averaged
+from swimid.logs.averaging import RowStatistics
 from swimid.logs.beat import Rhythm, contradiction
 from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike
@@ -425,10 +425,10 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
     methods, references = [*METHODS], [] if found.cleaning is None else [*REFERENCES]
     notes = []
-    if found.mapped.averaged is not None:
-        checks += _all_rows_checks(found.mapped.averaged)
-        methods.insert(0, MEAN_METHOD.format(found.mapped.averaged.every))
-        notes.append(MEAN_NOTE.format(found.mapped.averaged.rows, len(found.mapped)))
+    if found.mapped.all_rows is not None:
+        checks += _all_rows_checks(found.mapped.all_rows)
+        methods.insert(0, MEAN_METHOD.format(found.mapped.all_rows.every))
+        notes.append(MEAN_NOTE.format(found.mapped.all_rows.rows, len(found.mapped)))
     with recorded(repeat=True) as drawn:
         shown = figures_of([found.log], found=found.stroke)
     if found.posed is not None:
@@ -542,12 +542,12 @@ def _value_checks(found: Examined) -> list[Check]:
     ]
 
 
-def _all_rows_checks(averaged: Averaged) -> list[Check]:
+def _all_rows_checks(all_rows: RowStatistics) -> list[Check]:
     """Return the checks that ran on all rows of a recording whose rows were averaged."""
-    rows, odd = averaged.rows, averaged.backwards + averaged.repeated + averaged.untimed
-    counts = f"{averaged.backwards} go back, {averaged.repeated} repeat, {averaged.untimed} are missing"
+    rows, odd = all_rows.rows, all_rows.backwards + all_rows.repeated + all_rows.untimed
+    counts = f"{all_rows.backwards} go back, {all_rows.repeated} repeat, {all_rows.untimed} are missing"
     times, lost = f"of the time stamps of all {rows} rows, {counts}", odd > MAX_DROPPED * rows
-    faults = "; ".join(f"{name} {text}" for name, text in averaged.faults().items())
+    faults = "; ".join(f"{name} {text}" for name, text in all_rows.faults().items())
     faulty = f"channels look faulty in all rows: {faults}"
     return [
         _check("Time stamps of all rows", not odd, "increase", times, counts, fails=lost),
@@ -633,8 +633,8 @@ def _tables(found: Examined) -> list[Table]:
         caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
-    if found.mapped.averaged is not None:
-        tables.append(_all_rows_table(found.mapped.averaged))
+    if found.mapped.all_rows is not None:
+        tables.append(_all_rows_table(found.mapped.all_rows))
     rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.log.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
     if found.posed is not None:
@@ -644,16 +644,16 @@ def _tables(found: Examined) -> list[Table]:
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
 
-def _all_rows_table(averaged: Averaged) -> Table:
+def _all_rows_table(all_rows: RowStatistics) -> Table:
     """Return the table of the statistics of all rows of a recording, before they were averaged."""
     columns = ["channel", "samples", "missing", "mean", "standard deviation", "minimum", "maximum", "hold"]
     rows = [
         [name, one.samples, one.missing, one.mean, one.sd, one.low, one.high, one.longest_hold]
-        for name, one in averaged.channels.items()
+        for name, one in all_rows.channels.items()
     ]
     caption = (
-        f"Of all {averaged.rows} rows. The time steps are {averaged.shortest_s:.6g} to "
-        f"{averaged.longest_s:.6g} s, {averaged.pauses} of them pauses. A hold is the maximum number of "
+        f"Of all {all_rows.rows} rows. The time steps are {all_rows.shortest_s:.6g} to "
+        f"{all_rows.longest_s:.6g} s, {all_rows.pauses} of them pauses. A hold is the maximum number of "
         "successive samples with one value."
     )
     return Table(id="all-rows", title="Statistics of all rows", columns=columns, rows=rows, caption=caption)
@@ -663,14 +663,14 @@ def _frequency(stroke: Rhythm) -> str:
     return numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
 
 
-def _all_rows_data(averaged: Averaged) -> dict[str, Any]:
+def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:
     """Return the statistics of all rows of a recording as plain data."""
     names = ("samples", "missing", "mean", "sd", "low", "high", "longest_hold")
     channels = {
-        channel: {name: getattr(one, name) for name in names} for channel, one in averaged.channels.items()
+        channel: {name: getattr(one, name) for name in names} for channel, one in all_rows.channels.items()
     }
     counts = ("every", "rows", "untimed", "backwards", "repeated", "pauses", "shortest_s", "longest_s")
-    return {name: getattr(averaged, name) for name in counts} | {"channels": channels}
+    return {name: getattr(all_rows, name) for name in counts} | {"channels": channels}
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
@@ -694,8 +694,8 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
         "verdict": proof.verdict.model_dump(),
         "checks": [check.model_dump() for check in proof.checks],
     }
-    if found.mapped.averaged is not None:
-        made["all_rows"] = _all_rows_data(found.mapped.averaged)
+    if found.mapped.all_rows is not None:
+        made["all_rows"] = _all_rows_data(found.mapped.all_rows)
     if cleaning is not None:
         made["track"] = {
             "cleaned": found.cleaned,

@@ -23,7 +23,7 @@ from swimid.errors import InputError
 from swimid.files import atomic, memory, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import log
-from swimid.logs.averaging import Averaged, Averager
+from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
     KNOWN,
     UNITS,
@@ -271,7 +271,7 @@ class MappedLog:
         Name of the profile that read the file; empty without a profile.
     unlikely : dict of str to int
         Number of samples that were left empty because of a low likelihood, by name of the likelihood column.
-    averaged : Averaged or None
+    all_rows : RowStatistics or None
         Statistics of all rows of the file, if each row of the log is a mean of several rows.
     """
 
@@ -284,7 +284,7 @@ class MappedLog:
     unknown: list[str] = field(default_factory=list)
     profile: str = ""
     unlikely: dict[str, int] = field(default_factory=dict)
-    averaged: Averaged | None = None
+    all_rows: RowStatistics | None = None
 
     @property
     def time_s(self) -> Array:
@@ -443,7 +443,7 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
             refused = refused or error
             continue
         if every > 1:
-            pieces[-1] = _averaged(pieces[-1], averager)
+            pieces[-1] = _average(pieces[-1], averager)
     if not pieces:
         assert refused is not None
         raise refused
@@ -451,17 +451,17 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
         metadata["mean_of_rows"] = every
         nothing = {name: values[:0] for name, values in pieces[-1].columns.items()}
         end = replace(pieces[-1], columns=nothing, rows=pieces[-1].rows[:0], unlikely={})
-        pieces.append(_averaged(end, averager, last=True))
-        pieces[0] = replace(pieces[0], averaged=averager.all)
-    return _joined_up(pieces)
+        pieces.append(_average(end, averager, last=True))
+        pieces[0] = replace(pieces[0], all_rows=averager.statistics)
+    return _concatenate(pieces)
 
 
-def _averaged(piece: MappedLog, averager: Averager, *, last: bool = False) -> MappedLog:
+def _average(piece: MappedLog, averager: Averager, *, last: bool = False) -> MappedLog:
     columns, rows = averager.take(piece.columns, piece.rows, last=last)
     return replace(piece, columns=columns, rows=rows)
 
 
-def _joined_up(pieces: list[MappedLog]) -> MappedLog:
+def _concatenate(pieces: list[MappedLog]) -> MappedLog:
     """Return the log of successive batches of rows of one file."""
     first = pieces[0]
     if len(pieces) == 1:
