@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError
 from swimid.files.provenance import MADE_BY, VIDEO_BOX
 
 Frame = NDArray[np.uint8]
@@ -17,6 +17,8 @@ Frame = NDArray[np.uint8]
 CLOCK = 90_000
 #: Remark for the user that browsers do not play an MPEG-4 video. The placeholder is the name of the output.
 REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[video]' for H.264"
+#: Maximum memory of the frames of an animated GIF, bytes. Its writer holds all frames until its end.
+MAX_GIF_BYTES = 2 << 30
 
 
 class H264:
@@ -124,6 +126,23 @@ class Gif:
             duration=round(1000 / self._rate),
             loop=0,
             comment=MADE_BY.encode(),
+        )
+
+
+def check_length(path: Path, count: int, width: int, height: int) -> None:
+    """Check that a video of ``count`` frames, each ``width`` x ``height`` px, can be written.
+
+    Raises
+    ------
+    UsageError
+        The video is an animated GIF whose frames exceed :data:`MAX_GIF_BYTES`.
+    """
+    most = MAX_GIF_BYTES // (3 * width * height)
+    if path.suffix.lower() == ".gif" and count > most:
+        raise UsageError(
+            f"{path}: an animated GIF holds at most {most} frames of {width} x {height} px, and this is one "
+            f"of {count} frames",
+            hint=f"name a film: {path.with_suffix('.mp4')}",
         )
 
 

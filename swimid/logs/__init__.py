@@ -5,6 +5,7 @@ The module ``log`` reads and writes the log of one trial. ``trials`` reads the f
 
 Modules for the import: ``import_log`` is the command. ``foreign`` has the readers of file formats, and units.
 ``mapping`` drafts a mapping, assigns the columns of a file to those of a log, and computes the sample times.
+``averaging`` averages successive rows of a long recording, and computes the statistics of all its rows.
 ``consistency`` finds columns that contradict each other, and faulty channels.
 
 Modules for tracked points: ``points`` computes pose and joint angles. ``point_files`` reads files, ``bundle``

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.logs import beat, log, mapping, point_evidence, point_files, points, sampling, tracks, wave
+from swimid.logs.averaging import RowStatistics
 from swimid.logs.beat import Rhythm, contradiction
 from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
 from swimid.logs.log import TIME, Doubt, Log, LogLike
@@ -110,7 +111,7 @@ def import_log(
     if output is not None:
         output = atomic.check_writable(output, inputs=inputs)
     with recorded(repeat=True) as notices:
-        read = mapping.apply(rules, given, options.stated, progress=progress)
+        read = mapping.apply(rules, given, options.stated, every=options.every or 1, progress=progress)
         found = examine(read, options, request)
         settings = options.settings(clean=found.cleaned)
         origin = provenance.collect(inputs, settings=settings)
@@ -406,6 +407,11 @@ METHODS = [
     "The stroke frequency is the slope of the phases of a sine fitted in windows of two cycles beside a "
     "cubic drift, by generalised least squares.",
 ]
+MEAN_METHOD = (
+    "Every {} successive rows of the recording were averaged, which suppresses frequencies above the new "
+    "rate. A pause in the time stamps ends an average."
+)
+MEAN_NOTE = "The checks of all rows ran on the {} rows of the recording, the other checks on their {} means."
 REFERENCES = [
     "Pearson, R. K., Neuvo, Y., Astola, J., Gabbouj, M. (2016). Generalized Hampel filters. EURASIP "
     "Journal on Advances in Signal Processing 2016:87. doi:10.1186/s13634-016-0383-6",
@@ -418,6 +424,11 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
     """Return the evidence of an imported log: checks, tables, figures and notices."""
     checks = [*_amount_checks(found), *_value_checks(found), *_track_checks(found), *_stroke_checks(found)]
     methods, references = [*METHODS], [] if found.cleaning is None else [*REFERENCES]
+    notes = []
+    if found.mapped.all_rows is not None:
+        checks += _all_rows_checks(found.mapped.all_rows)
+        methods.insert(0, MEAN_METHOD.format(found.mapped.all_rows.every))
+        notes.append(MEAN_NOTE.format(found.mapped.all_rows.rows, len(found.mapped)))
     with recorded(repeat=True) as drawn:
         shown = figures_of([found.log], found=found.stroke)
     if found.posed is not None:
@@ -434,6 +445,7 @@ def _evidence(found: Examined, origin: dict[str, Any], notices: Sequence[Notice]
         tables=_tables(found),
         figures=shown,
         notices=ev.notices([*notices, *drawn]),
+        notes=notes,
         methods=methods,
         references=references,
         provenance=origin,
@@ -530,6 +542,19 @@ def _value_checks(found: Examined) -> list[Check]:
     ]
 
 
+def _all_rows_checks(all_rows: RowStatistics) -> list[Check]:
+    """Return the checks that ran on all rows of a recording whose rows were averaged."""
+    rows, odd = all_rows.rows, all_rows.backwards + all_rows.repeated + all_rows.untimed
+    counts = f"{all_rows.backwards} go back, {all_rows.repeated} repeat, {all_rows.untimed} are missing"
+    times, lost = f"of the time stamps of all {rows} rows, {counts}", odd > MAX_DROPPED * rows
+    faults = "; ".join(f"{name} {text}" for name, text in all_rows.faults().items())
+    faulty = f"channels look faulty in all rows: {faults}"
+    return [
+        _check("Time stamps of all rows", not odd, "increase", times, counts, fails=lost),
+        _check("Values of all rows", not faults, "no outlier, not cut off", faulty, faults),
+    ]
+
+
 def _track_checks(found: Examined) -> list[Check]:
     cleaning = found.cleaning
     if cleaning is None:
@@ -608,6 +633,8 @@ def _tables(found: Examined) -> list[Table]:
         caption = f"Over {speed.covered_s:.4g} s without the gaps; the noise of a coordinate is {noise}."
         columns = ["mean speed", f"{unit}/s", "95 % from", "to"]
         tables.append(Table(id="speed", title="Mean speed", columns=columns, rows=rows, caption=caption))
+    if found.mapped.all_rows is not None:
+        tables.append(_all_rows_table(found.mapped.all_rows))
     rows = [[name, *found.mapped.sources.get(name, (name, 1.0, 0.0))] for name in found.log.columns]
     columns, title = ["column", "source", "factor", "offset"], "Sources of the columns"
     if found.posed is not None:
@@ -617,8 +644,33 @@ def _tables(found: Examined) -> list[Table]:
     return [*tables, Table(id="columns", title=title, columns=columns, rows=rows, folded=True)]
 
 
+def _all_rows_table(all_rows: RowStatistics) -> Table:
+    """Return the table of the statistics of all rows of a recording, before they were averaged."""
+    columns = ["channel", "samples", "missing", "mean", "standard deviation", "minimum", "maximum", "hold"]
+    rows = [
+        [name, one.samples, one.missing, one.mean, one.sd, one.low, one.high, one.longest_hold]
+        for name, one in all_rows.channels.items()
+    ]
+    caption = (
+        f"Of all {all_rows.rows} rows. The time steps are {all_rows.shortest_s:.6g} to "
+        f"{all_rows.longest_s:.6g} s, {all_rows.pauses} of them pauses. A hold is the maximum number of "
+        "successive samples with one value."
+    )
+    return Table(id="all-rows", title="Statistics of all rows", columns=columns, rows=rows, caption=caption)
+
+
 def _frequency(stroke: Rhythm) -> str:
     return numbers.measured(stroke.beat.frequency_hz, stroke.beat.stderr_hz, "Hz")
+
+
+def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:
+    """Return the statistics of all rows of a recording as plain data."""
+    names = ("samples", "missing", "mean", "sd", "low", "high", "longest_hold")
+    channels = {
+        channel: {name: getattr(one, name) for name in names} for channel, one in all_rows.channels.items()
+    }
+    counts = ("every", "rows", "untimed", "backwards", "repeated", "pauses", "shortest_s", "longest_s")
+    return {name: getattr(all_rows, name) for name in counts} | {"channels": channels}
 
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
@@ -642,6 +694,8 @@ def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
         "verdict": proof.verdict.model_dump(),
         "checks": [check.model_dump() for check in proof.checks],
     }
+    if found.mapped.all_rows is not None:
+        made["all_rows"] = _all_rows_data(found.mapped.all_rows)
     if cleaning is not None:
         made["track"] = {
             "cleaned": found.cleaned,

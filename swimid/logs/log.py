@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic_core import to_json
 
 from swimid.errors import InputError, file_errors, first_line
-from swimid.files import atomic, tabular, yamlio
+from swimid.files import atomic, memory, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
 
@@ -32,8 +32,12 @@ TIME = "t_s"
 #: Maximum relative difference between the measured stroke frequency and the one stated in the metadata of a
 #: log. A larger difference counts as a contradiction.
 FREQUENCY_RTOL = 0.05
-#: Number of rows of a log that are written to its file in one block.
+#: Number of rows of a log that are read or written in one block.
 ROWS = 100_000
+#: Number of copies of the content of a file that are in memory while a log is read.
+N_COPIES = 4
+#: Hint of the error that a log does not fit in memory. The placeholder is the name of the file.
+TOO_LONG = "average successive rows: swimid import {} --every 100 -o short.parquet"
 #: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -318,6 +322,8 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
     if all(number(name) is not None for name in names):
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
     wanted = _wanted(names, required, optional, path, header_line)
+    size = path.stat().st_size
+    memory.check_fits(path, f"{size} bytes of text", N_COPIES * size, TOO_LONG.format(path.name))
     text = path.read_bytes().split(b"\n", header_line)[-1]
     read = partial(tabular.parse, text, names)
     try:
@@ -433,6 +439,9 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
     try:
         file = pyarrow.parquet.ParquetFile(path)
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
+        rows = file.metadata.num_rows
+        what = f"{rows} rows of {len(wanted)} columns"
+        memory.check_fits(path, what, 8.0 * N_COPIES * rows * len(wanted), TOO_LONG.format(path.name))
         table = file.read(columns=wanted)
     except (pyarrow.ArrowException, OSError) as error:
         if isinstance(error, PermissionError):

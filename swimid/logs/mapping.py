@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections import abc
+from collections import Counter, abc
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError
-from swimid.files import atomic, yamlio
+from swimid.files import atomic, memory, yamlio
 from swimid.files.provenance import path_of
 from swimid.logs import log
+from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
     KNOWN,
     UNITS,
@@ -63,6 +64,8 @@ MISSING_HINT = ", or name what marks it under 'missing:' of the mapping"
 _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 #: Name of the unit of a dimensionless quantity in a mapping.
 NO_UNIT = "1"
+#: Period of a time of day, s.
+DAY_S = 86400.0
 _TIME_OF_DAY = r"\d{1,2}:\d\d(:\d\d(\.\d+)?)?"
 #: Pattern of the names of columns that hold a frame number or a row number.
 COUNT = re.compile(
@@ -268,6 +271,8 @@ class MappedLog:
         Name of the profile that read the file; empty without a profile.
     unlikely : dict of str to int
         Number of samples that were left empty because of a low likelihood, by name of the likelihood column.
+    all_rows : RowStatistics or None
+        Statistics of all rows of the file, if each row of the log is a mean of several rows.
     """
 
     path: Path
@@ -279,6 +284,7 @@ class MappedLog:
     unknown: list[str] = field(default_factory=list)
     profile: str = ""
     unlikely: dict[str, int] = field(default_factory=dict)
+    all_rows: RowStatistics | None = None
 
     @property
     def time_s(self) -> Array:
@@ -309,9 +315,10 @@ def apply(
     given: str | Path | Log,
     stated: dict[str, Any] | None = None,
     *,
+    every: int = 1,
     progress: Progress = silent,
 ) -> MappedLog:
-    """Read a foreign log with a mapping or a profile.
+    """Read a foreign log with a mapping or a profile. A long Parquet file is read in batches.
 
     Parameters
     ----------
@@ -324,17 +331,22 @@ def apply(
         Values stated by the user in addition to the mapping. ``profile``, ``select``, ``length_unit`` and
         ``min_likelihood`` replace the values of the mapping. ``rate_hz`` is the frame rate, Hz, for a mapping
         without a time.
+    every : int
+        Number of successive rows that are averaged to one (:class:`swimid.logs.averaging.Averager`).
     progress : Progress
         Shows the progress of the reading.
 
     Raises
     ------
     InputError
-        The file cannot be read, a column is missing, or a cell is not a number. The message names file, line
-        and column.
+        The file cannot be read or does not fit in memory, a column is missing, or a cell is not a number. The
+        message names file, line and column.
     """
     path, stated = path_of(given), dict(stated or {})
     rules = mapping or Mapping(format=FORMAT, **{"as": ""})
+    if every > 1 and rules.join:
+        text = "the columns under 'join:' have other times and cannot be averaged with --every"
+        raise InputError(text, file=path, hint="import the recordings one by one")
     rate = stated.pop("rate_hz", None)
     if rate is not None and rules.time is None:
         stated["time"] = Time(rate_hz=rate)
@@ -343,8 +355,7 @@ def apply(
     rules = rules.model_copy(update=stated)
     with progress(f"reading {path.name}", total=1) as step:
         select = None if rules.select is None else str(rules.select)
-        table = open_table(given, rules.reader, select, rules.profile)
-        found = _mapped(rules, table, path)
+        found = _read(rules, open_table(given, rules.reader, select, rules.profile), path, every)
         for joined in rules.join:
             _join(found, joined, given, path)
         step(1)
@@ -368,7 +379,7 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
     fields = joined.model_dump(by_alias=True, exclude={"file", "between"}, exclude_unset=True)
     rules = yamlio.validate({"format": FORMAT, **fields}, Mapping, "join")
     select = None if rules.select is None else str(rules.select)
-    other = _mapped(rules, open_table(given, rules.reader, select, rules.profile), place)
+    other = _read(rules, open_table(given, rules.reader, select, rules.profile), place)
     begins = [float(one.metadata.get("first_stamp_s", 0.0)) for one in (log, other)]
     order = in_order(other.time_s, {})
     time_s = other.time_s[order.index] + (begins[1] - begins[0])
@@ -394,11 +405,85 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
     log.notes.extend(other.notes)
 
 
-def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
+#: Number of copies of all cells that are in memory while a log is examined, measured with 10 million rows.
+N_COPIES = 8
+
+
+class NoRowError(InputError):
+    """Error for a table of which ``where`` chooses no row."""
+
+
+def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedLog:
+    """Map the rows of a table and those that follow in its file. The mean of ``every`` rows becomes one row.
+
+    Raises
+    ------
+    InputError
+        The rows do not fit in memory, or no row is chosen.
+    """
     metadata = metadata_of(table.comments, path, strict=False)
     metadata |= {key: _short(value) for key, value in table.metadata.items()} | mapping.metadata
-    notes = list(table.notes)
     columns = mapping.columns or _identity(table, path, metadata)
+    keys: list[str | int] = [column.source for column in columns]
+    if mapping.time is not None:
+        keys += mapping.time.sources
+    names = list(dict.fromkeys(table.column(key, path) for key in [*keys, *mapping.where]))
+    if table.after:
+        rows = len(table.columns[names[0]]) + table.after
+        hint = f"import means of successive rows, as in --every {100 * every}, or map fewer columns"
+        what = f"{rows // every} rows of {len(names)} columns"
+        memory.check_fits(path, what, 8.0 * N_COPIES * len(names) * (rows // every), hint)
+    clock, averager = Clock(), Averager(every)
+    pieces: list[MappedLog] = []
+    refused: NoRowError | None = None
+    for batch in table.batches(names):
+        try:
+            pieces.append(_mapped(mapping, columns, batch, path, metadata, clock))
+        except NoRowError as error:
+            refused = refused or error
+            continue
+        if every > 1:
+            pieces[-1] = _average(pieces[-1], averager)
+    if not pieces:
+        assert refused is not None
+        raise refused
+    if every > 1:
+        metadata["mean_of_rows"] = every
+        nothing = {name: values[:0] for name, values in pieces[-1].columns.items()}
+        end = replace(pieces[-1], columns=nothing, rows=pieces[-1].rows[:0], unlikely={})
+        pieces.append(_average(end, averager, last=True))
+        pieces[0] = replace(pieces[0], all_rows=averager.statistics)
+    return _concatenate(pieces)
+
+
+def _average(piece: MappedLog, averager: Averager, *, last: bool = False) -> MappedLog:
+    columns, rows = averager.take(piece.columns, piece.rows, last=last)
+    return replace(piece, columns=columns, rows=rows)
+
+
+def _concatenate(pieces: list[MappedLog]) -> MappedLog:
+    """Return the log of successive batches of rows of one file."""
+    first = pieces[0]
+    if len(pieces) == 1:
+        return first
+    notes = list(dict.fromkeys(note for piece in pieces for note in piece.notes))
+    unlikely: Counter[str] = Counter()
+    for piece in pieces:
+        unlikely.update(piece.unlikely)
+    columns = {name: np.concatenate([piece.columns[name] for piece in pieces]) for name in first.columns}
+    rows = np.concatenate([piece.rows for piece in pieces])
+    return replace(first, columns=columns, rows=rows, notes=notes, unlikely=dict(unlikely))
+
+
+def _mapped(
+    mapping: Mapping,
+    columns: list[Column],
+    table: Table,
+    path: Path,
+    metadata: dict[str, Any],
+    clock: Clock,
+) -> MappedLog:
+    notes = list(table.notes)
     sources = {column.target: table.column(column.source, path) for column in columns}
     columns = [_with_unit(column, table.units.get(sources[column.target]), notes) for column in columns]
     time = _time(mapping, table, sources, path)
@@ -408,7 +493,7 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
     rows = _same_length([*sources.values(), *used], table, path)
     found: dict[str, Array] = {}
     if time is not None:
-        found[TIME] = seconds(table, time, rows, path, metadata)
+        found[TIME] = seconds(table, time, rows, path, metadata, clock)
     for column in sorted(columns, key=lambda column: column.target != TIME):
         values = _numbers(table, sources[column.target], mapping.reader.missing, path)
         if values is None:
@@ -435,7 +520,9 @@ def _mapped(mapping: Mapping, table: Table, path: Path) -> MappedLog:
         found |= dict(zip(AXES, q.T, strict=True))
     if time is not None and time.frame is None and time.sources:
         notes += _contradicted(table, table.column(time.sources[0], path))
-    lines = np.arange(1, rows + 1, dtype=np.int64) if table.lines is None else table.lines
+    lines = table.before + np.arange(1, rows + 1, dtype=np.int64)
+    if table.lines is not None:
+        lines = table.lines
     known = written_by(metadata, "swimid")
     return MappedLog(
         path,
@@ -564,7 +651,7 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
 
     Raises
     ------
-    InputError
+    NoRowError
         No row is left. The message lists the values in the column.
     """
     kept = np.ones(rows, dtype=bool)
@@ -579,7 +666,10 @@ def _chosen(table: Table, where: dict[str, Any], rows: int, path: Path) -> NDArr
             hits = np.isin(values, pd.to_numeric(options, errors="coerce"))
         if not (kept & hits).any():
             there = ", ".join(_distinct(values[kept])[:10])
-            raise InputError(f"has no row with {wanted}; it holds {there}", file=path, column=name)
+            held = "it holds"
+            if table.after:
+                held = "its first rows hold"
+            raise NoRowError(f"has no row with {wanted}; {held} {there}", file=path, column=name)
         kept &= hits
     return kept
 
@@ -665,23 +755,45 @@ def empty_unlikely(columns: dict[str, Array], sources: dict[str, str], minimum: 
 # ---------------------------------------------------------------- sample times
 
 
-def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str, Any]) -> Array:
+@dataclass
+class Clock:
+    """State of the clock of a file that is read in batches.
+
+    Attributes
+    ----------
+    origin : list
+        First value of each time column; empty before the first row with a time.
+    counts : list of float
+        Last value of each time column, unwrapped; empty before the first row.
+    """
+
+    origin: list[Any] = field(default_factory=list)
+    counts: list[float] = field(default_factory=list)
+
+
+def seconds(
+    table: Table, time: Time, rows: int, path: Path, metadata: dict[str, Any], clock: Clock | None = None
+) -> Array:
     """Return the sample times of a foreign file, s, shape (rows,); NaN for a row without a time.
 
     The origin is subtracted before integers become floating-point numbers, so that no digit is lost. With
     ``origin: first`` the time of the first sample in the file's clock is stored as
-    ``metadata['first_stamp_s']``.
+    ``metadata['first_stamp_s']``. ``clock`` has the state of the clock after the batch of rows before.
 
     Raises
     ------
     InputError
         A column or the rate is missing, or a cell holds no time. The message names the line and the column.
     """
+    clock = clock or Clock()
+    period = time.wraps_at
     names = [table.column(key, path) for key in time.sources]
     parts = [table.columns[name] for name in names]
     factors = [unit_factor(unit, TIME) for unit in time.units_of_sources]
     if time.rate_hz is not None:
-        parts = [_frames(table, name, path) for name in names] or [np.arange(rows, dtype=float)]
+        parts = [_frames(table, name, path) for name in names]
+        if not parts:
+            parts = [table.before + np.arange(rows, dtype=float)]
         rate = table.scalars.get(str(time.rate_hz), time.rate_hz)
         if isinstance(rate, str) or not 0 < rate < np.inf:
             known = ", ".join(f"{name} = {value:g}" for name, value in table.scalars.items())
@@ -692,20 +804,25 @@ def seconds(table: Table, time: Time, rows: int, path: Path, metadata: dict[str,
         # Parse the text to dates or times of day. Times of day are then in seconds, so that their factor is
         # 1.
         parts, factors = [_parsed(parts, table, time, names, path)], [1.0]
+        if parts[0].dtype.kind != "M":
+            period = DAY_S
     known = np.logical_and.reduce([np.isfinite(part) for part in parts])
     if not known.any():
         return np.full(len(known), np.nan)
-    row = int(np.argmax(known))
-    first, total = 0.0, np.zeros(len(known))
-    for part, factor in zip(parts, factors, strict=True):
-        values = part
+    first, total, values_of = 0.0, np.zeros(len(known)), []
+    for k, part in enumerate(parts):
         if part.dtype.kind == "M":
-            values, factor = part.astype("datetime64[ns]").astype(np.int64), 1e-9
-        elif time.wraps_at is not None:
-            values = unwrapped(part, time.wraps_at)
-        first += float(values[row]) * factor
+            part, factors[k] = part.astype("datetime64[ns]").astype(np.int64), 1e-9
+        elif period is not None:
+            part = unwrapped(part, period, *clock.counts[k : k + 1])
+        values_of.append(part)
+    if not clock.origin:
+        clock.origin = [values[np.argmax(known)] for values in values_of]
+    clock.counts = [float(values[known][-1]) for values in values_of]
+    for values, start, factor in zip(values_of, clock.origin, factors, strict=True):
+        first += float(start) * factor
         if time.origin == "first":
-            values = values - values[row]
+            values = values - start
         total += values * factor
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
@@ -727,15 +844,18 @@ def _frames(table: Table, name: str, path: Path) -> Array:
     return frames
 
 
-def unwrapped(counts: NDArray[Any], period: float) -> Array:
+def unwrapped(counts: NDArray[Any], period: float, before: float = 0.0) -> Array:
     """Unwrap a counter that restarts from 0 at ``period``: return values that never decrease.
+
+    ``before`` is the last unwrapped value of the rows before.
 
     >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 65536).tolist()
     [65534.0, 65535.0, 65536.0, 65537.0]
     """
     values = counts.astype(float)
-    steps = np.diff(values)
-    return values + period * np.concatenate(([0.0], np.cumsum(steps < -period / 2)))
+    turns, last = divmod(before, period)
+    steps = np.diff(np.concatenate(([last], values)))
+    return values + period * (turns + np.cumsum(steps < -period / 2))
 
 
 def _parsed(
@@ -763,7 +883,7 @@ def _parsed(
         hint = "state how it is written under 'time:' of the mapping, as in format: '%d.%m.%Y %H:%M:%S'"
         raise InputError(text, file=path, column=" and ".join(names), hint=hint, **table.place(row))
     if stamps.dtype.kind == "m":
-        return unwrapped(stamps.dt.total_seconds().to_numpy(), 86400.0)
+        return stamps.dt.total_seconds().to_numpy(dtype=float)
     return stamps.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
 
 

@@ -51,6 +51,13 @@ class ImportOptions(Options):
         "and the scale  [default: the points of the robot file].",
     )
     calibrate_points: bool = option(False, help="Estimate the places of the points from the film, too.")
+    every: int | None = option(
+        None,
+        ge=2,
+        metavar="N",
+        help="Average every N successive rows to one, for a recording of a high rate. Statistics of all rows "
+        "are part of the result.",
+    )
     clean: bool | None = option(
         None,
         flag="--clean/--raw",

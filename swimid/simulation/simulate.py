@@ -396,7 +396,7 @@ def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
     # import the codecs only here, because they take long to load
     import cv2
 
-    from swimid.files.video import REMARK, Frame, Mpeg4, open_writer
+    from swimid.files.video import REMARK, Frame, Mpeg4, check_length, open_writer
 
     case, time_s = done.case, done.case.trial.time_s
     body, drive, title = case.applied.model.body, case.metadata.get("drive"), case.metadata["robot"]
@@ -438,6 +438,7 @@ def _write_film(path: Path, done: Simulated, progress: Progress) -> list[str]:
         return frame
 
     times = np.arange(time_s[0], time_s[-1] + 1e-9, 1.0 / FILM_RATE_HZ)
+    check_length(path, len(times), width, height)
     with atomic.replacing(path) as temporary, progress("animation", total=len(times)) as step:
         writer = open_writer(temporary, FILM_RATE_HZ, width, height)
         try:

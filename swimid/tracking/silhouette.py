@@ -6,6 +6,7 @@ The centre and the main axis of the silhouette are tracked.
 from __future__ import annotations
 
 import math
+from array import array
 from pathlib import Path
 
 import cv2
@@ -68,8 +69,7 @@ class Silhouette:
         area_px = setup.markers[0].area_px or width * height * np.array(AREA_SHARES)
         self._low, self._high = np.array(area_px) / self._factor**2
         self._axis = np.array([1.0, 0.0])
-        self._times: list[float] = []
-        self._rows: list[tuple[Row, Row]] = []
+        self._times, self._rows = array("d"), array("d")
         self._allowed = np.full(scene.shape[:2], 255, np.uint8)
         for box in setup.ignore_px:
             left, top, right, bottom = (max(round(side / self._factor), 0) for side in box)
@@ -78,7 +78,8 @@ class Silhouette:
     def step(self, time: float, frame: Frame) -> None:
         """Find the body in the next frame of the film, and store the detection."""
         self._times.append(time)
-        self._rows.append(self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))))
+        for row in self._measure(cv2.blur(reduced(frame, WIDTH), (3, 3))):
+            self._rows.extend(row)
 
     def _measure(self, small: Frame) -> tuple[Row, Row]:
         """Return centre and rear point of the body as two detections, in px at full resolution."""
@@ -120,7 +121,7 @@ class Silhouette:
 
         The direction of the main axis is chosen so that most steps agree with ``swims`` in the setup.
         """
-        table = np.array(self._rows, dtype=float).transpose(1, 0, 2)
+        table = np.array(self._rows).reshape(len(self._times), 2, -1).transpose(1, 0, 2)
         track = RawTrack.of_table(self._times, self._setup.marker_names, table)
         if not track.found.any():
             return track

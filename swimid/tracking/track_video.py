@@ -14,6 +14,7 @@ import numpy as np
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
+from swimid.files.video import REMARK, Mpeg4, check_length, open_writer
 from swimid.logs import kinematics, log, point_evidence, point_files, points
 from swimid.logs.kinematics import Swimming
 from swimid.logs.log import Log, runs
@@ -157,6 +158,9 @@ def track_video(
     source = setup if isinstance(setup, str | Path) else rules
     rules = rules.model_copy(update={key: value for key, value in changed.items() if value is not None})
     with recorded(repeat=True) as notices:
+        if overlay_path is not None:
+            film = Video(video)
+            check_length(overlay_path, film.claimed, film.width, film.height)
         with progress(f"tracking {video.name}") as step:
             run = follow(video, rules, step=step, file=str(provenance.path_of(source)))
         result, painter = _evaluate(run, source, options, metadata or {}, notices)
@@ -857,8 +861,6 @@ class Painter:
         frames do not fit into memory. The second decoding takes an eighth of the time of tracking with an
         overlay.
         """
-        from swimid.files.video import REMARK, Mpeg4, open_writer
-
         times, source = self.track.times, self.run.video
         width, height = source.width // 2 * 2, source.height // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))

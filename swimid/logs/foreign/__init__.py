@@ -224,6 +224,15 @@ class Table:
         Line number of each row in the file, from 1; None for a file without lines.
     profile : str
         Name of the profile that read the file; empty without a profile.
+    names : list of str
+        Names of all columns in the file; empty if they are those of ``columns``.
+    before : int
+        Number of rows in the file that precede those of the table.
+    after : int
+        Number of rows in the file that follow those of the table.
+    rest : callable or None
+        Function ``rest(names)`` that yields the rows after those of the table, in further tables with only
+        the given columns; None if the table has all rows.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -234,6 +243,22 @@ class Table:
     comments: list[str] = field(default_factory=list)
     lines: NDArray[np.int64] | None = None
     profile: str = ""
+    names: list[str] = field(default_factory=list)
+    before: int = 0
+    after: int = 0
+    rest: Callable[[list[str]], Iterator[Table]] | None = None
+
+    def batches(self, names: list[str]) -> Iterator[Table]:
+        """Yield this table, and then the rows of the file that follow, with only the columns ``names``."""
+        yield self
+        if self.rest is not None:
+            yield from self.rest(names)
+
+    def whole(self) -> Table:
+        """Return the table with all rows of the file."""
+        pieces = list(self.batches(list(self.columns)))
+        columns = {name: np.concatenate([one.columns[name] for one in pieces]) for name in self.columns}
+        return replace(self, columns=columns, after=0, rest=None)
 
     def column(self, key: str | int, path: Path) -> str:
         """Return the name of the column to which a key refers, which is a name or a number, counted from 1.
@@ -243,7 +268,7 @@ class Table:
         InputError
             There is no such column. The message suggests the most similar name.
         """
-        names = list(self.columns)
+        names = self.names or list(self.columns)
         if isinstance(key, str) and key in names:
             return key
         if isinstance(key, int) or key.isdecimal():
@@ -258,7 +283,7 @@ class Table:
 
     def place(self, row: int) -> dict[str, int]:
         """Return the place of a row in the file for an :class:`InputError`: line number, or row number."""
-        return {"row": row + 1} if self.lines is None else {"line": int(self.lines[row])}
+        return {"row": self.before + row + 1} if self.lines is None else {"line": int(self.lines[row])}
 
 
 @dataclass(frozen=True)
@@ -647,6 +672,8 @@ def open_table(
     kind: str | None = None,
 ) -> Table:
     """Read a file as a table, or convert a log in memory to a table.
+
+    The table of a long Parquet file has its first rows. ``Table.batches`` yields the rows that follow.
 
     ``select`` is the track, topic, struct or group to read, if the file holds several. ``kind`` is the name
     of a format, as in :func:`find_format`.

@@ -38,7 +38,7 @@ def _is_trackpy(peek: Peek) -> bool:
 
 
 def _read_trackpy(path: Path, options: Options, select: str | None) -> Table:
-    table = open_table(path)
+    table = open_table(path).whole()
     if not set(table.columns) >= _TRACK:
         hint = f"a table of trackpy has the columns {', '.join(sorted(_TRACK))}"
         raise InputError("is no table of trackpy", file=path, hint=hint)

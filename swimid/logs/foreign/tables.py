@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.files import tabular
@@ -60,19 +64,49 @@ MATLAB_MAGIC = (b"MATLAB 5.0", b"MATLAB 7.3")
 MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MATLAB_MAGIC, extra="hdf5")
 
 
+#: Arguments for reading a Parquet file through a buffer of 1 MiB for each column. By default a whole row
+#: group is read at once, and kept until the end of the file.
+BUFFERED = {"buffer_size": 1 << 20, "pre_buffer": False}
+
+
 def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
     import pyarrow.parquet
 
-    table, types = pyarrow.parquet.read_table(path), pyarrow.types
-    nested = [f.name for f in table.schema if types.is_nested(f.type) or types.is_binary(f.type)]
-    notes = []
+    types, notes = pyarrow.types, []
+    with pyarrow.parquet.ParquetFile(path, **BUFFERED) as file:
+        schema, count = file.schema_arrow, file.metadata.num_rows
+        nested = [f.name for f in schema if types.is_nested(f.type) or types.is_binary(f.type)]
+        names = [name for name in schema.names if name not in nested]
+        first = next(_batches(file, names), schema.empty_table().select(names))
+        columns = _arrays(first, path)
     if nested:
         notes.append(f"columns that hold no plain values left out: {', '.join(nested)}")
-    stored = (table.schema.metadata or {}).get(b"swimid", b"")
-    frame = table.drop_columns(nested).to_pandas(ignore_metadata=True)
-    return Table(
-        log.arrays(frame, str(path)), notes=notes, comments=stored.decode("utf-8", "replace").splitlines()
-    )
+    stored = (schema.metadata or {}).get(b"swimid", b"")
+    table = Table(columns, notes=notes, comments=stored.decode("utf-8", "replace").splitlines())
+    if len(first) < count:
+        table.names, table.after = list(columns), count - len(first)
+        table.rest = partial(_rest, path, table.names, len(first))
+    return table
+
+
+def _rest(path: Path, known: list[str], start: int, names: list[str]) -> Iterator[Table]:
+    """Yield the rows of a Parquet file from row ``start`` on, with only the columns ``names``."""
+    import pyarrow.parquet
+
+    with pyarrow.parquet.ParquetFile(path, **BUFFERED) as file:
+        row = 0
+        for batch in _batches(file, names):
+            if row >= start:
+                yield Table(_arrays(batch, path), names=known, before=row)
+            row += len(batch)
+
+
+def _batches(file: Any, names: list[str]) -> Iterator[Any]:
+    return iter(file.iter_batches(batch_size=log.ROWS, columns=names, use_threads=False))
+
+
+def _arrays(batch: Any, path: Path) -> dict[str, NDArray[Any]]:
+    return log.arrays(batch.to_pandas(ignore_metadata=True), str(path))
 
 
 PARQUET = Format(
