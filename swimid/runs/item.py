@@ -26,7 +26,7 @@ import swimid
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.runs import status as states
-from swimid.runs.plan import TRIALS, Item, Resolved, Step, folder_of
+from swimid.runs.plan import TRIALS, Item, Step, folder_of, item_of
 from swimid.runs.status import LOG, STATUS, USAGE, Status, StepStatus
 
 #: Number of times that an item is tried again after a crash.
@@ -72,13 +72,13 @@ def run_item(run: str, ident: str) -> str:
     ident : str
         Name of the item.
     """
-    plan = Resolved.of_run(run)
-    item, folder = plan.of_id(ident), folder_of(Path(run), ident)
+    item, limits = item_of(run, ident)
+    folder = folder_of(Path(run), ident)
     folder.mkdir(parents=True, exist_ok=True)
     for attempt in range(1, RETRIES + 2):
         if stopping.is_set():
             return "missing"
-        code, log = _process(run, ident, attempt, plan.limits.time_s)
+        code, log = _process(run, ident, attempt, limits.time_s)
         if code == BUSY:
             return "busy"
         if stopping.is_set() or code == INTERRUPTED:
@@ -88,7 +88,7 @@ def run_item(run: str, ident: str) -> str:
         if code == 0 and found is not None:
             return found.state
         if code is None:
-            message = f"it took longer than the limit of {plan.limits.time_s:g} s"
+            message = f"it took longer than the limit of {limits.time_s:g} s"
             break
         message = f"it ended with status {code} in each of {attempt} attempts"
         if code < 0:
@@ -176,14 +176,14 @@ def _read_by_steps(folder: Path) -> set[str]:
 
 def _main(run: str, ident: str, attempt: str) -> int:
     began = time.monotonic()
-    plan = Resolved.of_run(run)
-    item, folder = plan.of_id(ident), folder_of(Path(run), ident)
-    _limit_memory(plan.limits.memory_mb)
+    item, limits = item_of(run, ident)
+    folder = folder_of(Path(run), ident)
+    _limit_memory(limits.memory_mb)
     os.chdir(folder)
     try:
         with atomic.locked(folder / STATUS):
             _clear(folder)
-            status = _done(item, folder, plan.limits.memory_mb)
+            status = _done(item, folder, limits.memory_mb)
             if status is None:
                 return INTERRUPTED
             costs = {

@@ -172,9 +172,15 @@ class Resolved(BaseModel):
         except ValueError as error:
             raise InputError("is not the plan of a run", file=path, hint="run swimid batch again") from error
 
-    def of_id(self, ident: str) -> Item:
-        """Return the item with the given name."""
-        return next(item for item in self.items if item.id == ident)
+
+def item_of(run: str | Path, ident: str) -> tuple[Item, Limits]:
+    """Read one item of the resolved plan of a run, and the limits of the run.
+
+    The other items are not validated, because that takes long in a large run.
+    """
+    plan = json.loads((Path(run) / "plan.json").read_bytes())
+    found = next(item for item in plan["items"] if item["id"] == ident)
+    return Item.model_validate(found), Limits.model_validate(plan["limits"])
 
 
 def folder_of(run: Path, ident: str) -> Path:

@@ -31,6 +31,8 @@ from swimid.runs.status import Metric, Sketch
 MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
 #: Maximum number of metrics that the page draws unfolded for a group, and of items listed on the terminal.
 MAX_PANELS, MAX_LISTED = 8, 10
+#: Maximum number of rows, of sketches of a group, and of points of a strip on the page. The tables have all.
+MAX_ROWS, MAX_SKETCHES, MAX_POINTS = 2000, 500, 1000
 LEVELS = ("bad", "caution", "good", "")
 #: First line of the tables, by which swimid recognises them as its own.
 MADE_BY = "# made_by: swimid batch\n"
@@ -242,12 +244,13 @@ def page(found: Summary) -> str:
         plan=found.plan,
         version=swimid.__version__,
         style=style,
-        entries=found.ranked,
+        entries=found.ranked[:MAX_ROWS],
+        total=len(found.entries),
         counts=Counter(entry.state for entry in found.entries),
         levels=Counter(entry.level for entry in found.entries if entry.state == "done"),
         states=states.STATES,
         doubtful=[entry for entry in found.ranked if entry.is_doubtful],
-        orders=_orders(found.entries),
+        orders=_orders(found.ranked[:MAX_ROWS]),
         groups=groups,
         number=numbers.number,
         unit=numbers.unit_text,
@@ -275,14 +278,15 @@ WIDE, HIGH, SMALL_WIDE, SMALL_HIGH = 300, 90, 120, 70
 def _group(name: str, members: list[Entry]) -> dict[str, Any]:
     """Return the variables of the page for one group: strips of its estimates, and sketches of its items."""
     strips = [strip for one in metric_names(members) if (strip := _strip(one, members)) is not None]
-    sketches = [_sketch(entry) for entry in members if entry.sketch is not None]
+    drawn = [entry for entry in members if entry.sketch is not None]
+    sketches = [_sketch(entry) for entry in drawn[:MAX_SKETCHES]]
     axes = ""
     if sketches:
         first = next(entry.sketch for entry in members if entry.sketch is not None)
         axes = f"{first.title}: {first.y_label} over {first.x_label}"
     return {
         "name": name, "count": len(members), "strips": strips[:MAX_PANELS], "more": strips[MAX_PANELS:],
-        "sketches": sketches, "axes": axes,
+        "sketches": sketches, "drawn": len(drawn), "axes": axes,
     }  # fmt: skip
 
 
@@ -306,7 +310,10 @@ def _strip(name: str, members: Sequence[Entry]) -> dict[str, Any] | None:
 
     step = WIDE / max(len(members), 1)
     points = []
+    every = math.ceil(len(shown) / MAX_POINTS)
     for k, entry, one in shown:
+        if k % every and name not in entry.outliers:
+            continue
         bar = None
         if one.low is not None and one.high is not None:
             bar = (height(one.high), height(one.low))
@@ -317,7 +324,7 @@ def _strip(name: str, members: Sequence[Entry]) -> dict[str, Any] | None:
     middle = statistics.median(values)
     return {
         "name": name, "unit": shown[0][2].unit, "points": points, "median": middle, "at": height(middle),
-        "low": min(values), "high": max(values),
+        "low": min(values), "high": max(values), "count": len(shown),
     }  # fmt: skip
 
 

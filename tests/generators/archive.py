@@ -9,6 +9,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from tests.coverage.tracks import HEIGHT, METRES_PER_PIXEL, RATE_HZ, WIDTH, Camera, Swim
 from tests.generators import cruise, film_writer, rig
@@ -29,6 +30,7 @@ items:
   - {name: films, files: films/*.mp4, steps: [{track video: {setup: camera.yaml}}, plot]}
   - {name: rigs, files: rigs/*/trials.yaml}
   - {name: cruises, files: cruises/*/trials.yaml, steps: [{fit-propulsion: {drag: drag.yaml}}]}
+  - {name: swims, files: swims/*/trials.yaml, steps: [{fit-graybox: {starts: 1}}, compare, report]}
   - {name: logs, files: logs/*.csv, steps: [{rwls: {input: cmd1_rad, output: u_m_s, na: 2, nb: 1}}]}
 overrides:
   films/film00.mp4: {track video: {max-gap: 0.5}}
@@ -56,27 +58,43 @@ def write_log(path: Path, seed: int) -> None:
     np.savetxt(path, table, delimiter=",", header="t_s,cmd1_rad,u_m_s", comments="", fmt="%.9g")
 
 
+def write_swims(folder: Path, seed: int) -> None:
+    """Write the sample trials of the tendon fish with more noise."""
+    rng = np.random.default_rng([seed, 5])
+    folder.mkdir(parents=True)
+    source = Path(__file__).parents[2] / "sample_logs/tfish"
+    (folder / "trials.yaml").write_text((source / "trials.yaml").read_text())
+    for path in source.glob("*.csv"):
+        head = [line for line in path.read_text().splitlines() if line.startswith("#")]
+        table = pd.read_csv(path, comment="#")
+        noise = {"x_m": 0.0005, "y_m": 0.0005, "yaw_rad": 0.002}
+        for name, sd in noise.items():
+            table[name] += sd * rng.normal(size=len(table))
+        (folder / path.name).write_text("\n".join([*head, table.to_csv(index=False, float_format="%.9g")]))
+
+
 def write(folder: Path, items: int, drag: str) -> Path:
     """Write an archive with a number of items and its plan, and return the path of the plan.
 
-    ``drag`` is the text of the drag file that the cruises need. Of eleven items, four are films, three rigs,
-    two cruises and two logs. The second film is cut and the second rig lacks a log.
+    ``drag`` is the text of the drag file that the cruises need. Of twelve items, four are films, three rigs,
+    two cruises, two logs and one swims. The second film is cut and the second rig lacks a log.
     """
-    for name in ("films", "rigs", "cruises", "logs"):
+    for name in ("films", "rigs", "cruises", "logs", "swims"):
         (folder / name).mkdir(parents=True)
     (folder / "plan.yaml").write_text(PLAN)
     (folder / "camera.yaml").write_text(SETUP)
     (folder / "drag.yaml").write_text(drag)
-    kinds = itertools.cycle(
-        ["film", "rig", "cruise", "log", "film", "rig", "film", "rig", "cruise", "log", "film"]
-    )
-    counts = dict.fromkeys(("film", "rig", "cruise", "log"), 0)
+    order = "film rig cruise log film rig film rig cruise log swim film".split()
+    kinds = itertools.cycle(order)
+    counts = dict.fromkeys(order, 0)
     for kind in itertools.islice(kinds, items):
         number = counts[kind]
         counts[kind] += 1
         name = f"{kind}{number:02d}"
         if kind == "film":
             write_film(folder / "films" / f"{name}.mp4", number)
+        elif kind == "swim":
+            write_swims(folder / "swims" / name, number)
         elif kind == "log":
             write_log(folder / "logs" / f"{name}.csv", number)
         else:
