@@ -313,6 +313,18 @@ def test_an_override_holds_for_its_file_only(lab: Path, swimid: Run) -> None:
     assert [entry["state"] for entry in items] == ["done", "outdated", "refused"]
 
 
+def test_folders_and_files_that_are_left_out(lab: Path, swimid: Run) -> None:
+    (lab / "frames/one").mkdir(parents=True)
+    (lab / "frames/two").mkdir()
+    text = "format: swimid-plan/1\nitems:\n  - {files: FILES, steps: [{track setup: {fps: 30}}]}\n"
+    plan = written(lab, text.replace("FILES", "frames/*/"))
+    items = package.batch(plan, output=lab / "new", dry_run=True).data["items"]
+    assert [entry["id"] for entry in items] == ["frames_one", "frames_two"]
+    plan = written(lab, PLAN.replace("steps:", "exclude: '*/odd.csv'\n    steps:"))
+    items = package.batch(plan, output=lab / "new", dry_run=True).data["items"]
+    assert [entry["id"] for entry in items] == ["logs_log0.csv", "logs_log1.csv"]
+
+
 def test_two_groups_with_one_file_need_names(lab: Path, swimid: Run) -> None:
     twice = PLAN + PLAN.split("items:\n")[1]
     ran = swimid("batch", written(lab, twice), "-o", lab / "new", "--dry-run")

@@ -150,6 +150,8 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
             finally:
                 if not all(future.done() for future in futures):
                     item.stop()
+                    for future in futures:
+                        future.cancel()
     except KeyboardInterrupt:
         finished = sum(count for state, count in counts.items() if state not in ("missing", "before"))
         text = (

@@ -235,6 +235,8 @@ def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
                 sketch = states.sketch_of(folder / step.outputs[0])
             continue
         state = {4: "no result"}.get(code, "refused")
+        if "cannot be written" in error.get("message", ""):  # The disk may be full, and the input is sound.
+            state = "failed"
         if error.get("type") == "NotEnoughMemory":
             error["message"] += f" (limit of an item: {memory_mb:g} MB)"
             state = "failed"

@@ -73,11 +73,13 @@ class Group(yamlio.Document):
 
     files: list[str] = Field(min_length=1)
     name: str = ""
+    #: Patterns of files that are left out.
+    exclude: list[str] = []
     #: Whether the files of one folder are one item.
     together: bool = False
     steps: Steps | None = None
 
-    @field_validator("files", mode="before")
+    @field_validator("files", "exclude", mode="before")
     @classmethod
     def _listed(cls, value: Any) -> Any:
         return [value] if isinstance(value, str) else value
@@ -266,18 +268,24 @@ class _Resolution:
                 raise self.error(f"no step is '{command}'", *place, command, hint=hint)
 
     def sorted_files(self, number: int, group: Group) -> Iterator[list[str]]:
-        """Yield the files of each item of a group, relative to the folder of the plan."""
+        """Yield the files of each item of a group, relative to the folder of the plan.
+
+        A pattern that ends with ``/`` matches folders, for instance of the pictures of a film.
+        """
         root, own = self.path.parent, self.run.resolve()
         found: dict[str, None] = {}
         for k, pattern in enumerate(group.files):
-            names = sorted(glob.glob(pattern, root_dir=root, recursive=True))
-            paths = [name for name in names if own not in (root / name).resolve().parents]
-            if not [name for name in paths if not (root / name).is_dir()]:
-                raise self.error(
-                    f"no file matches '{pattern}'", "items", number, "files", k,
-                    hint=f"patterns are relative to {root.resolve()}",
-                )  # fmt: skip
-            found |= dict.fromkeys(name for name in paths if not (root / name).is_dir())
+            names = [
+                name.rstrip("/")
+                for name in sorted(glob.glob(pattern, root_dir=root, recursive=True))
+                if own not in (root / name).resolve().parents
+                and (root / name).is_dir() == pattern.endswith("/")
+                and not any(fnmatch.fnmatchcase(name, left_out) for left_out in group.exclude)
+            ]
+            if not names:
+                hint = f"patterns are relative to {root.resolve()}; 'name/' stands for folders"
+                raise self.error(f"no file matches '{pattern}'", "items", number, "files", k, hint=hint)
+            found |= dict.fromkeys(names)
         if not group.together:
             yield from ([name] for name in found)
             return

@@ -162,8 +162,8 @@ def stamp(path: Path) -> list[int] | None:
 def _digest(path: Path) -> str:
     try:
         if path.is_dir():
-            names = "\n".join(sorted(os.listdir(path)))
-            return hashlib.sha256(names.encode()).hexdigest()
+            content = "\n".join(f"{name} {stamp(path / name)}" for name in sorted(os.listdir(path)))
+            return hashlib.sha256(content.encode()).hexdigest()
         return sha256(path)
     except (InputError, OSError):
         return ""
