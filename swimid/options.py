@@ -113,7 +113,7 @@ class Options(BaseModel):
         ``setup``, ``result``, ``picture`` or ``page``.
     metrics : tuple of str
         Dotted names of numbers in the ``--json`` answer that the summary of a batch shows besides the
-        estimates. ``*`` stands for any name.
+        estimates. ``*`` stands for any name. After ``|`` follows the name of the 95 % interval.
     lock : bool
         Whether the output is locked while the command runs.
     """

@@ -15,6 +15,11 @@ class ImportLogOptions(
     argument="FILE",
     output="The log, CSV or Parquet by its ending; with --guess the mapping.",
     makes="log",
+    metrics=(
+        "stroke.frequency_hz|stroke.ci95_hz",
+        "speed.path_m_s|speed.path_ci95",
+        "speed.line_m_s|speed.line_ci95",
+    ),
 ):
     """Import a log of a tracker, of motion capture, of a robot or of a laboratory, or any table.
 

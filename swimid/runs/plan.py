@@ -14,7 +14,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args, get_origin
@@ -236,9 +236,14 @@ class _Resolution:
                 what = files[0]
                 if group.together:
                     what = os.path.dirname(files[0]) or "."
-                named.append((number, what, files))
+                named.append((number, _inside(what, group.files), files))
         counts = Counter(name for _, name, _ in named)
         named = [(number, self.distinct(number, name, counts), files) for number, name, files in named]
+        for name, count in Counter(name for _, name, _ in named).items():
+            if count > 1:
+                raise self.error(
+                    f"{name} would be the name of {count} items", "items", hint="use more groups"
+                )
         idents = atomic.file_names([_shortened(name) for _, name, _ in named], [""])
         items = [
             self.item(number, ident, files) for ident, (number, _, files) in zip(idents, named, strict=True)
@@ -330,6 +335,20 @@ class _Resolution:
                 self.matched.add(pattern)
                 found |= commands.get(command, {})
         return found
+
+
+def _inside(name: str, patterns: Sequence[str]) -> str:
+    """Return the path of a file from the last folder on that its pattern names without a wildcard.
+
+    A path inside the folder of the plan stays as it is.
+    """
+    if not (os.path.isabs(name) or name.startswith("..")):
+        return name
+    for pattern in patterns:
+        fixed = os.path.dirname(re.split(r"[*?\[]", pattern)[0])
+        if fixed and name.startswith(f"{fixed}/"):
+            return os.path.relpath(name, os.path.dirname(fixed))
+    return name
 
 
 def _shortened(name: str) -> str:

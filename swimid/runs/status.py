@@ -181,12 +181,18 @@ def metrics_of(answer: Mapping[str, Any], patterns: list[str]) -> dict[str, Metr
     """Return the estimates in the ``--json`` answer of a command, and the numbers that patterns name.
 
     An estimate is a mapping with ``value`` and ``unit``, and ``stderr`` or ``low`` and ``high``. Estimates of
-    one trial and parameters that the data do not determine are left out.
+    one trial and parameters that the data do not determine are left out. A pattern has dotted names, ``*``
+    for any name, and after ``|`` the name of the 95 % interval.
     """
     found = dict(_estimates(answer))
     for pattern in patterns:
-        for name, value in _named(answer, pattern.split(".")):
-            found[name] = Metric(value=value)
+        place, _, interval = pattern.partition("|")
+        ends: list[float | None] = [value for _, value in _named(answer, interval.split("."))]
+        if len(ends) != 2:
+            ends = [None, None]
+        for name, value in _named(answer, place.split(".")):
+            unit = numbers.split_unit(name)[1] or "1"
+            found[name] = Metric(value=value, low=ends[0], high=ends[1], unit=unit)
     return found
 
 
@@ -209,10 +215,10 @@ def _is_known(value: Any) -> bool:
 
 
 def _named(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
-    """Yield dotted name and value of the numbers that a pattern of keys names."""
+    """Yield dotted name and value of the numbers that a pattern of keys names, alone or in a list."""
     if not keys:
-        if _is_known(data):
-            yield "", float(data)
+        values = data if isinstance(data, list) else [data]
+        yield from (("", float(value)) for value in values if _is_known(value))
         return
     if not isinstance(data, Mapping):
         return
