@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import resource
 import shutil
 import subprocess
 import sys
@@ -50,20 +51,20 @@ columns:
 
 @dataclass(frozen=True)
 class Usage:
-    """Memory of a command over time."""
+    """Memory of a command over time, and its processor time."""
 
     time_s: np.ndarray
     mib: np.ndarray
-    output: str
+    work_s: float
 
     def __str__(self) -> str:
-        return f"peak {self.mib.max():.0f} MiB, {self.time_s[-1]:.0f} s"
+        return f"peak {self.mib.max():.0f} MiB, {self.time_s[-1]:.0f} s, processor {self.work_s:.0f} s"
 
 
 def run(words: list[str]) -> Usage:
     """Run a command, and sample its resident memory."""
     samples = []
-    start = time.perf_counter()
+    start, before = time.perf_counter(), _work()
     child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     status = Path(f"/proc/{child.pid}/statm")
     while child.poll() is None:
@@ -74,7 +75,13 @@ def run(words: list[str]) -> Usage:
     text = child.stdout.read()
     assert child.returncode in (0, 3), text
     times, mib = np.array(samples).T
-    return Usage(times, mib, text)
+    return Usage(times, mib, _work() - before)
+
+
+def _work() -> float:
+    """Processor time of the child processes that have ended, s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def swimid(*words: str | Path) -> Usage:
