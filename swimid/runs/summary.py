@@ -8,6 +8,7 @@ with the present plan and version are left out.
 from __future__ import annotations
 
 import math
+import os
 import statistics
 from collections import Counter
 from collections.abc import Sequence
@@ -279,7 +280,8 @@ def _group(name: str, members: list[Entry]) -> dict[str, Any]:
     """Return the variables of the page for one group: strips of its estimates, and sketches of its items."""
     strips = [strip for one in metric_names(members) if (strip := _strip(one, members)) is not None]
     drawn = [entry for entry in members if entry.sketch is not None]
-    sketches = [_sketch(entry) for entry in drawn[:MAX_SKETCHES]]
+    common = len(os.path.commonprefix([entry.id for entry in drawn])) * (len(drawn) > 1)
+    sketches = [_sketch(entry) | {"label": entry.id[common:]} for entry in drawn[:MAX_SKETCHES]]
     axes = ""
     if sketches:
         first = next(entry.sketch for entry in members if entry.sketch is not None)
