@@ -3,5 +3,6 @@
 - ``atomic`` writes files completely or not at all, locks an output while a command writes it, and stores the
 intermediate results of a long computation.
 - ``tabular`` reads CSV files, ``yamlio`` reads and writes YAML, ``video`` writes videos.
+- ``isolated`` reads files of other programs in a child process, and limits the memory that files may take.
 - ``provenance`` records the origin of a result, and recognises files that swimid wrote.
 """

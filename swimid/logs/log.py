@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic_core import to_json
 
 from swimid.errors import InputError, file_errors, first_line
-from swimid.files import atomic, tabular, yamlio
+from swimid.files import atomic, isolated, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
 
@@ -432,6 +432,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
     path.stat()  # raise the error for a missing file here; below, it would count as damaged
     try:
         file = pyarrow.parquet.ParquetFile(path)
+        isolated.check_parquet(path, file)
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
         table = file.read(columns=wanted)
     except (pyarrow.ArrowException, OSError) as error:

@@ -37,7 +37,7 @@ from swimid.errors import (
     in_words_of_the_caller,
     suggestion,
 )
-from swimid.files import yamlio
+from swimid.files import isolated, yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
 
@@ -663,9 +663,13 @@ def open_table(
     hint = None
     if found.recognises is not None:
         hint = in_words_of_the_caller(f"the file is read as a {found.title}; --as names another format")
+    read, task = found.open, (path, options or Options(), select)
     try:
         with extra_needed(f"reading this {found.title}", found.extra, file=path):
-            table = found.open(path, options or Options(), select)
+            if found.extra:
+                table = isolated.run(read, *task, file=path)
+            else:
+                table = read(*task)
     except InputError as error:
         error.hint = error.hint or hint
         raise

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from swimid.errors import InputError
-from swimid.files import tabular
+from swimid.files import isolated, tabular
 from swimid.logs import log
 from swimid.logs.foreign import Format, Options, Table, of_tree
 
@@ -18,8 +18,10 @@ def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
     def parts(item: Any) -> Any:
         if isinstance(item, h5py.Group):
             return dict(item.items())
-        if isinstance(item, h5py.Dataset) and item.ndim > 2:
-            return {}  # leave out arrays with more than two axes, such as images
+        if isinstance(item, h5py.Dataset):
+            if item.ndim > 2:
+                return {}  # leave out arrays with more than two axes, such as images
+            isolated.check_size(path, item.size * item.dtype.itemsize)
         return item
 
     with h5py.File(path, "r") as file:
@@ -63,7 +65,9 @@ MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MAT
 def _open_parquet(path: Path, options: Options, select: str | None) -> Table:
     import pyarrow.parquet
 
-    table, types = pyarrow.parquet.read_table(path), pyarrow.types
+    with pyarrow.parquet.ParquetFile(path) as file:
+        isolated.check_parquet(path, file)
+        table, types = file.read(), pyarrow.types
     nested = [f.name for f in table.schema if types.is_nested(f.type) or types.is_binary(f.type)]
     notes = []
     if nested:
