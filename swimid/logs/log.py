@@ -557,12 +557,14 @@ def write(
                     writer.write_table(pyarrow.Table.from_pandas(piece, schema, preserve_index=False))
             return
         stream.writelines(f"# {line}\n".encode() for line in lines)
-        stream.write(frame.iloc[:0].to_csv(index=False, lineterminator="\n").encode())
+        heading = frame.iloc[:0].rename(columns=tabular.plain_text)
+        stream.write(heading.to_csv(index=False, lineterminator="\n").encode())
         numeric = {kind.name for kind in frame.dtypes} == {"float64"}
         for piece in pieces:
             if numeric:
                 stream.write(_printed(piece.to_numpy()))
             else:
+                piece = piece.map(tabular.plain_text)
                 stream.write(piece.to_csv(index=False, header=False, lineterminator="\n").encode())
 
 

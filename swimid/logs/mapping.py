@@ -22,6 +22,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from swimid.errors import InputError
 from swimid.files import atomic, yamlio
 from swimid.files.provenance import path_of
+from swimid.files.tabular import repeated
 from swimid.logs import log
 from swimid.logs.foreign import (
     KNOWN,
@@ -222,7 +223,7 @@ class Mapping(Stated):
     def _consistent(self) -> Mapping:
         columns = [*self.columns, *(column for one in self.join for column in one.columns)]
         targets = [column.target for column in columns]
-        twice = next((name for name in targets if targets.count(name) > 1), None)
+        twice = repeated(targets)
         if twice:
             raise ValueError(f"two columns have the target '{twice}'")
         targets = [column.target for column in self.columns]

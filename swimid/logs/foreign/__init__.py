@@ -467,11 +467,14 @@ def unique(names: Iterable[str]) -> list[str]:
     >>> unique(["Fx 1", "Fx-1", "Fy"])
     ['Fx_1', 'Fx_1_2', 'Fy']
     """
-    found: list[str] = []
+    found: dict[str, None] = {}
+    following: Counter[str] = Counter()
     for name in map(safe, names):
-        others = (f"{name}_{k}" for k in count(2))
-        found.append(next(one for one in chain([name], others) if one not in found))
-    return found
+        others = (f"{name}_{k}" for k in count(2 + following[name]))
+        chosen = next(one for one in chain([name], others) if one not in found)
+        following[name] += chosen != name
+        found[chosen] = None
+    return [*found]
 
 
 def length(unit: str | None, path: Path) -> tuple[float, str]:
