@@ -15,6 +15,7 @@ from swimid.logs import mapping
 from swimid.logs.foreign import open_table
 from tests.conftest import SAMPLES
 from tests.faults.runner import Attack, command, mutated
+from tests.faults.signals import drag_parameters
 from tests.test_fuzz_import import KINDS
 from tests.test_fuzz_readers import FORMATS, ODD_CELLS, ODD_SCALARS
 from tests.test_import import FILES
@@ -59,9 +60,10 @@ FOREIGN: list[tuple[str, Callable[[Path], object], str]] = [
 def _plan(rng: np.random.Generator, folder: Path, valid: bytes) -> bool:
     """Give a damaged trials file to the command that reads it; its logs are short."""
     for log in (SAMPLES / "rig").glob("*.csv"):
-        (folder / log.name).write_bytes(b"\n".join(log.read_bytes().splitlines()[:25]) + b"\n")
+        (folder / log.name).write_bytes(b"\n".join(log.read_bytes().splitlines()[:60]) + b"\n")
     (folder / "trials.yaml").write_bytes(mutated(valid, rng, PIECES))
-    return command("compare", "trials.yaml", "--params", SAMPLES / "gap" / "params.yaml")[0] == 0
+    (folder / "drag.yaml").write_bytes(drag_parameters())
+    return command("compare", "trials.yaml", "--params", "drag.yaml")[0] == 0
 
 
 ATTACKS = [
