@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -121,3 +122,11 @@ def test_the_cost_of_many_trials_and_columns_is_linear(tmp_path: Path) -> None:
     assert len(trials.read(tmp_path / "trials.yaml").trials) == 1000  # type: ignore[attr-defined]
     assert len(log.read(tmp_path / "wide.csv").columns) == 5001
     assert time.perf_counter() - began < 10.0
+
+
+def test_every_module_takes_numba_with_its_cache_checked() -> None:
+    package = Path(kernels.__file__).parents[1]
+    direct = re.compile(r"^(import numba|from numba import)", re.M)
+    modules = [path for path in package.rglob("*.py") if "__pycache__" not in path.parts]
+    found = {path.name for path in modules if direct.search(path.read_text(encoding="utf-8"))}
+    assert found == {"kernels.py", "lanes.py"}  # lanes.py imports types, and writes modules that import numba

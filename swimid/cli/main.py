@@ -124,6 +124,9 @@ class Run:
         except (KeyboardInterrupt, Exception) as caught:  # noqa: BLE001 - the last line of defence
             if self.debug:
                 traceback.print_exc()
+            if interrupts and not isinstance(caught, SwimidError):
+                # A library may replace the exception of Ctrl-C by another one, such as during its import.
+                caught = KeyboardInterrupt()
             error, lead = self._as_error(caught, written), "Error"
             if isinstance(error, Bug):
                 lead = "This is a bug in swimid"

@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,8 @@ MAX_BYTES = 20_000_000
 MAX_NODES = 500_000
 #: Maximum number of characters of a YAML text on one line, such as a comment line of a log.
 MAX_SCALAR = 100_000
+#: Maximum number of characters of a value in a message.
+MAX_SHOWN = 80
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -298,7 +301,7 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
         hint = f"did you mean '{close}'?"
     shown = type(value).__name__
     if value is None or isinstance(value, str | int | float):
-        shown = repr(value)
+        shown = textwrap.shorten(repr(value), MAX_SHOWN, placeholder=" ...")
     return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", hint
 
 
