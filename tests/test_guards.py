@@ -121,7 +121,7 @@ def test_the_cost_of_many_trials_and_columns_is_linear(tmp_path: Path) -> None:
     began = time.perf_counter()
     assert len(trials.read(tmp_path / "trials.yaml").trials) == 1000  # type: ignore[attr-defined]
     assert len(log.read(tmp_path / "wide.csv").columns) == 5001
-    assert time.perf_counter() - began < 10.0
+    assert time.perf_counter() - began < 20.0
 
 
 def test_every_module_takes_numba_with_its_cache_checked() -> None:

@@ -26,8 +26,8 @@ COMMANDS = {
     "fit-drag": ["fit-drag", str(SAMPLES / "rig" / "trials.yaml")],
     "rwls": ["rwls", str(SAMPLES / "longfin" / "longfin_marching.csv"), "--input", "cmd1_rad",
              "--output", "u_m_s", "--na", "4", "--nb", "3"],
-    "map": ["map", "--params", str(GAP / "params.yaml"), "--over", "frequency_hz=0.8:1.6:6",
-            "--over", "amplitude_deg=15:25:4"],
+    "map": ["map", "--params", str(GAP / "params.yaml"), "--over", "frequency_hz=0.8:1.6:4",
+            "--over", "amplitude_deg=15:25:3"],
     "optimise gait": ["optimise", "gait", "--params", str(GAP / "params.yaml"),
                       "--vary", "frequency_hz=0.8,1.6", "--amplitude-deg", "20"],
     "diagnose": ["diagnose", str(SAMPLES / "rig" / "trials.yaml"), "--params", "drag.yaml"],
@@ -114,7 +114,7 @@ def _twice(rng: np.random.Generator, folder: Path, *, name: str) -> bool:
 
 ATTACKS = [
     *(
-        Attack(f"{how.name} in {name}", partial(_stop, name=name, how=how), count=4, time_s=300.0)
+        Attack(f"{how.name} in {name}", partial(_stop, name=name, how=how), count=2, time_s=300.0)
         for name in COMMANDS
         for how in (signal.SIGINT, signal.SIGKILL)
     ),
