@@ -241,7 +241,8 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
     """Convert an error of the operating system in the ``with`` block into an :class:`InputError` for a file.
 
-    The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why.
+    The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why. A device or a
+    pipe cannot be read, because it may have no end, and a file may be read several times.
 
     Examples
     --------
@@ -252,6 +253,9 @@ def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
       hint: check the path
     """
     try:
+        if done == "read" and Path(file).exists() and not (Path(file).is_file() or Path(file).is_dir()):
+            hint = "save its content as a file"
+            raise InputError("is a device or a pipe; inputs are files", file=file, hint=hint)
         yield
     except OSError as error:
         hint = None

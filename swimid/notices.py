@@ -97,6 +97,7 @@ CODES: dict[str, str] = {
     "SWM121": "places of tracked points are wrong or not determined",
     "SWM150": "lines of a checkpoint ignored",
     "SWM151": "a checkpoint cannot be written",
+    "SWM152": "compiled kernels are not stored",
 }
 
 

@@ -38,10 +38,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from swimid.blackbox.model import Orders, Record, lagged
 from swimid.errors import NoTrustworthyResult
+from swimid.files.kernels import numba
 from swimid.fitting import uncertainty as rt
 from swimid.logs.sampling import rounding
 
@@ -140,7 +140,7 @@ def recursive_least_squares(
     return Recursion(theta, covariance, innovations, limited)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _run(h, z, variance, growth, prior):  # type: ignore[no-untyped-def]
     """Run recursive least squares over all rows of a regression in one compiled loop.
 

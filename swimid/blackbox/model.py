@@ -18,6 +18,7 @@ from __future__ import annotations
 import copy
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -683,6 +684,7 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
     """
     share, held_out = _split_held_out(options.held_out)
     entries: list[TrialEntry] = []
+    origins: list[int] = []
     files: list[Input] = []
     listed: trials_format.Arma | None = None
     for number, (source, role) in enumerate([(s, "fit") for s in logs] + [(s, "validate") for s in held_out]):
@@ -696,15 +698,18 @@ def read(logs: Sequence[Source], options: RwlsOptions) -> Data:
             found = [e.model_copy(update={"log": str(path.parent / e.log)}) for e in listed.trials]
         else:
             found = [_single(source, role, f"table {number + 1}")]
-        for one, other in itertools.product(entries, found):
-            if trials_format.same_recording(one, Path(one.log), other, Path(other.log)):
-                trials_format.check_apart(one, other, Path(one.log))
         entries += found
+        origins += [number] * len(found)
+    for same in trials_format.same_recordings([(entry, Path(entry.log)) for entry in entries]):
+        for first, second in itertools.combinations(same, 2):
+            if origins[first] != origins[second]:  # the reader of a trials file has checked its own trials
+                trials_format.check_apart(entries[first], entries[second], Path(entries[first].log))
     columns = _columns(options, listed)
     if all(entry.role == "validate" for entry in entries):
         raise UsageError("every trial is a validation trial; at least one must be fitted")
     ids = [entry.id for entry in entries]
-    names = [entry.id if ids.count(entry.id) == 1 else entry.log for entry in entries]
+    counts = Counter(ids)
+    names = [entry.id if counts[entry.id] == 1 else entry.log for entry in entries]
     required = tuple(name for name in (columns.measured_source, columns.output) if name)
     contents, repeats = [], []
     for entry in entries:

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
-from swimid.errors import Interrupted, NotEnoughMemory, SwimidError, UsageError, naming
+from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, naming
 from swimid.files import atomic, provenance
 from swimid.notices import Notice, Progress, Step, recorded, silent
 
@@ -126,6 +126,9 @@ class Run:
         except (KeyboardInterrupt, Exception) as caught:  # noqa: BLE001 - the last line of defence
             if self.debug:
                 traceback.print_exc()
+            if interrupts and not isinstance(caught, SwimidError):
+                # A library may replace the exception of Ctrl-C by another one, such as during its import.
+                caught = KeyboardInterrupt()
             error, lead = self._as_error(caught, written), "Error"
             if isinstance(error, Bug):
                 lead = "This is a bug in swimid"
@@ -143,6 +146,10 @@ class Run:
         """
         if isinstance(caught, SwimidError):
             return caught
+        if isinstance(caught, OSError):
+            # Files for which no reader or writer converts the error, such as the cache of compiled kernels.
+            text = f"cannot be read or written: {caught.strerror or caught}"
+            return InputError(text, file=caught.filename, hint="check the path and the space on the disk")
         if isinstance(caught, MemoryError):
             return NotEnoughMemory(f"not enough memory for this input: {caught}")
         if not isinstance(caught, KeyboardInterrupt):
@@ -312,11 +319,26 @@ def found() -> dict[str, CommandSpec]:
     return specs
 
 
+class _FilePath(click.Path):
+    """Click type of a path. Results state paths in UTF-8, so that a path in another encoding is an error."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path that the user typed."""
+        try:
+            str(value).encode()
+        except UnicodeEncodeError:
+            self.fail(f"{str(value)!r} is not UTF-8; rename the file", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class Command(click.Command):
     """Click command whose class of options is imported when its options are first needed."""
 
     def __init__(self, spec: CommandSpec) -> None:
-        path = click.Path(path_type=Path)
+        path = _FilePath()
         output = click.Option(
             [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output
         )
@@ -401,7 +423,7 @@ def _argument(metavar: str) -> list[click.Parameter]:
     """
     if not metavar:
         return []
-    kind: click.ParamType = click.Path(path_type=Path)
+    kind: click.ParamType = _FilePath()
     count = 1
     if metavar.endswith("..."):
         count = -1
@@ -497,7 +519,7 @@ def _simple(kind: Any, limits: Mapping[str, float]) -> Any:
     if get_origin(kind) is Literal:
         return click.Choice(list(get_args(kind)))
     if Path in (kind, *get_args(kind)) and str not in get_args(kind):
-        return click.Path(path_type=Path)
+        return _FilePath()
     if kind in (int, float):
         if not limits:
             return kind

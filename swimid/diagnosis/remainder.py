@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numba import cfunc
 from scipy.linalg import block_diag
 
 from swimid.diagnosis import crossval
@@ -21,6 +20,7 @@ from swimid.diagnosis.candidates import within
 from swimid.diagnosis.context import Fit, FitContext
 from swimid.diagnosis.noise_model import NoiseModel
 from swimid.effects.base import Effect
+from swimid.files.kernels import numba
 from swimid.fitting.model import FORCE_SIGNATURE, Array, Force, Hooks, Model, Parameter, Trial, traceable
 from swimid.fitting.problem import Problem, map_in_processes
 
@@ -293,7 +293,7 @@ RIG_TERMS = (
 SENSOR_TERMS = ("gain", "drift", "drift squared", "cos phase", "sin phase", "quadratic")
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@numba.cfunc(FORCE_SIGNATURE, cache=True)
 def smooth_push(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add a smooth force on the body of a rig to the wrench.
 

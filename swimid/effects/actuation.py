@@ -6,13 +6,13 @@ import functools
 import math
 from dataclasses import replace
 
-import numba
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 from scipy.optimize import brentq
 
 from swimid.effects import base
 from swimid.effects.base import Parameters, Trials, parameter
+from swimid.files.kernels import numba
 from swimid.fitting.drives import eased
 from swimid.fitting.model import Array, Hooks, Model, Parameter, Stroke, Trial, typical
 

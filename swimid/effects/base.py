@@ -16,11 +16,11 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
-import numba
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from swimid.files.atomic import Checkpoint
+from swimid.files.kernels import numba
 from swimid.fitting.model import (
     MEAN_SPEED,
     NONE,

@@ -7,12 +7,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numba import cfunc
 from scipy.constants import g
 from scipy.interpolate import CubicSpline
 
 from swimid.effects import base
 from swimid.effects.base import SIZES, Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
+from swimid.files.kernels import numba
 from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Parameter, traceable, typical
 
 
@@ -301,7 +301,7 @@ def push_off(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-d
     wrench[1] -= push * (c * across - s * along)
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@numba.cfunc(FORCE_SIGNATURE, cache=True)
 def blockage(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add to the wrench the additional drag of a body on a rig near a wall.
 

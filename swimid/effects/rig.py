@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 
-import numba
 import numpy as np
 
 from swimid.effects import base
 from swimid.effects.base import SIZES, Effect, Effects, Parameters, Trials, parameter
+from swimid.files.kernels import numba
 from swimid.fitting.model import Array, Hooks, Model, Trial
 
 

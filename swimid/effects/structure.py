@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import cfunc
 
 from swimid.effects import base
 from swimid.effects.base import Array, Effect, Effects, Model, Parameters, Trial, Trials, parameter
+from swimid.files.kernels import numba
 from swimid.fitting.model import FORCE_SIGNATURE, Force, Hooks, Stroke, traceable, typical
 
 
@@ -175,7 +175,7 @@ def _typical(trials: Trials) -> tuple[float, float]:
     return typical(loads, 1.0), middle
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@numba.cfunc(FORCE_SIGNATURE, cache=True)
 def cubic(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add the cubic spring force ``-h k (x - rest)^3`` to the wrench.
 
@@ -403,7 +403,7 @@ class JointStiffness(Effect):
 ROUND = 0.02
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@numba.cfunc(FORCE_SIGNATURE, cache=True)
 def loaded(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add the friction ``-mu |load| sgn(v)`` to the wrench, with a smoothed sign.
 
@@ -535,7 +535,7 @@ def _torque(load: tuple[float, float], time_s: Array, angle: Array) -> Array:
     return np.abs(load[0] * np.gradient(rate, time_s) + load[1] * rate * np.abs(rate))
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@numba.cfunc(FORCE_SIGNATURE, cache=True)
 def relieved(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Add the Stribeck reduction of dry friction in motion to the wrench.
 

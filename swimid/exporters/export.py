@@ -17,7 +17,7 @@ from swimid.exporters import gazebo, mjcf, movement, vehicle
 from swimid.exporters.causes import Cause, filters_text, limits_of
 from swimid.exporters.options import ExportOptions
 from swimid.exporters.source import Exported, Link, Source, central
-from swimid.files import atomic
+from swimid.files import atomic, tabular
 from swimid.files.provenance import digests_of, is_own
 from swimid.fitting.model import Parameter
 from swimid.logs.log import LogLike
@@ -304,7 +304,7 @@ def _table(source: Source, samples: list[dict[str, float]], seed: int) -> str:
         known = unit == "1" or "/" in name or numbers.split_unit(name)[1]
         names.append(name if known else f"{name}_{re.sub(r'[ /]', '_', unit.replace('^', ''))}")
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["draw", *names])
+    rows.writerow(["draw", *map(tabular.plain_text, names)])
     rows.writerows([k, *map(repr, sample.values())] for k, sample in enumerate(samples, start=1))
     return text.getvalue()
 

@@ -6,7 +6,8 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Texts of table cells that are read as missing values. The file formats of swimid specify an empty cell.
 MISSING = ["", "nan", "-nan", "NaN", "NAN", "NA", "null"]
+#: Maximum number of column names that a message quotes, and pattern of a column name that it may quote.
+MAX_QUOTED, _NAME = 30, re.compile(r"[\w .()/\[\]°²-]{1,60}")
 
 
 def head(path: Path) -> tuple[list[str], str, int]:
@@ -57,10 +60,19 @@ def column_names(header: str, path: Path, line: int) -> list[str]:
     if len(names) == 1 and re.search(r"[;\t]", header):
         text = "its columns must be separated by commas, not by semicolons or tabs"
         raise InputError(text, file=path, line=line)
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError("two columns have this name", file=path, line=line, column=name)
+    twice = repeated(names)
+    if twice is not None:
+        raise InputError("two columns have this name", file=path, line=line, column=twice)
     return names
+
+
+def repeated(names: Iterable[str]) -> str | None:
+    """Return the first name that stands twice in a list; None if all names differ.
+
+    >>> repeated(["x", "y", "z", "y"])
+    'y'
+    """
+    return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 def parse(
@@ -133,8 +145,16 @@ def count_cells(line: str, delimiter: str = ",") -> int:
 def missing_column(
     column: str, names: Sequence[str], path: Path, line: int | None, what: str = "this column is missing"
 ) -> InputError:
-    """Return the error for a column that a table lacks, with the most similar existing column as a hint."""
-    hint = f"the file has: {', '.join(names)}"
+    """Return the error for a column that a table lacks, with the most similar existing column as a hint.
+
+    The hint does not quote the first line of a file that is no table, because it may be confidential.
+    """
+    is_table = len(names) > 1 and all(map(_NAME.fullmatch, names))
+    if not is_table and "t_s" not in names:
+        return InputError(what, file=path, line=line, column=column, hint="is this file a table with commas?")
+    hint = f"the file has: {', '.join(names[:MAX_QUOTED])}"
+    if len(names) > MAX_QUOTED:
+        hint += f", and {len(names) - MAX_QUOTED} more"
     if close := nearest(column, list(names)):
         hint = f"did you mean '{close}'? {hint}"
     return InputError(what, file=path, line=line, column=column, hint=hint)
@@ -153,6 +173,17 @@ def number(text: str) -> float | None:
         return float(text)
     except ValueError:
         return None
+
+
+def plain_text(cell: Any) -> Any:
+    """Return a cell for a CSV file, with an apostrophe before text that a spreadsheet takes for a formula.
+
+    >>> plain_text("=1+1"), plain_text("-0.5"), plain_text(-0.5), plain_text("ok")
+    ("'=1+1", '-0.5', -0.5, 'ok')
+    """
+    if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) and number(cell) is None:
+        return f"'{cell}"
+    return cell
 
 
 def number_hint(text: str) -> str:

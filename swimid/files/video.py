@@ -21,6 +21,39 @@ REMARK = "the {} is MPEG-4, which browsers do not play; pip install 'swimid[vide
 MAX_GIF_BYTES = 2 << 30
 
 
+class _Stream:
+    """Output file for FFmpeg that keeps the first error of the operating system.
+
+    FFmpeg may crash the process if it is used again after a write failed. It does not get to know of the
+    failure.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        self._file = path.open("wb", buffering=0)
+        self._error: OSError | None = None
+        self.seek, self.tell = self._file.seek, self._file.tell
+
+    def write(self, data: bytes) -> int:
+        """Write bytes. After the first error they are discarded."""
+        rest = memoryview(data)
+        try:
+            while rest and self._error is None:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            self._error = error
+        return len(data)
+
+    def check(self) -> None:
+        """Raise the first error, if there is one."""
+        if self._error is not None:
+            raise self._error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
 class H264:
     """Writer of an H.264 video with the library PyAV. Browsers play it, and each frame has its own time.
 
@@ -34,8 +67,8 @@ class H264:
         import av
 
         self._av = av
-        self._path = path
-        self._container = av.open(str(path), "w")
+        self._path, self._file = path, _Stream(path)
+        self._container = av.open(self._file, "w")
         self._stream = self._container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
         self._stream.width, self._stream.height = width, height
         self._stream.pix_fmt = "yuv420p"
@@ -49,12 +82,21 @@ class H264:
         picture.time_base = Fraction(1, CLOCK)
         for packet in self._stream.encode(picture):
             self._container.mux(packet)
+        self._file.check()
 
     def close(self) -> None:
-        """Write the remaining frames and close the video file."""
+        """Write the remaining frames and close the video file.
+
+        Raises
+        ------
+        OSError
+            If the file could not be written, for instance because the disk is full.
+        """
         for packet in self._stream.encode():
             self._container.mux(packet)
         self._container.close()
+        self._file.close()
+        self._file.check()
         _mark(self._path)
 
 

@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -27,6 +28,10 @@ MAX_BYTES = 20_000_000
 #: Maximum number of nodes of a YAML document, where each alias counts as a copy of the node to which it
 #: refers. A document with more nodes is an error.
 MAX_NODES = 500_000
+#: Maximum number of characters of a YAML text on one line, such as a comment line of a log.
+MAX_SCALAR = 100_000
+#: Maximum number of characters of a value in a message.
+MAX_SHOWN = 80
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -156,9 +161,7 @@ def load(path: str | Path) -> CommentedMap:
     if len(raw) > MAX_BYTES:
         raise InputError(f"has {len(raw)} bytes; a YAML input may have {MAX_BYTES}", file=path)
     try:
-        data = _yaml().load(io.StringIO(text))
-        if _expanded(data, {}) > MAX_NODES:
-            raise ValueError(f"it has more than {MAX_NODES} nodes with its anchors written out")
+        data = _parsed(_yaml(), text)
     except Exception as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
         place = mark and mark.line + 1
@@ -185,6 +188,14 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
     data = load(path)
     if data.get("format") != form:
         raise InputError(f"is no {what}: its 'format' must be {form}", file=path, line=1, column="format")
+    return data
+
+
+def _parsed(yaml: YAML, text: str) -> Any:
+    """Return the content of a YAML text; raise an error if it has more than :data:`MAX_NODES` nodes."""
+    data = yaml.load(io.StringIO(text))
+    if _expanded(data, {}) > MAX_NODES:
+        raise ValueError(f"it has more than {MAX_NODES} nodes with its anchors written out")
     return data
 
 
@@ -290,7 +301,7 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
         hint = f"did you mean '{close}'?"
     shown = type(value).__name__
     if value is None or isinstance(value, str | int | float):
-        shown = repr(value)
+        shown = textwrap.shorten(repr(value), MAX_SHOWN, placeholder=" ...")
     return f"{shown} is not allowed: {message[0].lower()}{message[1:]}", hint
 
 
@@ -377,10 +388,12 @@ def parse_scalar(text: str) -> Any:
     Raises
     ------
     ValueError
-        If the text is not YAML.
+        If the text is not YAML, or is too large.
     """
+    if len(text) > MAX_SCALAR:
+        raise ValueError(f"it has {len(text)} characters; at most {MAX_SCALAR} are allowed")
     try:
-        return plain(YAML(typ="safe", pure=True).load(text.strip()))
+        return plain(_parsed(YAML(typ="safe", pure=True), text.strip()))
     except Exception as error:
         raise ValueError(first_line(error)) from error
 

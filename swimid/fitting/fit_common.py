@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numba
 import numpy as np
 
 from swimid.errors import InputError, Interrupted, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance
+from swimid.files.kernels import numba
 from swimid.files.provenance import Held, Input
 from swimid.fitting import output_error
 from swimid.fitting.model import POSITIONS, Array, Channel, Model, Parameter, Trial, chosen

@@ -17,12 +17,12 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
-from numba import cfunc, types
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numpy.typing import NDArray
 
 from swimid.errors import UsageError, suggestion
 from swimid.files.atomic import Checkpoint
+from swimid.files.kernels import numba
 from swimid.notices import Progress, silent
 
 if TYPE_CHECKING:
@@ -298,15 +298,19 @@ class Rig:
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
 #: Numba signature ``force(t, pose, velocity, constants, wrench)`` of functions in a :class:`Force`.
-FORCE_SIGNATURE = types.void(
-    types.float64, types.float64[::1], types.float64[::1], types.float64[::1], types.float64[::1]
+FORCE_SIGNATURE = numba.types.void(
+    numba.types.float64,
+    numba.types.float64[::1],
+    numba.types.float64[::1],
+    numba.types.float64[::1],
+    numba.types.float64[::1],
 )
 #: Maximum number of additional forces in a compiled integration step. Three effects of a hypothesis, and one
 #: that is tested in addition to them, may have one force each.
 MOST_FORCES = 4
 
 
-@cfunc(FORCE_SIGNATURE, cache=True)
+@numba.cfunc(FORCE_SIGNATURE, cache=True)
 def no_force(t, pose, velocity, constants, wrench):  # type: ignore[no-untyped-def]
     """Leave the wrench unchanged, in place of a force that does not act."""
 
@@ -342,7 +346,7 @@ def traceable(on: Literal["base", "hull", "last"], constants: int) -> Callable[[
     """
 
     def compiled(function: Callable[..., None]) -> Any:
-        made = cfunc(FORCE_SIGNATURE, cache=True)(function)
+        made = numba.cfunc(FORCE_SIGNATURE, cache=True)(function)
         TRACEABLE[f"{function.__module__}.{function.__qualname__}"] = Traceable(made, on, constants)
         return made
 

@@ -8,11 +8,9 @@ well enough for them. Tests compare the optima of both methods.
 
 from __future__ import annotations
 
-import ctypes
 import math
 import multiprocessing
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -25,6 +23,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.files import isolated
 from swimid.fitting.model import Array, Model, Parameter, Trial
 
 #: Minimum duration of one simulation, s, above which several simulations are divided among threads.
@@ -731,8 +730,6 @@ class Patience:
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
-#: Option of the Linux system call ``prctl`` that selects the signal at the end of the parent process.
-PR_SET_PDEATHSIG = 1
 #: Function and items that the process pool works on. Forked processes inherit them.
 _work: tuple[Callable[[Any], Any], list[Any]] | None = None
 
@@ -755,17 +752,12 @@ def map_in_processes(function: Callable[[Item], Made], items: Iterable[Item], jo
     try:
         context = multiprocessing.get_context("fork")
         count, own = min(jobs, len(items)), (os.getpid(),)
-        with ProcessPoolExecutor(count, mp_context=context, initializer=_end_with, initargs=own) as pool:
+        with ProcessPoolExecutor(
+            count, mp_context=context, initializer=isolated.end_with, initargs=own
+        ) as pool:
             yield from pool.map(_one, range(len(items)))
     finally:
         _work = None
-
-
-def _end_with(parent: int) -> None:
-    """Let this process be killed when its parent process ends (``man prctl``)."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
 
 
 def _one(index: int) -> Any:

@@ -7,6 +7,7 @@ looks plausible, but a model fitted to them is wrong.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -252,12 +253,13 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
     {'depth_m': 'holds one value in every sample (1.2)'}
     """
     found: dict[str, str] = {}
-    earlier: dict[str, Array] = {}
+    earlier: dict[bytes, list[str]] = {}
     for name, values in columns.items():
         known = values[np.isfinite(values)]
         if len(known) < LONG_ENOUGH or SET.fullmatch(name) or quantity_of(name) is None:
             continue
-        equal = [other for other, same in earlier.items() if np.array_equal(values, same, equal_nan=True)]
+        content = np.where(np.isnan(values), np.nan, values + 0.0).tobytes()  # one pattern for NaN and for 0
+        equal = earlier.setdefault(hashlib.sha256(content).digest(), [])
         copied = [other for other in equal if {name, other} != SYNONYMS]
         steps = np.diff(known) / scales.get(name, 1.0)
         if name == TIME:
@@ -273,7 +275,7 @@ def find_unmeasured(columns: Mapping[str, Array], scales: Mapping[str, float]) -
         if text:
             found[name] = text
         if "_raw_" not in name:
-            earlier[name] = values
+            equal.append(name)
     return found
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic_core import to_json
 
 from swimid.errors import InputError, file_errors, first_line
-from swimid.files import atomic, memory, tabular, yamlio
+from swimid.files import atomic, isolated, memory, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
 
@@ -438,6 +438,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
     path.stat()  # raise the error for a missing file here; below, it would count as damaged
     try:
         file = pyarrow.parquet.ParquetFile(path)
+        isolated.check_parquet(path, file)
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
         rows = file.metadata.num_rows
         what = f"{rows} rows of {len(wanted)} columns"
@@ -565,12 +566,14 @@ def write(
                     writer.write_table(pyarrow.Table.from_pandas(piece, schema, preserve_index=False))
             return
         stream.writelines(f"# {line}\n".encode() for line in lines)
-        stream.write(frame.iloc[:0].to_csv(index=False, lineterminator="\n").encode())
+        heading = frame.iloc[:0].rename(columns=tabular.plain_text)
+        stream.write(heading.to_csv(index=False, lineterminator="\n").encode())
         numeric = {kind.name for kind in frame.dtypes} == {"float64"}
         for piece in pieces:
             if numeric:
                 stream.write(_printed(piece.to_numpy()))
             else:
+                piece = piece.map(tabular.plain_text)
                 stream.write(piece.to_csv(index=False, header=False, lineterminator="\n").encode())
 
 

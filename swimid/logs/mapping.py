@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError
-from swimid.files import atomic, memory, yamlio
+from swimid.files import atomic, isolated, memory, yamlio
 from swimid.files.provenance import path_of
+from swimid.files.tabular import repeated
 from swimid.logs import log
 from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
@@ -225,7 +226,7 @@ class Mapping(Stated):
     def _consistent(self) -> Mapping:
         columns = [*self.columns, *(column for one in self.join for column in one.columns)]
         targets = [column.target for column in columns]
-        twice = next((name for name in targets if targets.count(name) > 1), None)
+        twice = repeated(targets)
         if twice:
             raise ValueError(f"two columns have the target '{twice}'")
         targets = [column.target for column in self.columns]
@@ -433,6 +434,8 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
         hint = f"import means of successive rows, as in --every {100 * every}, or map fewer columns"
         what = f"{rows // every} rows of {len(names)} columns"
         memory.check_fits(path, what, 8.0 * N_COPIES * len(names) * (rows // every), hint)
+        if every == 1:
+            isolated.check_size(path, 8 * len(names) * rows)
     clock, averager = Clock(), Averager(every)
     pieces: list[MappedLog] = []
     refused: NoRowError | None = None

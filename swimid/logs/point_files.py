@@ -19,6 +19,7 @@ from pydantic import model_validator
 
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import yamlio
+from swimid.files.tabular import repeated
 from swimid.logs.foreign import safe
 from swimid.logs.linkage import Array, Complex, Flags, Linkage
 from swimid.logs.log import TIME
@@ -72,9 +73,9 @@ class PointsFile(yamlio.Document):
     @model_validator(mode="after")
     def _consistent(self) -> PointsFile:
         names = [safe(name) for name in (self.chain or self.points)]
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
-            raise ValueError(f"the point '{twice[0]}' stands twice")
+        twice = repeated(names)
+        if twice is not None:
+            raise ValueError(f"the point '{twice}' stands twice")
         if self.chain and self.points:
             raise ValueError("give points (with a robot) or chain (without one), not both")
         if len(self.chain) == 1:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import filecmp
 import itertools
 import math
 import os
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,8 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 from pydantic import Discriminator, Field, PositiveFloat, PrivateAttr, Tag, model_validator
 
 from swimid.errors import InputError, UsageError, nearest, suggestion
-from swimid.files import yamlio
+from swimid.files import provenance, yamlio
+from swimid.files.tabular import repeated
 from swimid.logs.log import Log
 from swimid.notices import warn
 from swimid.robots import file as robot_format
@@ -365,26 +366,35 @@ def read(
         _refuse_unused(trials, path, uses[experiment], data)
     listed: list[Trial] = getattr(trials, "trials", [])
     ids = [trial.id for trial in listed]
-    for index, name in enumerate(ids):
-        if name in ids[:index]:
-            text = f"two trials have the id '{name}'"
-            raise InputError(text, file=path, line=yamlio.line_of(data, ["trials", index]), column="id")
-    for (_, one), (index, other) in itertools.combinations(enumerate(listed), 2):
-        if same_recording(one, path.parent / one.log, other, path.parent / other.log):
-            check_apart(one, other, path, yamlio.line_of(data, ["trials", index]))
+    twice = repeated(ids)
+    if twice is not None:
+        index = ids.index(twice, ids.index(twice) + 1)
+        text = f"two trials have the id '{twice}'"
+        raise InputError(text, file=path, line=yamlio.line_of(data, ["trials", index]), column="id")
+    for same in same_recordings([(trial, path.parent / trial.log) for trial in listed]):
+        for first, second in itertools.combinations(same, 2):
+            line = yamlio.line_of(data, ["trials", second])
+            check_apart(listed[first], listed[second], path, line)
     return trials
 
 
-def same_recording(first: Trial, one: Path, second: Trial, other: Path) -> bool:
-    """Return whether the logs of two trials, in files or in memory, have the same content."""
-    if first._held is not None or second._held is not None:
-        held = [trial._held.digest() for trial in (first, second) if trial._held is not None]
-        return len(held) == 2 and held[0] == held[1]
-    if os.path.normpath(one) == os.path.normpath(other):
-        return True
-    if not (one.is_file() and other.is_file()) or one.stat().st_size != other.stat().st_size:
-        return False
-    return filecmp.cmp(one, other, shallow=False)
+def same_recordings(trials: Sequence[tuple[Trial, Path]]) -> list[list[int]]:
+    """Return the indices of the trials of each log, in a file or in memory, that several trials use.
+
+    ``trials`` has each trial with the path of its log. Logs with the same content are one log.
+    """
+    groups: dict[Any, list[int]] = {}
+    for index, (trial, path) in enumerate(trials):
+        key: Any = os.path.normpath(path)
+        if trial._held is not None:
+            key = ("in memory", trial._held.digest())
+        groups.setdefault(key, []).append(index)
+    files = {key: Path(key) for key in groups if isinstance(key, str) and Path(key).is_file()}
+    sizes = Counter(path.stat().st_size for path in files.values())
+    for key, path in files.items():
+        if sizes[path.stat().st_size] > 1:
+            groups.setdefault(("in files", provenance.sha256(path)), []).extend(groups.pop(key))
+    return [sorted(group) for group in groups.values() if len(group) > 1]
 
 
 def given(document: yamlio.Document, prefix: str = "") -> Iterator[tuple[str, Any]]:

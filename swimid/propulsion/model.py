@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 
+from swimid.files.kernels import numba
 from swimid.fitting.model import (
     MEAN_SPEED,
     NONE,

@@ -339,7 +339,7 @@ def _owner(path: Path) -> str:
     """Return the name of the result file that an evidence file states; empty if it states none."""
     try:
         data = json.loads(path.read_bytes())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return ""
     return str(data.get("result", "")) if isinstance(data, dict) else ""
 

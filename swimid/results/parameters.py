@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, PrivateAttr
 
@@ -65,7 +65,8 @@ class Correlation(yamlio.Document):
     """Correlation matrix of the estimated parameters of a fit, with the names of its rows."""
 
     names: list[str]
-    matrix: list[list[float]]
+    #: Correlations, with room for rounding in the last digits.
+    matrix: list[list[Annotated[float, Field(ge=-1.000001, le=1.000001)]]]
 
 
 class Pole(yamlio.Document):

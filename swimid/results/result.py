@@ -515,13 +515,13 @@ def load_result(path: str | Path) -> Result:
         raise InputError("is the evidence of a result", file=path, hint=f"name the result itself: {result}")
     if ending in (".yaml", ".yml"):
         form = yamlio.load(path).get("format")
-        if form not in FORMATS:
+        if not isinstance(form, str) or form not in FORMATS:
             reason = f"its format '{form}' is that of no result"
             if form is None:
                 reason = "has no 'format'"
             hint = suggestion(str(form), sorted(FORMATS), "known")
             raise InputError(reason, file=path, line=1, column="format", hint=hint)
-        place = FORMATS[str(form)]
+        place = FORMATS[form]
     elif ending not in LOG_ENDINGS:
         allowed = ", ".join([".yaml", *LOG_ENDINGS])
         raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)

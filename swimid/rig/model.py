@@ -19,9 +19,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 
+from swimid.files.kernels import numba
 from swimid.fitting.model import (
     MOST_FORCES,
     NONE,

@@ -280,7 +280,9 @@ def _group(name: str, members: list[Entry]) -> dict[str, Any]:
     """Return the variables of the page for one group: strips of its estimates, and sketches of its items."""
     strips = [strip for one in metric_names(members) if (strip := _strip(one, members)) is not None]
     drawn = [entry for entry in members if entry.sketch is not None]
-    common = len(os.path.commonprefix([entry.id for entry in drawn])) * (len(drawn) > 1)
+    common = 0
+    if len(drawn) > 1:
+        common = len(os.path.commonprefix([entry.id for entry in drawn]))  # noqa: RUF071 - of texts
     sketches = [_sketch(entry) | {"label": entry.id[common:]} for entry in drawn[:MAX_SKETCHES]]
     axes = ""
     if sketches:

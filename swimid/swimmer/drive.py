@@ -14,11 +14,11 @@ from functools import lru_cache
 from itertools import groupby
 from typing import Generic, NamedTuple, TypeVar
 
-import numba
 import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.optimize import minimize_scalar
 
+from swimid.files.kernels import numba
 from swimid.fitting import drives
 from swimid.fitting.drives import Array, Motion
 from swimid.fitting.model import NONE, Hooks, SwimInput, Trial

@@ -34,7 +34,6 @@ from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import llvmlite  # type: ignore[import-untyped]
-import numba
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
@@ -45,6 +44,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import UsageError
 from swimid.files import atomic
+from swimid.files.kernels import numba
 from swimid.fitting.model import Force, Traceable
 from swimid.notices import Progress, silent
 from swimid.swimmer.planar.engine import BROKEN, integrate

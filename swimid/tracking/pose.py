@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numba import njit
 from numpy.typing import NDArray
 from scipy import special
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import minimize_scalar
 
 from swimid.errors import NoTrustworthyResult
+from swimid.files.kernels import numba
 from swimid.logs.log import runs
 from swimid.logs.plane import Plane
 from swimid.logs.sampling import Held, find_held
@@ -103,7 +103,7 @@ class Smoothed:
 # ten times as long to compile as these loops, and run more slowly.
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Return transition matrix and noise covariance of the Kalman filter for each time step.
 
@@ -123,7 +123,7 @@ def _steps(times, q, order):  # type: ignore[no-untyped-def]  # pragma: no cover
     return transitions, noises
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _add_sandwich(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Add the matrix product a b a' to ``result``."""
     n = len(a)
@@ -134,7 +134,7 @@ def _add_sandwich(a, b, result):  # type: ignore[no-untyped-def]  # pragma: no c
                     result[i, j] += a[i, k] * b[k, m] * a[j, m]
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _forward(values, variances, transitions, noises, means, covariances, innovations):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Run the Kalman filter over one coordinate.
 
@@ -158,7 +158,7 @@ def _forward(values, variances, transitions, noises, means, covariances, innovat
                     covariance[i, j] -= gain[i] * gain[j] * innovations[1, k]
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _backward(gains, means, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Run the Rauch-Tung-Striebel smoother in place: correct each state by the next state in time."""
     for k in range(len(gains) - 1, -1, -1):

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from swimid.errors import InputError
 from swimid.files import yamlio
+from swimid.files.tabular import repeated
 from swimid.files.yamlio import Document
 from swimid.logs.scale import Camera, Point, Points, Positive, Scale
 
@@ -118,9 +119,9 @@ class Setup(Document):
     @model_validator(mode="after")
     def _names_fit(self) -> Setup:
         names = self.marker_names
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
-            raise ValueError(f"two markers are named '{twice[0]}'")
+        twice = repeated(names)
+        if twice is not None:
+            raise ValueError(f"two markers are named '{twice}'")
         for role, chosen in (("head", self.head), ("tail", self.tail)):
             if chosen is not None and chosen not in names:
                 raise ValueError(f"{role} '{chosen}' is no marker; there are: {', '.join(names)}")

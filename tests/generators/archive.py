@@ -84,7 +84,7 @@ def write(folder: Path, items: int, drag: str) -> Path:
     (folder / "plan.yaml").write_text(PLAN)
     (folder / "camera.yaml").write_text(SETUP)
     (folder / "drag.yaml").write_text(drag)
-    order = "film rig cruise log film rig film rig cruise log swim film".split()
+    order = ["film", "rig", "cruise", "log", "film", "rig", "film", "rig", "cruise", "log", "swim", "film"]
     kinds = itertools.cycle(order)
     counts = dict.fromkeys(order, 0)
     for kind in itertools.islice(kinds, items):

@@ -37,7 +37,7 @@ from swimid.errors import (
     in_words_of_the_caller,
     suggestion,
 )
-from swimid.files import yamlio
+from swimid.files import isolated, yamlio
 from swimid.logs import log
 from swimid.logs.log import Log
 
@@ -492,11 +492,14 @@ def unique(names: Iterable[str]) -> list[str]:
     >>> unique(["Fx 1", "Fx-1", "Fy"])
     ['Fx_1', 'Fx_1_2', 'Fy']
     """
-    found: list[str] = []
+    found: dict[str, None] = {}
+    following: Counter[str] = Counter()
     for name in map(safe, names):
-        others = (f"{name}_{k}" for k in count(2))
-        found.append(next(one for one in chain([name], others) if one not in found))
-    return found
+        others = (f"{name}_{k}" for k in count(2 + following[name]))
+        chosen = next(one for one in chain([name], others) if one not in found)
+        following[name] += chosen != name
+        found[chosen] = None
+    return [*found]
 
 
 def length(unit: str | None, path: Path) -> tuple[float, str]:
@@ -690,9 +693,13 @@ def open_table(
     hint = None
     if found.recognises is not None:
         hint = in_words_of_the_caller(f"the file is read as a {found.title}; --as names another format")
+    read, task = found.open, (path, options or Options(), select)
     try:
         with extra_needed(f"reading this {found.title}", found.extra, file=path):
-            table = found.open(path, options or Options(), select)
+            if found.extra:
+                table = isolated.run(read, *task, file=path)
+            else:
+                table = read(*task)
     except InputError as error:
         error.hint = error.hint or hint
         raise

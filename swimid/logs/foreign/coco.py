@@ -28,7 +28,7 @@ def _recognises(peek: Peek) -> bool:
         return False
     try:
         content = json.loads(peek.path.read_text(encoding="utf-8-sig"))
-    except ValueError:  # let the reader refuse a damaged file
+    except (ValueError, RecursionError):  # let the reader refuse a damaged file
         return b'"image_id"' in peek.head or (b'"images"' in peek.head and b'"file_name"' in peek.head)
     return bool(_annotations(content))
 

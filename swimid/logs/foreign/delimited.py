@@ -250,8 +250,10 @@ def _names(levels: list[list[str]], width: int) -> list[str]:
         # table of DeepLabCut this column counts the frames.
         joined[0] = levels[-1][0].replace("coords", "") or "frame"
     names: list[str] = []
+    counts: Counter[str] = Counter()
     for at, name in enumerate(joined, start=1):
-        again = joined[:at].count(name)
+        counts[name] += 1
+        again = counts[name]
         if not name:
             name = f"column {at}"
         elif again > 1:

@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from swimid.files import isolated
 from swimid.logs.foreign import Format, Options, Table, choose
 from swimid.logs.foreign.delimited import read_text
 
@@ -19,6 +20,7 @@ from swimid.logs.foreign.delimited import read_text
 def _read(path: Path, options: Options, select: str | None) -> Table:
     import openpyxl
 
+    isolated.check_zip(path)
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
     book.close()

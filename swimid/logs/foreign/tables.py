@@ -11,7 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.files import tabular
+from swimid.files import isolated, tabular
 from swimid.logs import log
 from swimid.logs.foreign import Format, Options, Table, of_tree
 
@@ -22,8 +22,10 @@ def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
     def parts(item: Any) -> Any:
         if isinstance(item, h5py.Group):
             return dict(item.items())
-        if isinstance(item, h5py.Dataset) and item.ndim > 2:
-            return {}  # leave out arrays with more than two axes, such as images
+        if isinstance(item, h5py.Dataset):
+            if item.ndim > 2:
+                return {}  # leave out arrays with more than two axes, such as images
+            isolated.check_size(path, item.size * item.dtype.itemsize)
         return item
 
     with h5py.File(path, "r") as file:

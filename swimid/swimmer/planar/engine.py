@@ -23,10 +23,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from swimid.files.kernels import numba
 from swimid.fitting.model import MOST_FORCES, Force, no_force
 
 #: Magnitude of an entry of the state vector from which a simulation has broken down.

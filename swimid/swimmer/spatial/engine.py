@@ -26,9 +26,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numba
 import numpy as np
 
+from swimid.files.kernels import numba
 from swimid.swimmer.planar.engine import FILLED, begin_stage, is_broken, passive_torque, positive, solve
 
 __all__ = ["FILLED"]
