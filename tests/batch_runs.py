@@ -47,6 +47,18 @@ def undisturbed(plan: Path, run: Path, *options: str) -> float:
     return time.perf_counter() - began
 
 
+def started(plan: Path, run: Path) -> subprocess.Popen[str]:
+    """Start a run, in which Ctrl-C is handled as in a terminal."""
+    return subprocess.Popen(
+        command(plan, run),
+        env=ENVIRONMENT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
 def killed(plan: Path, run: Path, *, kills: int, within_s: float, seed: int = 0) -> int:
     """Do a run that is killed several times at random points. Return the number of kills that took place.
 
@@ -54,14 +66,12 @@ def killed(plan: Path, run: Path, *, kills: int, within_s: float, seed: int = 0)
     """
     rng, count = np.random.default_rng(seed), 0
     for _ in range(kills):
-        process = subprocess.Popen(
-            command(plan, run), env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+        process = started(plan, run)
         try:
-            process.wait(rng.uniform(0.5, 1.5) * within_s / kills)
+            process.communicate(timeout=rng.uniform(0.5, 1.5) * within_s / kills)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
-            process.wait()
+            process.communicate()
             count += 1
     undisturbed(plan, run)
     return count

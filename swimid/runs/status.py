@@ -13,9 +13,9 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ValidationError, model_validator
 
 from swimid.errors import InputError
 from swimid.files import atomic, yamlio
@@ -58,6 +58,12 @@ class Sketch(BaseModel):
     equal_aspect: bool
     traces: list[tuple[list[float | None], list[float | None]]]
     styles: list[str]
+
+    @model_validator(mode="after")
+    def _of_one_length(self) -> Self:
+        if len(self.traces) != len(self.styles) or any(len(x) != len(y) for x, y in self.traces):
+            raise ValueError("a sketch has traces of different lengths")
+        return self
 
 
 class StepStatus(BaseModel):
