@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -619,3 +620,24 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(
     assert contents(tmp_path) == before
     assert pd.read_csv(tmp_path / "a.csv", comment="#").shape[1] == 2
     assert atomic.lock(tmp_path / "out.csv").release() is None
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="only Linux tells that a process has ended")
+def test_the_lock_of_a_killed_process_that_nobody_waits_for_is_replaced(tmp_path: Path) -> None:
+    output = tmp_path / "out.yaml"
+    code = (
+        "import time; from swimid.files import atomic; from pathlib import Path\n"
+        f"with atomic.locked(Path({str(output)!r})):\n"
+        "    print('locked', flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.kill()
+    deadline = 100
+    while "Z" not in Path(f"/proc/{process.pid}/stat").read_text().split() and deadline:
+        deadline -= 1
+        time.sleep(0.05)
+    with atomic.locked(output):
+        assert (tmp_path / "out.yaml.lock").exists()
+    process.wait()

@@ -9,6 +9,8 @@ depend on the other requested effects.
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -82,6 +84,18 @@ class Outcome(NamedTuple):
     misfits: Array
     inside: Array
     slow: float | None
+
+    def packed(self) -> Array:
+        """Return all numbers of the outcome as one array, for a checkpoint."""
+        slow = math.nan if self.slow is None else self.slow
+        return np.concatenate([self.theta, self.misfits, self.inside, [self.cost, slow]])
+
+    @classmethod
+    def unpacked(cls, values: Array, folds: int) -> Outcome:
+        """Return the outcome with the given numbers (:meth:`packed`). ``folds`` is the number of folds."""
+        theta, misfits, inside = np.split(values[:-2], [len(values) - 2 - 2 * folds, len(values) - 2 - folds])
+        slow = None if math.isnan(values[-1]) else float(values[-1])
+        return cls(theta, float(values[-2]), misfits, inside, slow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,6 +283,8 @@ class Search:
     rng: np.random.Generator
     step: Callable[[str], None] = lambda _: None
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
+    #: Number of fits of each set of effects so far, by its name in the checkpoint.
+    fits: Counter[str] = field(default_factory=Counter)
     null: Hypothesis = field(init=False)
     random_effects: list[RandomEffect] = field(init=False, default_factory=list)
     pool: dict[Key, Hypothesis] = field(init=False, default_factory=dict)
@@ -387,12 +403,20 @@ class Search:
         apart = [effects for effects in acting if context.affected(effects).model.together == 1]
         self.prepared(apart, share=FITTED / RUNS)
 
-        def one(item: tuple[Hypothesis, Tried]) -> Outcome:
-            return self.outcome(self.fitted(*item))
+        names = [self._name((*parent.fit.effects, tried.effect)) for parent, tried in new]
+        kept = [self.checkpoint.get(name) for name in names]
 
-        for (parent, tried), found in zip(new, map_in_processes(one, new, context.jobs), strict=True):
+        def one(k: int) -> Outcome:
+            known = kept[k]
+            if known is not None:
+                return Outcome.unpacked(known, context.folds.count)
+            return self.outcome(self.fitted(*new[k]))
+
+        for k, found in enumerate(map_in_processes(one, range(len(new)), context.jobs)):
+            parent, tried = new[k]
             effects = (*parent.fit.effects, tried.effect)
-            self.checkpoint.put(self._name(effects), found.theta)
+            if kept[k] is None:
+                self.checkpoint.put(names[k], found.packed())
             fit = context.at(effects, self.noise_model, found.theta, found.cost)
             h = self.judged(fit, tried, parent, found)
             self.pool[h.key] = h
@@ -401,13 +425,16 @@ class Search:
         self.finish(ROUGHLY, ROUGH)
 
     def _name(self, effects: Sequence[Effect]) -> str:
-        """Return the name under which the optimum of a set of effects is cached.
+        """Return the name under which the next fit of a set of effects is stored.
 
-        It states the form of each effect and the number of random effects.
+        It states the form of each effect, the number of random effects, and how often the set was fitted
+        before. The search is deterministic, so that a resumed search gives each fit the same name.
         """
         model, trials = self.context.model, self.context.trials
         own = ("/".join((e.name, *(p.name for p in e.parameters(model, trials)))) for e in effects)
-        return "+".join([*own, str(len(self.noise_model.random_effects))])
+        name = "+".join([*own, str(len(self.noise_model.random_effects))])
+        self.fits[name] += 1
+        return f"{name}+{self.fits[name]}"
 
     def fitted(self, parent: Hypothesis, tried: Tried) -> Fit:
         """Return a rough joint fit of the hypothesis ``parent`` and one more effect.
@@ -428,9 +455,6 @@ class Search:
             for point in points
         ]
         starts += context.begins(problem, starts[0])[1:]
-        kept = self.checkpoint.get(self._name(effects))
-        if kept is not None and len(kept) == len(starts[0]):
-            starts = [kept]
         fit = context.multistart(effects, noise_model, starts, warm=parent.fit, rough=True)
         if names and not fit.cost <= parent.fit.cost:
             # An added effect cannot increase the cost, because its null value gives the model without the

@@ -300,6 +300,8 @@ def lock(output: Path) -> BaseFileLock:
     thread = threading.current_thread()
     holder = _TAKEN.get(path, (file, thread))[1]
     with file_errors(output, "locked"):
+        if not file.is_locked and _has_ended(file.pid):
+            path.unlink(missing_ok=True)
         try:
             if file.is_locked and holder is not thread and holder.is_alive():
                 raise Timeout(str(path))
@@ -314,6 +316,19 @@ def lock(output: Path) -> BaseFileLock:
             ) from None
     _TAKEN[path] = file, thread
     return file
+
+
+def _has_ended(process: int | None) -> bool:
+    """Return whether a process has ended although its number is in use.
+
+    A killed process keeps its number until its parent process notices. In a container without an init
+    process this may be never. Only Linux tells.
+    """
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return False
+    return state in ("Z", "X")
 
 
 @contextmanager
