@@ -20,7 +20,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
-from swimid.files import atomic
+from swimid.files import atomic, tabular
 from swimid.results import numbers
 from swimid.runs import status as states
 from swimid.runs.plan import Resolved, folder_of
@@ -195,14 +195,7 @@ def write(found: Summary, run: Path) -> list[Path]:
 
 
 def _csv(table: pd.DataFrame) -> str:
-    return MADE_BY + table.map(_escaped).to_csv(index=False, lineterminator="\n")
-
-
-def _escaped(cell: Any) -> Any:
-    """Protect a text that a spreadsheet would read as a formula, with an apostrophe."""
-    if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t")):
-        return f"'{cell}"
-    return cell
+    return MADE_BY + table.map(tabular.plain_text).to_csv(index=False, lineterminator="\n")
 
 
 def text(entries: Sequence[Entry]) -> str:
