@@ -156,6 +156,7 @@ def test_results_of_another_version_are_marked_and_not_mixed_in(lab: Path, swimi
     assert states(ran)["logs_log0.csv"] == "done"
 
 
+@pytest.mark.slow
 def test_refused_items_are_tried_again_on_request(lab: Path, swimid: Run) -> None:
     before = stamps(lab / "run")
     swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--retry", "refused")
@@ -163,6 +164,7 @@ def test_refused_items_are_tried_again_on_request(lab: Path, swimid: Run) -> Non
     assert [name for name in after if after[name] != before[name]] == ["logs_odd.csv"]
 
 
+@pytest.mark.slow
 def test_a_damaged_status_is_a_missing_item(lab: Path, swimid: Run) -> None:
     place = lab / "run/items/logs_log0.csv/status.json"
     place.write_bytes(place.read_bytes()[:50])
@@ -219,6 +221,7 @@ def test_a_crash_is_tried_twice_more(spoilt: Callable[..., dict[str, Any]], tmp_
     assert "the last words" in (tmp_path / "run/index.html").read_text()
 
 
+@pytest.mark.slow
 def test_an_item_beyond_its_time_fails_once(spoilt: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     place = tmp_path / "attempts"
     status = spoilt(f"open({str(place)!r}, 'a').write('x')\ntime.sleep(100)", time_s=6)
@@ -361,6 +364,7 @@ def test_options_that_exclude_each_other(lab: Path, swimid: Run) -> None:
 # ---------------------------------------------------------------- several processes
 
 
+@pytest.mark.slow
 def test_shards_and_job_array_do_all_items(lab: Path, swimid: Run) -> None:
     """The scripts of the job array run under bash; the queue numbers their tasks."""
     ran = swimid("batch", lab / "plan.yaml", "-o", lab / "new", "--slurm", lab / "jobs", "--jobs", "2")
@@ -401,6 +405,7 @@ def test_an_item_of_another_process_is_left_to_it(lab: Path, swimid: Run) -> Non
     assert states(ran)["logs_log0.csv"] == "done"
 
 
+@pytest.mark.slow
 def test_a_killed_run_ends_like_an_undisturbed_one(lab: Path) -> None:
     plan = lab / "plan.yaml"
     (lab / "logs/odd.csv").unlink()

@@ -57,7 +57,7 @@ def _read_mutations(valid: Path, read: Callable[[Path], object]) -> None:
     """Read 30 mutations of a valid file, each written beside it."""
     path = valid.with_name(f"x{valid.suffix}")
 
-    @examples(30)
+    @examples(12)
     @given(content=mutated(valid.read_bytes()))
     def run(content: bytes) -> None:
         path.write_bytes(content)
@@ -120,7 +120,7 @@ def test_arbitrary_files(ending: str, folder: Path) -> None:
         b"Trajectories\n50\n,,a\nFrame,Sub Frame,X\n",
     ]
 
-    @examples(30)
+    @examples(12)
     @given(
         head=st.sampled_from(heads),
         content=st.one_of(st.binary(max_size=200), st.text(max_size=120).map(str.encode)),
@@ -142,7 +142,7 @@ def test_tables_of_odd_cells(swimid: Callable[..., Ran], folder: Path) -> None:
         st.integers(-3, 9).map(str),
     )
 
-    @examples(60)
+    @examples(20)
     @given(rows=st.lists(st.lists(cell, min_size=3, max_size=4), max_size=40), split=st.sampled_from(",;\t "))
     def run(rows: list[list[str]], split: str) -> None:
         lines = ["t_s,x_m,y_m".replace(",", split), *(split.join(row) for row in rows)]
@@ -163,7 +163,7 @@ def test_rewritten_mappings(swimid: Callable[..., Ran], folder: Path) -> None:
     )
     path = folder / "m.yaml"
 
-    @examples(50)
+    @examples(20)
     @given(content=st.one_of(rewritten(valid.encode()), mutated(valid.encode())))
     def run(content: bytes) -> None:
         path.write_bytes(content)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections import Counter
 from concurrent.futures import as_completed
@@ -189,6 +188,6 @@ def _answer(found: summary.Summary, mine: list[Item], outputs: list[Path]) -> Ba
     data: dict[str, Any] = {
         "items": len(entries),
         "states": dict(counts),
-        "entries": json.loads(json.dumps([entry.plain() for entry in entries])),
+        "entries": [entry.plain() for entry in entries],
     }
     return Batch("batch", summary.text(entries), data, outputs, document=found)

@@ -12,7 +12,7 @@ import os
 import statistics
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +79,7 @@ class Entry:
 
     def plain(self) -> dict[str, Any]:
         """Return the entry as plain data, without sketch and costs."""
-        kept = {k: v for k, v in asdict(self).items() if k not in ("metrics", "sketch", "usage", "log")}
+        kept = {k: v for k, v in vars(self).items() if k not in ("metrics", "sketch", "usage", "log")}
         return kept | {"metrics": {name: one.model_dump() for name, one in self.metrics.items()}}
 
 

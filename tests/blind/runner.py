@@ -15,14 +15,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swimid import executors
 from tests.blind import noise_free
 from tests.blind.common import PARAMETER
 
@@ -287,6 +286,15 @@ def diagnose(
     return record
 
 
+def opened(jobs: int, cluster: str | None) -> Executor:
+    """Return an executor with threads on this machine, or with the workers of a cluster."""
+    if cluster is None:
+        return ThreadPoolExecutor(jobs)
+    from distributed import Client
+
+    return Client(cluster).get_executor(retries=2, pure=False)
+
+
 def run(
     cases: Sequence[dict[str, Any]],
     out: Path,
@@ -327,7 +335,7 @@ def run(
         state = "" if record["ended"] else f"  {last['command'][0]} ended with {last['status']}"
         return f"{name} {case['robot']:15} {told:34} {took:6.1f} s{state}"
 
-    with executors.opened(jobs, cluster) as pool:
+    with opened(jobs, cluster) as pool:
         for future in as_completed([pool.submit(one, case) for case in cases]):
             if future.result():
                 print(f"{time.perf_counter() - begun:6.0f} s  {future.result()}", flush=True)
