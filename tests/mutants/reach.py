@@ -22,7 +22,7 @@ FILE_S = 0.3
 
 @dataclass(frozen=True)
 class Place:
-    """A use of a name. ``owner`` is the name that the use defines, or None in a function that coverage sees."""
+    """A use of a name; ``owner`` is the name that the use defines, None in a function that coverage sees."""
 
     path: str
     line: int
