@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 import swimid
 from tests.coverage.rows import alarms, inside
 
-REPEATS = 1000
+REPEATS = 400
 
 
 def record(rng: np.random.Generator, nc: int) -> tuple[pd.DataFrame, dict[str, float]]:
@@ -50,5 +50,5 @@ def one(seed: int) -> dict[str, float]:
             )
         for name, true in truth.items():
             found[f"{kind} {name}"] = inside(fit.data["parameters"][name], true)
-        found |= alarms(kind, fit)
+        found |= alarms(fit, f"{kind} ")
     return found

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from swimid import track_imu
 from swimid.errors import InputError
 
+REPEATS = 60
 RATE_HZ = 50.0
 GRAVITY_M_S2 = np.array([0.0, 0.0, 9.80665])
 SCALE_SD, BENDING_SD = 0.005, 0.002

@@ -29,6 +29,8 @@ ROOT = Path(__file__).parents[2]
 EQUIVALENT = Path(__file__).parent / "equivalent.md"
 #: Statuses of pytest after which no test has failed.
 PASSED, NO_TESTS = 0, 5
+#: Number of files of tests that are mapped in one process.
+CHUNK = 12
 
 
 def _git(*words: str) -> bytes:
@@ -53,7 +55,7 @@ def _translate(old: dict[str, Any], new: dict[str, Any], before: str, after: str
     """Return an older map with the lines of a newer commit, with the tests of ``new`` in place of theirs."""
     changed = set(_git("diff", "--name-only", before, after).decode().split())
     there = set(_git("ls-tree", "-r", "--name-only", after).decode().split())
-    files = {test.split("::")[0] for test in new["tests"]}
+    files = set(new["files"])
     kept = {
         test: known
         for test, known in old["tests"].items()
@@ -84,13 +86,21 @@ def _translate(old: dict[str, Any], new: dict[str, Any], before: str, after: str
                         for code in codes
                         if not is_old or names[code // 2] in kept
                     ]
-    return {"tests": tests, "lines": lines}
+    return {"tests": tests, "lines": lines, "files": sorted(({*old["files"]} & there) | files)}
+
+
+def _files_of_tests(tree: Path) -> list[str]:
+    """Return the files with tests, those with examples in docstrings included."""
+    found = list((tree / "tests").rglob("test_*.py"))
+    found += [path for path in (tree / "swimid").rglob("*.py") if ">>> " in path.read_text(encoding="utf-8")]
+    return sorted(path.relative_to(tree).as_posix() for path in found)
 
 
 def prepare(folder: Path, commit: str) -> Path:
     """Return the folder of a commit, with its tree and its map of lines.
 
-    The map of an earlier commit is used if there is one. Then only the changed files of tests run again.
+    The map of an earlier commit is used if there is one. Then only the changed files of tests run again. The
+    map is stored after every :data:`CHUNK` files, so that an interrupted run continues.
     """
     work = folder / commit
     tree, out = work / "tree", work / "map.json"
@@ -101,22 +111,23 @@ def prepare(folder: Path, commit: str) -> Path:
         with tarfile.open(fileobj=BytesIO(_git("archive", commit))) as archive:
             archive.extractall(part, filter="data")
         part.rename(tree)
-    if out.exists():
-        return work
+    known: dict[str, Any] = {"tests": {}, "lines": {}, "files": []}
     earlier = sorted(folder.glob("*/map.json"), key=lambda path: path.stat().st_mtime)
-    if not earlier:
-        _record(tree, work / "map.part", [])
-    else:
+    if out.exists():
+        known = json.loads(out.read_text())
+    elif earlier:
         before = earlier[-1].parent.name
-        changed = _git("diff", "--name-only", "--diff-filter=d", before, commit, "--", "tests").decode()
-        files = [name for name in changed.split() if re.search(r"(^|/)test_\w+\.py$", name)]
-        new: dict[str, Any] = {"tests": {}, "lines": {}}
-        if files:
-            _record(tree, work / "map.new", files)
-            new = json.loads((work / "map.new").read_text())
-        joined = _translate(json.loads(earlier[-1].read_text()), new, before, commit)
-        (work / "map.part").write_text(json.dumps(joined))
-    (work / "map.part").rename(out)
+        known = _translate(json.loads(earlier[-1].read_text()), known, before, commit)
+        changed = set(_git("diff", "--name-only", before, commit, "--", "tests").decode().split())
+        known["files"] = [name for name in known["files"] if name not in changed]
+    left = [name for name in _files_of_tests(tree) if name not in known["files"]]
+    for start in range(0, len(left), CHUNK):
+        files = left[start : start + CHUNK]
+        _record(tree, work / "map.new", files)
+        new = json.loads((work / "map.new").read_text())
+        known = _translate(known, {**new, "files": files}, commit, commit)
+        (work / "map.part").write_text(json.dumps(known))
+        (work / "map.part").rename(out)
     return work
 
 
