@@ -322,9 +322,7 @@ def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float,
     if chance >= FALSE_ALARM or share < MIN_FAINT_SHARE:
         return None
     size = np.abs(amplitude)
-    middle = np.angle(np.sum(amplitude)) + 2 * np.pi * frequency * (time[0] - t[0])
-    common = _overlap(frequency * width, float(middle))
-    slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size, common)
+    slope, stderr = _slope(time, np.unwrap(np.angle(amplitude)), size)
     found = frequency + slope / (2 * np.pi)
     beat = Beat(found, stderr / (2 * np.pi), float(np.mean(size)), share, found * duration)
     # Accept the beat only if the number of cycles in the record is known with an error below one. Phases that
@@ -469,33 +467,11 @@ def _fitted(
     return amplitude, (float(np.sum(right[..., 0] * weights)) - drifted) / max(whole, 1e-300)
 
 
-def _overlap(cycles: float, middle: float) -> float:
-    """Return the correlation between the phase errors of two windows that overlap by one half.
-
-    The samples have white noise. A sine and a polynomial are fitted in each window, so that the correlation
-    is below one half.
-
-    Parameters
-    ----------
-    cycles : float
-        Number of cycles in a window.
-    middle : float
-        Phase of the sine in the middle of a window, rad.
-    """
-    half = int(20 * np.ceil(cycles))
-    u = (np.arange(2 * half) + 0.5) / half - 1.0
-    phase = np.pi * cycles * u + middle
-    design = np.column_stack((np.vander(u, DRIFT_ORDER + 1), np.cos(phase), -np.sin(phase)))
-    weights = np.linalg.pinv(design)[-1]
-    return float(weights[half:] @ weights[:half] / (weights @ weights))
-
-
-def _slope(time: Array, phase: Array, size: Array, common: float) -> tuple[float, float]:
+def _slope(time: Array, phase: Array, size: Array) -> tuple[float, float]:
     """Return the slope of phases over time, rad/s, and its standard error, by restricted maximum likelihood.
 
-    The covariance of the phases is the sum of two terms: white noise, relative to the amplitudes, with the
-    correlation ``common`` between successive windows, and a random walk. The ratio of the two variances is
-    chosen to maximise the likelihood.
+    The covariance of the phases is the sum of two terms: white noise in overlapping windows, relative to the
+    amplitudes, and a random walk. The ratio of the two variances is chosen to maximise the likelihood.
     """
     from scipy.linalg import eigh
 
@@ -503,7 +479,7 @@ def _slope(time: Array, phase: Array, size: Array, common: float) -> tuple[float
     hop = float(np.min(np.diff(time)))
     hops = np.abs(time[:, None] - time[None, :]) / hop
     small = np.mean(size) / size
-    noise = np.where(hops < 0.5, 1.0, common * (hops < WINDOW_CYCLES - 0.5)) * np.outer(small, small)
+    noise = np.clip(1.0 - hops / WINDOW_CYCLES, 0.0, 1.0) * np.outer(small, small)
     walk = (np.minimum.outer(time, time) - time[0]) / hop
     # Transform to coordinates in which the covariances of noise and random walk are both diagonal.
     shares, axes = eigh(walk, noise + RIDGE * np.eye(n))
