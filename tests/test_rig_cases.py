@@ -146,26 +146,22 @@ def test_a_release_between_two_samples_leaves_the_damping_right(swimid: Run, tmp
     def rates(_: float, s: np.ndarray) -> list[float]:
         return [s[1], (-stiffness * s[0] - linear * s[1] - quadratic * s[1] * abs(s[1])) / inertia]
 
+    run = solve_ivp(rates, (0.0, 8.0), [0.4, 0.0], rtol=1e-10, atol=1e-12, dense_output=True, max_step=0.01)
     (tmp_path / "robot.yaml").write_text(
         "format: swimid-robot/1\nname: float\nbody: {roll_inertia_kg_m2: 0.002}\n"
         "rig: {roll_stiffness_N_m_rad: 0.3}\n"
     )
     lines = ["format: swimid-trials/1", "experiment: free-decay", "robot: robot.yaml", "trials:"]
-    for k, release in enumerate((0.801, 0.811, 0.825)):
-        time = np.arange(0.0, 8.0, 0.04)
-        since = np.maximum(time - release, 0.0)
-        run = solve_ivp(rates, (0.0, 8.0), [0.4, 0.0], rtol=1e-9, atol=1e-11, dense_output=True)
-        roll = run.sol(since)[0] + 1e-4 * np.random.default_rng(k).normal(size=len(time))
-        np.savetxt(
-            tmp_path / f"{k}.csv", np.c_[time, roll], delimiter=",", header="t_s,roll_rad", comments=""
-        )
-        lines.append(f"  - {{id: r{k}, log: {k}.csv}}")
+    lines += [f"  - {{id: r{k}, log: {k}.csv}}" for k in range(3)]
     (tmp_path / "trials.yaml").write_text("\n".join(lines) + "\n")
-    ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
-    found = ran.json["result"]["parameters"]
-    for name, true in (
-        ("added_inertia", 0.001),
-        ("linear_damping", linear),
-        ("quadratic_damping", quadratic),
-    ):
-        assert abs(found[name]["value"] - true) < 4 * found[name]["stderr"], name
+    time, errors = np.arange(0.0, 8.0, 0.04), []
+    for seed in range(6):
+        for k, release in enumerate((0.801, 0.811, 0.825)):
+            noise = 4e-4 * np.random.default_rng([seed, k]).normal(size=len(time))
+            table = np.c_[time, run.sol(np.maximum(time - release, 0.0))[0] + noise]
+            np.savetxt(tmp_path / f"{k}.csv", table, delimiter=",", header="t_s,roll_rad", comments="")
+        ran = swimid("fit-drag", tmp_path / "trials.yaml", "--json")
+        found = ran.json["result"]["parameters"]["quadratic_damping"]
+        errors.append((found["value"] - quadratic) / found["stderr"])
+    # the mean of six errors has a standard deviation of 0.41; with that sample it is 2.3
+    assert abs(np.mean(errors)) < 1.3
