@@ -1,6 +1,7 @@
 """Print the coverage of 95 % intervals and the false alarms of checks: ``python -m tests.coverage stroke``.
 
-The status is 1 if a share lies outside the wanted range with significance.
+The status is 1 if a share lies outside the wanted range with significance. The probabilities of ``diagnose``
+are compared with the truth if there are results of ``python -m tests.blind``.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ import importlib
 import pkgutil
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import click
 
 from tests import coverage
+from tests.blind import figures, score
 from tests.coverage.rows import ALARM, Row, row
 
 NAMES = sorted(
@@ -46,7 +49,11 @@ def measure(name: str, repeats: int | None = None, jobs: int = 1) -> list[Row]:
 @click.argument("names", nargs=-1, type=click.Choice(NAMES))
 @click.option("--repeats", type=int, help="Number of simulated recordings; by default that of each module.")
 @click.option("--jobs", default=1, show_default=True, help="Number of processes.")
-def main(names: tuple[str, ...], repeats: int | None, jobs: int) -> None:
+@click.option(
+    "--blind", type=click.Path(path_type=Path), default="demo_out/blind", show_default=True,
+    help="Folder of results of blind cases.",
+)  # fmt: skip
+def main(names: tuple[str, ...], repeats: int | None, jobs: int, blind: Path) -> None:
     """Measure the named quantities, or all."""
     print("| quantity | repeats | share | 95 % interval | wanted | |\n|---|---|---|---|---|---|")
     passed = True
@@ -54,6 +61,8 @@ def main(names: tuple[str, ...], repeats: int | None, jobs: int) -> None:
         for made in measure(name, repeats, jobs):
             print(made.text, flush=True)
             passed &= made.ok
+    if not names and (blind / "results").is_dir():
+        print(f"\nStated probabilities against truth: {figures.calibration(score.read(blind))}")
     sys.exit(int(not passed))
 
 
