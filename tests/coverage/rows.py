@@ -102,5 +102,5 @@ def row(quantity: str, values: list[float]) -> Row | None:
         low, high = float(interval.low), float(interval.high)
     else:
         half = float(stats.t.ppf(0.975, n - 1) * known.std(ddof=1) / np.sqrt(n))
-        low, high = mean - half, mean + half
+        low, high = max(mean - half, 0.0), min(mean + half, 1.0)
     return Row(quantity, n, mean, low, high, wanted(quantity))

@@ -66,11 +66,9 @@ class Reach:
                 if isinstance(child, ast.Name | ast.Attribute):
                     used = child.attr if isinstance(child, ast.Attribute) else child.id
                     self.uses[used].append(Place(path, child.lineno, name))
-                if name and hasattr(child, "lineno"):
-                    for line in range(child.lineno, (child.end_lineno or child.lineno) + 1):
-                        self.defined.setdefault((path, line), name)
-                        if isinstance(child, ast.AnnAssign | ast.Assign | ast.FunctionDef):
-                            self.defined[path, line] = name
+                if name and (isinstance(child, ast.Assign | ast.AnnAssign) or is_compiled(child)):
+                    for line in range(child.lineno, (child.end_lineno or child.lineno) + 1):  # type: ignore[attr-defined]
+                        self.defined[path, line] = name
                 visit(child, name)
 
         visit(module, "")
