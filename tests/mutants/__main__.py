@@ -96,6 +96,18 @@ def _files_of_tests(tree: Path) -> list[str]:
     return sorted(path.relative_to(tree).as_posix() for path in found)
 
 
+def _restore(tree: Path, commit: str) -> None:
+    """Write the files of a commit that are missing or differ, as after a run that was killed."""
+    with tarfile.open(fileobj=BytesIO(_git("archive", commit))) as archive:
+        for member in archive:
+            content = archive.extractfile(member)
+            if content is None:
+                continue
+            path = tree / member.name
+            if not path.exists() or path.read_bytes() != content.read():
+                archive.extract(member, tree, filter="data")
+
+
 def prepare(folder: Path, commit: str) -> Path:
     """Return the folder of a commit, with its tree and its map of lines.
 
@@ -104,13 +116,7 @@ def prepare(folder: Path, commit: str) -> Path:
     """
     work = folder / commit
     tree, out = work / "tree", work / "map.json"
-    if not tree.exists():
-        part = work / "tree.part"
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir(parents=True)
-        with tarfile.open(fileobj=BytesIO(_git("archive", commit))) as archive:
-            archive.extractall(part, filter="data")
-        part.rename(tree)
+    _restore(tree, commit)
     known: dict[str, Any] = {"tests": {}, "lines": {}, "files": []}
     earlier = sorted(folder.glob("*/map.json"), key=lambda path: path.stat().st_mtime)
     if out.exists():
