@@ -16,7 +16,8 @@ export PYTHONUTF8 := 1
 # Files of tests stay whole: what their tests share is made once.
 SPREAD := -n 2 --dist loadfile
 
-.PHONY: demo test check-all lint types bench blind faults samples pictures reproduction hooks clean
+.PHONY: demo test check-all lint types bench blind coverage faults mutants samples pictures reproduction hooks \
+    clean
 
 demo: $(VENV)/.ready
 	mkdir -p $(OUT)
@@ -63,6 +64,14 @@ blind: $(VENV)/.ready-dev
 # Attacks every reader and output: damaged and hostile inputs, full disks, signals, two processes at once.
 faults: $(VENV)/.ready-dev
 	$(BIN)/python -m tests.faults
+
+# Coverage of the stated intervals and false alarms of the checks, on simulated recordings of independent code.
+coverage: $(VENV)/.ready-dev
+	$(BIN)/python -m tests.coverage
+
+# Small errors put into the package on purpose: the share that the tests notice. A run is taken up again.
+mutants: $(VENV)/.ready-dev
+	$(BIN)/python -m tests.mutants
 
 # Makes the files in sample_logs anew; they are seeded, so nothing changes unless the generators do.
 samples: $(VENV)/.ready-dev

@@ -162,3 +162,12 @@ def test_a_frozen_tracker_is_named_and_its_samples_stay(swimid: Callable[..., Ra
     assert frozen
     assert all(text.startswith("run02.csv: ") for text in frozen)
     assert "SWM058" not in [w["code"] for w in warnings]
+
+
+@pytest.mark.parametrize("rest", [slice(0, 2), slice(-2, None)])
+def test_two_equal_samples_at_an_end_of_a_log_are_no_repeat(rest: slice) -> None:
+    place = np.random.default_rng(3).normal(size=300)
+    place[rest] = 0.0
+    assert not find_held(np.arange(300) / 50, [place]).repeated.any()
+    place[150] = place[149]
+    assert find_held(np.arange(300) / 50, [place]).repeated[150]

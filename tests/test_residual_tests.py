@@ -28,7 +28,8 @@ def test_ljung_box_equals_the_textbook_formula_without_gaps():
     got = rt.ljung_box(x, lags=lags, fitted=2)
     assert got.statistic == pytest.approx(expected, rel=1e-12)
     assert got.degrees == 8
-    assert got.p_value == pytest.approx(stats.chi2.sf(expected, 8))
+    # the variance of the statistic of 300 white samples is 1 + 2 (10 - 3) / 300 times that of chi-square
+    assert got.p_value == pytest.approx(stats.chi2.sf(expected / (1 + 14 / 300), 8 / (1 + 14 / 300)))
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.2])
@@ -42,6 +43,31 @@ def test_ljung_box_false_alarm_rate(missing):
         p.append(rt.ljung_box(x).p_value)
     rate = np.mean(np.array(p) < 0.05)
     assert 0.02 < rate < 0.09  # binomial: 0.05 +- 3 x 0.011
+
+
+def test_ljung_box_false_alarm_rate_of_short_series():
+    """White series of 150 samples are rejected at the 1 % level in about 1 % of 2000 cases."""
+    rng = np.random.default_rng(14)
+    rate = np.mean([not rt.ljung_box(rng.normal(size=150)).passed for _ in range(2000)])
+    assert 0.003 < rate < 0.0165  # binomial: 0.01 +- 3 x 0.0022; without the variance of a short series 0.024
+
+
+def test_a_pure_autoregression_absorbs_one_degree_for_each_coefficient():
+    x = lfilter([1.0], [1.0, -1.2, 0.5], np.random.default_rng(15).normal(size=5000))
+    h = rt.lag_matrix(x, [1, 2])
+    e = x - h @ np.linalg.lstsq(h, x, rcond=None)[0]
+    assert rt.absorbed(h, rt.lag_matrix(e, range(1, 26))) == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("noise, least, most", [(0.01, 0.0, 0.1), (100.0, 1.9, 2.1)])
+def test_an_input_that_explains_the_output_leaves_the_degrees(noise, least, most):
+    """The coefficients of an ARX model follow from the input, or from the noise, whichever is larger."""
+    rng = np.random.default_rng(16)
+    u, e = rng.normal(size=(2, 5000))
+    y = lfilter([0.0, 1.0], [1.0, -1.2, 0.5], u) + lfilter([1.0], [1.0, -1.2, 0.5], noise * e)
+    h = np.column_stack((rt.lag_matrix(y, [1, 2]), rt.lag_matrix(u, [1])))
+    residuals = y - h @ np.linalg.lstsq(h, y, rcond=None)[0]
+    assert least <= rt.absorbed(h, rt.lag_matrix(residuals, range(1, 26))) <= most
 
 
 def test_ljung_box_detects_weak_colour():

@@ -234,6 +234,11 @@ class Regression:
         result[self.sample] = values
         return result
 
+    def past_errors(self, residuals: np.ndarray) -> np.ndarray:
+        """Return the residuals before each sample that the test of whiteness relates to it, shape (n, m)."""
+        lags = range(1, rt.default_lags(len(self)) + 1)
+        return rt.lag_matrix(self.on_grid(residuals), lags)
+
 
 def regression(records: Sequence[Record], orders: Orders) -> Regression:
     """Return the regression for the coefficients of A and B from records with the same sample time.
@@ -463,6 +468,8 @@ class ArxEstimate:
     noise_sd: float
     #: One-step prediction errors of the model on the fitted rows, shape (n,).
     residuals: np.ndarray
+    #: Derivatives of the one-step predictions by the coefficients, shape (n, p).
+    jacobian: np.ndarray
     data: Regression
     recursion: Recursion
     known: Identifiability
@@ -553,12 +560,14 @@ def estimate(
         theta = refine(theta, data, weights)
         residuals, jacobian = errors_and_gradient(theta, data)
     prior = forgetting ** (len(data) - 1) / (weight * prior_scale**2)
-    tested = residuals
+    tested, absorbed = residuals, rt.absorbed(data.on_grid(jacobian), data.past_errors(residuals))
     if forgetting < 1 and not orders.nc:
+        # A prediction does not depend on the sample that it predicts.
+        absorbed = 0.0
         skipped = min(int(max(5 * orders.count, 1 / (1 - forgetting))), len(data) // 2)
         tested = np.where(np.arange(len(data)) < skipped, np.nan, run.innovations)
     exact = bool(np.sqrt(np.mean(residuals**2)) <= EXACT * np.std(data.outputs))
-    white = rt.ljung_box(data.on_grid(tested), fitted=orders.na + orders.nc)
+    white = rt.ljung_box(data.on_grid(tested), fitted=absorbed)
     robust = not (white.passed or exact)
     matrix, noise_sd = covariance(jacobian, residuals, weights, prior, data, robust=robust)
     stderr = np.sqrt(np.maximum(np.diag(matrix), 0.0))
@@ -566,7 +575,7 @@ def estimate(
     _check_determined(known, orders)
     stderr = np.where(known.determined, stderr, np.nan)
     return ArxEstimate(
-        orders, theta, stderr, matrix, noise_sd, residuals, data, run, known, white, robust, exact
+        orders, theta, stderr, matrix, noise_sd, residuals, jacobian, data, run, known, white, robust, exact
     )
 
 

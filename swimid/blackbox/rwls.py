@@ -561,7 +561,8 @@ def constant_term(data: Regression) -> tuple[float, float]:
         return float("nan"), 0.0
     theta = np.linalg.lstsq(rows, data.outputs, rcond=None)[0]
     residuals = data.outputs - rows @ theta
-    white = rt.ljung_box(data.on_grid(residuals)).passed
+    absorbed = rt.absorbed(data.on_grid(rows), data.past_errors(residuals))
+    white = rt.ljung_box(data.on_grid(residuals), fitted=absorbed).passed
     spread, _ = covariance(rows, residuals, np.ones(n), 0.0, data, robust=not white)
     constant, stderr = float(theta[-1]), float(np.sqrt(max(spread[-1, -1], 0.0)))
     if stderr > 0:
@@ -687,7 +688,10 @@ class Identified:
     def independent(self) -> rt.TestResult:
         """Result of the test that the one-step residuals are independent of past inputs."""
         residuals, source, lags = self.residual_series
-        return rt.independence(residuals, source, lags=lags, first=self.estimate.orders.nk)
+        first, data = self.estimate.orders.nk, self.estimate.data
+        past = rt.lag_matrix(source, range(first, first + lags))
+        absorbed = rt.absorbed(data.on_grid(self.estimate.jacobian), past)
+        return rt.independence(residuals, source, lags=lags, first=first, fitted=absorbed)
 
     @property
     def worse(self) -> list[str]:

@@ -529,8 +529,9 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     channel, and with a smaller probability in several channels. A smooth signal has fewer such steps; they
     occur at its turning points. Rounding to a unit ``q`` adds as many equal samples as a ratio ``r = q / m``,
     where ``m`` is the mean step. If there are more small steps than a binomial distribution allows, they are
-    repeats. The measurement times of an evenly sampling sensor are a linear function of the number of the
-    measurement, and precede the stamps by at most one time step of the log.
+    repeats. Equal samples at either end of the log are not counted, because the robot may be at rest there.
+    The measurement times of an evenly sampling sensor are a linear function of the number of the measurement,
+    and precede the stamps by at most one time step of the log.
 
     Examples
     --------
@@ -550,11 +551,15 @@ def find_held(time_s: Array, channels: Sequence[Array]) -> Held:
     sizes = _step_sizes(place[rows])
     expected = min(rounding_ratio(values) for values in continuous)
     turning = _turns(place[rows])
+    # Before the first change of a log and after the last one the robot may be at rest.
+    changes = np.flatnonzero(sizes > 0.0)
+    inner = np.zeros(len(sizes), dtype=bool)
+    inner[changes[0] : changes[-1]] = True
     best, chosen = np.log(FALSE_ALARM / len(RATIOS)), None
     for ratio in RATIOS:
         small = _small(sizes, ratio)
         small = _without_rests(time_s[rows], sizes, small)
-        counted = small & ~turning
+        counted = small & ~turning & inner
         if ratio > 0.0:
             counted &= sizes < ratio * np.append(sizes[1:], 0.0)
         count = int(counted.sum())

@@ -448,7 +448,8 @@ def _decay(log: Log, name: str) -> tuple[Array, Array, float, float]:
     if held:
         level = float(np.median(part[near]))
         spread = 1.4826 * float(np.median(np.abs(part[near] - level)))
-        begin += int(np.flatnonzero(np.abs(part - level) <= max(3.0 * spread, 1e-3 * amplitude))[-1])
+        # The release lies between the last sample at this level and the next one.
+        begin += int(np.flatnonzero(np.abs(part - level) <= max(3.0 * spread, 1e-3 * amplitude))[-1]) + 1
     elif first or waits or late:
         begin += int(np.argmax(np.abs(part - part[-1])))
     if begin > 0.5 * len(values):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from swimid.logs import beat, tracks
 
 Array = NDArray[np.float64]
+REPEATS = 400
 
 
 def recording(

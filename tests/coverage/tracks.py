@@ -20,6 +20,7 @@ import swimid
 from tests.generators import film_writer
 
 Array = np.ndarray
+REPEATS = 60
 KINDS = ("straight", "tilted", "repeated")
 WIDTH, HEIGHT, RATE_HZ, DURATION_S = 320, 240, 30.0, 3.5
 METRES_PER_PIXEL = 0.002

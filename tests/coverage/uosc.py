@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from swimid import track_imu
 from swimid.errors import InputError
 
+REPEATS = 60
 RATE_HZ = 50.0
 GRAVITY_M_S2 = np.array([0.0, 0.0, 9.80665])
 SCALE_SD, BENDING_SD = 0.005, 0.002
@@ -60,14 +61,14 @@ def one(seed: int) -> dict[str, float]:
         try:
             made = track_imu(table)
         except InputError:
-            return {"refused logs": 1.0}
+            return {"alarm: refused": 1.0}
     cutoff_hz = made.data["surge_oscillation"]["above_hz"]
     sections = signal.butter(2, cutoff_hz, "high", fs=RATE_HZ, output="sos")
     fast = signal.sosfiltfilt(sections, velocity[::DENSE], axis=0)
     true = turn[::DENSE].inv().apply(fast)[:, 0]
     inside = np.abs(made.frame["u_osc_m_s"] - true) <= 1.96 * made.frame["u_osc_sd_m_s"]
     return {
-        "refused logs": 0.0,
+        "alarm: refused": 0.0,
         "u_osc, whole log": float(inside.mean()),
         "u_osc, moving": float(inside[go[::DENSE] > 0].mean()),
     }

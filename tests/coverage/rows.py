@@ -1,0 +1,106 @@
+"""Rows of the table: what a measurement counts, the wanted range, and whether the count lies in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+ALARM = "alarm: "
+#: Wanted coverage of a 95 % interval.
+COVERAGE = (0.92, 0.98)
+#: Rates of false alarms of the checks that state a significance level, by a part of the name of the check.
+LEVELS = {
+    "white": 0.01,
+    "independent of the input": 0.01,
+    "equal parameters in all trials": 0.001,
+    "agree": 0.001,
+}
+#: Largest rate of false alarms of a check with a limit that noise alone never reaches.
+NEVER = 0.01
+
+
+@dataclass(frozen=True)
+class Row:
+    """Share of a quantity over the repeats of a measurement."""
+
+    quantity: str
+    repeats: int
+    share: float
+    low: float
+    high: float
+    wanted: tuple[float, float]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the share may lie in the wanted range: its 95 % interval overlaps the range."""
+        return self.low <= self.wanted[1] and self.high >= self.wanted[0]
+
+    @property
+    def text(self) -> str:
+        """Row of a table in Markdown."""
+        share, low, high, least, most = (
+            f"{100 * x:.1f}" for x in (self.share, self.low, self.high, *self.wanted)
+        )
+        answer = "ok"
+        if not self.ok:
+            answer = "**not**"
+        cells = (
+            self.quantity,
+            self.repeats,
+            f"{share} %",
+            f"{low} … {high} %",
+            f"{least} … {most} %",
+            answer,
+        )
+        return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def inside(estimate: dict[str, Any], true: float) -> float:
+    """Return 1 if the 95 % interval of an estimate holds the true value, 0 if not, NaN if none is stated."""
+    if estimate["status"] != "estimated":
+        return float("nan")
+    return float(abs(estimate["value"] - true) <= 1.96 * estimate["stderr"])
+
+
+def alarms(result: Any, name: str = "") -> dict[str, float]:
+    """Return for each check of a result whether it warns or fails.
+
+    The verdict counts as a false alarm if it is not good although every check passes.
+    """
+    found = {f"{name}{ALARM}{c.name}": float(c.verdict in ("warn", "fail")) for c in result.evidence.checks}
+    silent = not any(found.values())
+    return {**found, f"{name}{ALARM}verdict without a reason": float(silent and result.verdict != "good")}
+
+
+def wanted(quantity: str) -> tuple[float, float]:
+    """Return the wanted range of the share of a quantity."""
+    if ALARM not in quantity:
+        return COVERAGE
+    name = quantity.split(ALARM)[1]
+    level = max((level for part, level in LEVELS.items() if part in name), default=NEVER)
+    if level == NEVER and not any(part in name for part in LEVELS):
+        return (0.0, NEVER)
+    return (0.0, 2.0 * level)
+
+
+def row(quantity: str, values: list[float]) -> Row | None:
+    """Return the row of a quantity from its value in each repeat; None without values.
+
+    The interval of a share of repeats is that of Clopper and Pearson. The interval of a mean share of samples
+    within each repeat is Student's.
+    """
+    known = np.array([value for value in values if np.isfinite(value)])
+    n = len(known)
+    if n < 2:
+        return None
+    mean = float(known.mean())
+    if np.isin(known, (0.0, 1.0)).all():
+        interval = stats.binomtest(int(known.sum()), n).proportion_ci(0.95, "exact")
+        low, high = float(interval.low), float(interval.high)
+    else:
+        half = float(stats.t.ppf(0.975, n - 1) * known.std(ddof=1) / np.sqrt(n))
+        low, high = max(mean - half, 0.0), min(mean + half, 1.0)
+    return Row(quantity, n, mean, low, high, wanted(quantity))
