@@ -132,9 +132,15 @@ def prepare(folder: Path, commit: str) -> Path:
         _record(tree, work / "map.new", files)
         new = json.loads((work / "map.new").read_text())
         known = _translate(known, {**new, "files": files}, commit, commit)
-        (work / "map.part").write_text(json.dumps(known))
-        (work / "map.part").rename(out)
+        _store(known, out)
+    _store(known, out)
     return work
+
+
+def _store(known: dict[str, Any], out: Path) -> None:
+    part = out.with_suffix(".part")
+    part.write_text(json.dumps(known))
+    part.rename(out)
 
 
 def _results(path: Path) -> dict[str, dict[str, Any]]:
