@@ -1,4 +1,4 @@
-"""Draw the pictures of the manuals into docs/figures: ``make demo pictures``.
+"""Draw the pictures of the manuals into docs/figures: ``make demo pictures``. ``batch.png`` is a screenshot.
 
 The results are those of ``make demo`` in ``demo_out``, and of three short runs on the sample logs.
 """
