@@ -235,13 +235,15 @@ def _evidence(file: RunComparison) -> ev.Evidence:
     tested = [q for q in file.quantities if q.p is not None]
     rate = f"{100 * file.false_discovery_rate:g} %"
     equal = sum(len(set(q.values)) == 1 for q in file.quantities)
-    text = (
-        f"{len(changed)} of {len(tested)} tested estimates differ between the runs by more than their errors."
-    )
+    sentences = []
+    if tested:
+        differ = "tested estimates differ between the runs by more than their errors."
+        sentences.append(f"{len(changed)} of {len(tested)} {differ}")
     if equal:
-        text += f" {equal} are equal to the last digit."
-    if not tested and not equal:
-        text = "No estimate has a standard error in two runs, so no change can be tested."
+        sentences.append(f"{equal} of {len(file.quantities)} estimates are equal to the last digit.")
+    if not sentences:
+        sentences.append("No estimate has a standard error in two runs, so no change can be tested.")
+    text = " ".join(sentences)
     check = ev.check(
         "Estimates that differ", f"{len(changed)} of {len(tested)}", None, f"false discovery rate {rate}",
         "Chi-squared test of each estimate, with the false discovery rate of Benjamini and Hochberg.",

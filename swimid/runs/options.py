@@ -11,7 +11,7 @@ from pydantic import model_validator
 from swimid.errors import UsageError
 from swimid.options import Options, cluster, option
 
-Retry = Literal["failed", "refused"]
+Retry = Literal["failed", "refused", "no result"]
 
 
 class BatchOptions(
