@@ -25,6 +25,7 @@ from typing import Any
 import swimid
 from swimid.errors import UsageError
 from swimid.files import atomic
+from swimid.results import evidence as ev
 from swimid.runs import status as states
 from swimid.runs.plan import TRIALS, Item, Step, folder_of, item_of
 from swimid.runs.status import LOG, STATUS, USAGE, Status, StepStatus
@@ -219,20 +220,19 @@ def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
     steps: list[StepStatus] = []
     state = "done"
     error: dict[str, Any] = {}
-    sketch = None
+    sketch: states.Sketch | None = None
     for step in item.steps:
         if step.command == TRIALS:
             atomic.write_text(folder / step.outputs[0], step.text)
             continue
-        shown, code, error = _step(step)
+        shown, sketched, code, error = _step(step)
         if code == INTERRUPTED:
             return None
         if code == 1:
             raise RuntimeError(error["message"])
         if code == 0:
             steps.append(shown)
-            if sketch is None:
-                sketch = states.sketch_of(folder / step.outputs[0])
+            sketch = sketch or sketched
             continue
         state = {4: "no result"}.get(code, "refused")
         if "cannot be written" in error.get("message", ""):  # The disk may be full, and the input is sound.
@@ -246,32 +246,25 @@ def _done(item: Item, folder: Path, memory_mb: float) -> Status | None:
     return status.model_copy(update={"sketch": sketch})
 
 
-def _step(step: Step) -> tuple[StepStatus, int, dict[str, Any]]:
-    """Run the command lines of a step. Return what it found, its exit status and its error."""
-    shown = StepStatus(name=step.name)
-    order = ["bad", "caution", "good", ""]
+def _step(step: Step) -> tuple[StepStatus, states.Sketch | None, int, dict[str, Any]]:
+    """Run the command lines of a step. Return its status and sketch, its exit status and its error."""
+    shown, sketch = StepStatus(name=step.name), None
     for argv, output in zip(step.argv, step.outputs, strict=True):
         code, answer = _command(argv)
         if code:
-            return shown, code, answer.get("error", {})
-        verdict = _verdict(Path(output))
-        if order.index(verdict.get("level", "")) < order.index(shown.level):
-            shown.level, shown.text = verdict["level"], verdict["text"]
+            return shown, None, code, answer.get("error", {})
+        if ev.sidecar(output).is_file():
+            evidence = ev.read(ev.sidecar(output))
+            if states.LEVELS.index(evidence.verdict.level) < states.LEVELS.index(shown.level):
+                shown.level, shown.text = evidence.verdict.level, evidence.verdict.text
+            if output == step.outputs[0]:
+                sketch = states.sketch_of(evidence)
         shown.warnings += [one["code"] for one in answer["warnings"]]
         found = states.metrics_of(answer["result"], step.metrics)
         if len(step.argv) > 1:
             found = {f"{Path(output).stem}: {name}": one for name, one in found.items()}
         shown.metrics |= found
-    return shown, 0, {}
-
-
-def _verdict(output: Path) -> dict[str, str]:
-    """Return the verdict in the evidence of a result; empty for a file without evidence."""
-    place = output.with_name(f"{output.stem}.evidence.json")
-    if not place.is_file():
-        return {}
-    found: dict[str, str] = json.loads(place.read_bytes())["verdict"]
-    return found
+    return shown, sketch, 0, {}
 
 
 def _command(argv: list[str]) -> tuple[int, dict[str, Any]]:

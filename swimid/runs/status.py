@@ -28,6 +28,8 @@ State = Literal["done", "no result", "refused", "failed"]
 #: States in the order in which they need attention. An item is ``missing`` before it is done, and ``busy``
 #: while another process does it. The states ``outdated`` and ``missing`` have no results that count.
 STATES = ("failed", "refused", "no result", "busy", "missing", "outdated", "done")
+#: Levels of a verdict from the worst to the best; empty for a result without a verdict.
+LEVELS = ("bad", "caution", "good", "")
 STATUS, USAGE, LOG = "status.json", "usage.json", "log.txt"
 #: Maximum number of traces, and of points of each, in the sketch of a figure.
 MAX_TRACES, MAX_SKETCHED = 3, 48
@@ -96,8 +98,7 @@ class Status(BaseModel):
     @property
     def level(self) -> str:
         """Worst verdict of the steps; empty if no step has one."""
-        order = ["bad", "caution", "good", ""]
-        return min((step.level for step in self.steps), key=order.index, default="")
+        return min((step.level for step in self.steps), key=LEVELS.index, default="")
 
     @property
     def reason(self) -> str:
@@ -234,11 +235,9 @@ def _named(data: Any, keys: list[str]) -> Iterator[tuple[str, float]]:
                 yield f"{key}.{rest}".rstrip("."), value
 
 
-def sketch_of(path: Path) -> Sketch | None:
+def sketch_of(evidence: ev.Evidence) -> Sketch | None:
     """Return a sketch of the first figure in the evidence of a result; None if it has no figure."""
-    if not ev.sidecar(path).is_file():
-        return None
-    for figure in ev.read(ev.sidecar(path)).figures:
+    for figure in evidence.figures:
         for panel in figure.panels:
             if panel.traces:
                 traces = [_points(trace) for trace in panel.traces[:MAX_TRACES]]

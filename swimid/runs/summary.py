@@ -34,7 +34,6 @@ MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
 MAX_PANELS, MAX_LISTED = 8, 10
 #: Maximum number of rows, of sketches of a group, and of points of a strip on the page. The tables have all.
 MAX_ROWS, MAX_SKETCHES, MAX_POINTS = 2000, 500, 1000
-LEVELS = ("bad", "caution", "good", "")
 #: First line of the tables, by which swimid recognises them as its own.
 MADE_BY = "# made_by: swimid batch\n"
 
@@ -67,7 +66,7 @@ class Entry:
         return (
             states.STATES.index(self.state),
             -bool(self.outliers),
-            LEVELS.index(self.level),
+            states.LEVELS.index(self.level),
             -largest,
             self.id,
         )
@@ -257,7 +256,7 @@ def _orders(entries: Sequence[Entry]) -> dict[str, dict[str, int]]:
         "attention": lambda e: e.rank,
         "item": lambda e: e.id,
         "group": lambda e: (e.group, e.rank),
-        "verdict": lambda e: (LEVELS.index(e.level), e.rank),
+        "verdict": lambda e: (states.LEVELS.index(e.level), e.rank),
         "outlier": lambda e: (-max(map(abs, e.outliers.values()), default=0.0), e.rank),
     }
     return {
