@@ -87,6 +87,13 @@ def test_a_run_has_results_tables_and_a_page(lab: Path) -> None:
     assert "line 3" in page  # the message of the refused log
 
 
+def test_a_page_of_cautions_is_not_good(lab: Path, swimid: Run) -> None:
+    (lab / "logs/odd.csv").unlink()
+    ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--collect", "--json")
+    assert {entry["level"] for entry in ran.json["result"]["entries"]} == {"caution"}
+    assert '<section class="banner caution">' in (lab / "run/index.html").read_text()
+
+
 def test_a_result_names_its_inputs_and_command(lab: Path) -> None:
     provenance = package.load_result(lab / "run/items/logs_log0.csv/rwls.yaml").file.provenance
     assert list(provenance["inputs"]) == ["../../../logs/log0.csv"]
