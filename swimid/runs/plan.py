@@ -50,7 +50,7 @@ Steps = list[tuple[str, dict[str, Any]]]
 
 
 def _step(value: Any) -> tuple[str, dict[str, Any]]:
-    """Convert a step of a plan, a name or a mapping of a name to options, into both."""
+    """Return command and options of a step, which a plan states as a name or as a mapping."""
     if isinstance(value, str):
         return value, {}
     if isinstance(value, Mapping) and len(value) == 1:
@@ -61,7 +61,7 @@ def _step(value: Any) -> tuple[str, dict[str, Any]]:
 
 
 class Limits(yamlio.Document):
-    """Limits of one item."""
+    """Maximum time and memory of one item."""
 
     time_s: float = Field(default=14400.0, gt=0)
     #: Memory of the process of an item, MB. Only Linux enforces it.
