@@ -22,6 +22,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from swimid.errors import InputError
 from swimid.files import atomic, isolated, memory, yamlio
 from swimid.files.provenance import path_of
+from swimid.files.yamlio import ASK
 from swimid.files.tabular import repeated
 from swimid.logs import log
 from swimid.logs.averaging import Averager, RowStatistics
@@ -73,29 +74,11 @@ COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
 
-#: Placeholder for an unknown value in a drafted mapping. The user must replace it by a value.
-ASK = "ASK"
 #: Type of the reference to a column of a foreign file: its name, or its number, counted from 1.
 ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
 
 
-class Stated(yamlio.Document):
-    """Base class of the sections of a mapping. It refuses a value that is still the placeholder ``ASK``."""
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _nothing_is_open(cls, value: Any) -> Any:
-        inner = [value]
-        if isinstance(value, list):
-            inner = value
-        elif isinstance(value, dict):
-            inner = [*value.values()]
-        if any(isinstance(part, str) and part == ASK for part in inner):
-            raise ValueError(f"is still {ASK}: state it, or delete the line")
-        return value
-
-
-class Time(Stated):
+class Time(yamlio.Document):
     """Source of the sample times in a file (key ``time:`` of a mapping)."""
 
     #: Column that holds the times, or several columns that form one time: date and time of day, or seconds
@@ -145,7 +128,7 @@ class Time(Stated):
         return [self.unit] * len(self.sources)
 
 
-class Column(Stated):
+class Column(yamlio.Document):
     """Mapping of one column: ``target = source * (factor from the unit to SI) * factor + offset``."""
 
     source: ColumnKey
@@ -178,14 +161,14 @@ class Column(Stated):
         return self.factor * unit_factor(str(self.unit), self.target)
 
 
-class Quaternion(Stated):
+class Quaternion(yamlio.Document):
     """Convention of the quaternions in the file: order of the elements, and direction of the rotation."""
 
     order: Literal["wxyz", "xyzw"] = "wxyz"
     direction: Literal["body-to-world", "world-to-body"] = "body-to-world"
 
 
-class Joined(Stated):
+class Joined(yamlio.Document):
     """Columns of another topic, struct or file, which are interpolated at the times of the log."""
 
     #: Path of another file, relative to the folder of the foreign log; by default the same file.
@@ -200,7 +183,7 @@ class Joined(Stated):
     between: Literal["line", "hold"] = "line"
 
 
-class Mapping(Stated):
+class Mapping(yamlio.Document):
     """Content of a mapping file, which assigns the columns of a foreign file to those of a log."""
 
     format: Literal["swimid-mapping/1"]
