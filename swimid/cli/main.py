@@ -177,6 +177,12 @@ class Run:
         if not self.quiet:
             for line in _warning_lines(notices, (MAX_ALIKE, sys.maxsize)[self.verbose > 0]):
                 click.echo(line, err=True)
+        following = []
+        if outcome is not None:
+            file = shlex.quote(str(outcome.path))
+            line = outcome.next_command(file)
+            if line and (outcome.outputs or file not in line):
+                following.append(line)
         if self.as_json:
             from swimid.files import yamlio
 
@@ -187,6 +193,7 @@ class Run:
                 **answer,
                 "warnings": [{"code": one.code, "text": one.text} for one in notices],
                 "outputs": [str(path) for path in outputs],
+                "next": following,
             }
             click.echo(json.dumps(yamlio.plain(document, finite=True), ensure_ascii=False))
         if self.as_json or self.quiet:
@@ -195,10 +202,8 @@ class Run:
             click.echo(text)
         for path in outputs:
             click.echo(f"wrote {path}", err=True)
-        if outcome is not None and outcome.outputs:
-            following = outcome.next_command(shlex.quote(str(outcome.path)))
-            if following:
-                click.echo(f"next: {following}", err=True)
+        for line in following:
+            click.echo(f"next: {line}", err=True)
 
     def protect(self, output: Path, *, inputs: Iterable[str | Path] = ()) -> None:
         """Raise an error if the output would replace an input, or a file that swimid did not write.

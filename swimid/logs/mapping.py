@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections import Counter, abc
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -22,8 +23,8 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from swimid.errors import InputError
 from swimid.files import atomic, isolated, memory, yamlio
 from swimid.files.provenance import path_of
-from swimid.files.yamlio import ASK
 from swimid.files.tabular import repeated
+from swimid.files.yamlio import ASK
 from swimid.logs import log
 from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
@@ -989,6 +990,10 @@ class Draft(Result):
         """
         return of(yamlio.parse_scalar(self.document))
 
+    def next_command(self, file: str) -> str:
+        """Return the command that imports the recording with the mapping in ``file``."""
+        return f"swimid import {shlex.quote(self.data['file'])} --map {file} -o run.csv"
+
     def _write(self, path: Path) -> list[Path]:
         atomic.write_text(path, self.document)
         return [path]
@@ -1047,8 +1052,9 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
     todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
-    told = f"{path.name}: mapping drafted; {todo}, then swimid import {path.name} --map {output} -o run.csv"
-    return Draft("import", told, data, document=text).save(output)
+    return Draft("import", f"{path.name}: mapping drafted; {todo} of {output}", data, document=text).save(
+        output
+    )
 
 
 def _of_profile(table: Table) -> list[str]:
