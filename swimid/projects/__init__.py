@@ -1,5 +1,6 @@
-"""First steps with swimid: drafts of the files of a project, and samples.
+"""Commands ``init`` and ``sample``, which help with the first steps.
 
-``survey`` finds the recordings of a folder, ``groups`` sorts them by kind, ``drafts`` makes the text of each
-file of the project, ``init`` writes them, and ``sample`` copies the samples of the installed version.
+``survey`` finds the recordings of a folder. ``drafts`` groups them and makes the text of each file of the
+project. ``init`` writes these files. ``sample`` copies the samples of the installed version. ``options`` has
+the options of both commands.
 """

@@ -19,12 +19,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import yamlio
 from swimid.files.yamlio import ASK
+from swimid.logs.foreign import open_table
 from swimid.logs.mapping import guess_mapping
 from swimid.logs.point_files import tracked_points
 from swimid.logs.trials import FORMAT as TRIALS
 from swimid.logs.trials import FallingWeightTrial, FreeSwimTrial
 from swimid.notices import Progress, silent
-from swimid.projects.survey import CRUISE, Recording
+from swimid.projects.survey import CRUISE, Recording, several
 from swimid.robots.file import built_in
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup
@@ -247,6 +248,12 @@ def _of_table(project: Project, group: Group, progress: Progress) -> None:
     name = f"{group.name}.map.yaml"
     group.step = {"import": {"map": name}}
     text = guess_mapping(group.first.path).document
+    if group.first.profile:
+        try:
+            open_table(group.first.path)
+        except InputError as error:
+            if several(error):
+                text += f"# join: may add columns of another topic (docs/mapping.md). {error.hint}\n"
     project.files[name] = text
     group.columns = tuple(re.findall(r"(?m)^ *- .*target: (\w+)", text))
     if not group.columns:
@@ -361,7 +368,7 @@ def _add_trials(project: Project, group: Group, notes: list[Recording]) -> None:
     ]
     if group.first.kind == "cruise":
         table = project.relative(group.first.path)
-        lines += [f"table: {_flow(table)}", "# drag: drag.yaml   # of fit-drag"]
+        lines += [f"table: {_flow(table)}", f"drag: {ASK}   # result of fit-drag for this robot"]
     else:
         lines += [
             "# Hold out at least one trial with 'role: validate'. Without one no fit is called good.",

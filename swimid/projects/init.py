@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.files.yamlio import ASK
 from swimid.notices import Progress, silent
@@ -46,6 +45,7 @@ def init(
     *,
     options: InitOptions,
     output: str | Path | None = None,
+    force: bool = False,
     progress: Progress = silent,
 ) -> Drafted:
     """Look at a folder of recordings, and draft the files to work with them.
@@ -55,7 +55,9 @@ def init(
     folder : path
         Folder of films, logs and tables, with its subfolders.
     output : path, optional
-        Folder of the project. It must be empty or new. Without it, nothing is written.
+        Folder of the project. Without it, nothing is written.
+    force : bool
+        Whether the folder of the project may have content. Files of the same names are replaced.
     progress : Progress
         Progress over the files of the folder and the films.
 
@@ -79,8 +81,8 @@ def init(
     """
     source = Path(folder)
     target = Path() if output is None else Path(output)
-    if output is not None and target.exists() and (target.is_file() or any(target.iterdir())):
-        raise UsageError(f"{target} exists and is not empty", hint="name a new folder")
+    if output is not None:
+        atomic.check_empty(target, force=force)
     robot = options.robot
     if robot is not None:
         place = robot_format.locate(robot)

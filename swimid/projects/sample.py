@@ -14,6 +14,8 @@ from swimid.projects.options import SampleOptions
 from swimid.results.evidence import Table
 from swimid.results.result import Result, table_text
 
+#: File that lists the samples, and name by which all of them are copied.
+INDEX, ALL = "samples.yaml", "all"
 #: Folder of the samples in an installed package, and in the source.
 PLACES = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
 
@@ -28,7 +30,9 @@ class Sample(Result):
 
 
 @takes(SampleOptions)
-def sample(name: str | None = None, *, options: SampleOptions, output: Path | None = None) -> Result:
+def sample(
+    name: str | None = None, *, options: SampleOptions, output: Path | None = None, force: bool = False
+) -> Result:
     """Copy a sample to a folder, or list the samples.
 
     Parameters
@@ -37,6 +41,8 @@ def sample(name: str | None = None, *, options: SampleOptions, output: Path | No
         Name of the sample. Without a name, nothing is copied.
     output : path, optional
         Folder for the copy, by default a folder in the working folder with the name of the sample.
+    force : bool
+        Whether the folder may have content. Files of the same names are replaced.
 
     Returns
     -------
@@ -58,7 +64,7 @@ def sample(name: str | None = None, *, options: SampleOptions, output: Path | No
     source = next((place for place in PLACES if place.is_dir()), None)
     if source is None:
         raise InputError("the samples are not part of this installation", hint="reinstall swimid")
-    known = yamlio.load(source / "samples.yaml")
+    known = yamlio.load(source / INDEX)
     if name is None:
         rows = [[one, entry["about"]] for one, entry in known.items()]
         table = Table(id="samples", title="Samples", columns=["name", "content"], rows=rows)
@@ -66,15 +72,21 @@ def sample(name: str | None = None, *, options: SampleOptions, output: Path | No
     if name not in known:
         raise UsageError(f"there is no sample '{name}'", hint=suggestion(name, list(known)))
     folder = Path(name) if output is None else output
-    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
-        raise UsageError(f"{folder} exists and is not empty", hint=f"swimid sample {name} FOLDER")
+    atomic.check_empty(folder, force=force)
     copies = []
+    origin = source
+    if name != ALL:
+        origin = source / name
     with atomic.together():
         atomic.make_folder(folder)
-        for path in sorted((source / name).iterdir()):
-            with atomic.replacing(folder / path.name) as temporary:
-                shutil.copyfile(path, temporary)
-            copies.append(folder / path.name)
+        for path in sorted(origin.rglob("*")):
+            copy = folder / path.relative_to(origin)
+            if path.is_dir():
+                atomic.make_folder(copy)
+            elif path.name != INDEX:
+                with atomic.replacing(copy) as temporary:
+                    shutil.copyfile(path, temporary)
+                copies.append(copy)
     command = " ".join(str(known[name]["command"]).split()).format(folder=shlex.quote(folder.as_posix()))
     data = {"sample": name, "folder": str(folder), "about": known[name]["about"], "command": command}
     return Sample("sample", f"{folder}: {known[name]['about']}", data, copies)

@@ -122,11 +122,14 @@ def recognised(path: Path) -> Recording:
         elif ending in readable:
             return _table(path)
     except InputError as error:
-        kind = "damaged"
-        if "; name one" in error.message:
-            kind = "choice"
+        kind = "choice" if several(error) else "damaged"
         return Recording(path, kind, ". ".join(filter(None, [error.message, error.hint])))
     return Recording(path, "other", "no recording")
+
+
+def several(error: InputError) -> bool:
+    """Return whether a file could not be read because the user must choose one of its topics or tracks."""
+    return "; name one" in error.message
 
 
 def _film(path: Path) -> Recording:
