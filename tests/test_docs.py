@@ -13,7 +13,7 @@ import pytest
 from swimid.cli.main import main
 from tests.conftest import ROOT, Ran
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "docs/llms.txt", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def _commands(page: Path) -> list[str]:

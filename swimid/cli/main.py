@@ -191,6 +191,7 @@ class Run:
                 "ok": "result" in answer,
                 "command": self.command,
                 **answer,
+                "verdict": _verdict(outcome),
                 "warnings": [{"code": one.code, "text": one.text} for one in notices],
                 "outputs": [str(path) for path in outputs],
                 "next": following,
@@ -223,6 +224,15 @@ class Run:
             raise UsageError(
                 f"{output} exists and was not written by swimid", hint="name another output, or give --force"
             )
+
+
+def _verdict(outcome: Result | None) -> dict[str, Any] | None:
+    """Return level, text and reasons of the verdict on a result; None without evidence."""
+    if outcome is None or outcome.evidence is None:
+        return None
+    found = outcome.evidence
+    reasons = [check.reason or check.name for check in found.checks if check.verdict in ("warn", "fail")]
+    return {"level": found.verdict.level, "text": found.verdict.text, "reasons": reasons}
 
 
 def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:

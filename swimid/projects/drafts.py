@@ -205,6 +205,9 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
         text = made.document.replace(
             "# scale: {metres_per_pixel: 0.0015}", f"scale: {{metres_per_pixel: {ASK}}}"
         )
+        if made.setup.tail is not None:
+            place = "of the marker, m: forward of the reference point of the robot, and to port"
+            text = re.sub(r"(?m)^  number: .*$", rf"\g<0>\n  at_m: [{ASK}, {ASK}]   # {place}", text)
         project.files[name] = re.sub(r"(?m)^frame_rate_hz: 1\.0\n", "", text)
         return
     film = shlex.quote(project.relative(group.first.path))

@@ -67,6 +67,7 @@ NEXT = {
     ),
     **dict.fromkeys(("plot", "report", "batch"), "python -m webbrowser {file}"),
     "doctor": "swimid sample",
+    "doctor --clean": "pip uninstall swimid",
 }  # fmt: skip
 
 
