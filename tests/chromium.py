@@ -10,6 +10,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -19,6 +20,15 @@ from typing import Any, Self
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 #: Maximum time for one answer of the browser, and for a condition on a page, s.
 TIMEOUT_S = 60.0
+#: Program that starts another program, which reads from descriptor 3 and writes to descriptor 4.
+LAUNCH = """
+import fcntl, os, sys
+ends = [fcntl.fcntl(int(word), fcntl.F_DUPFD, 10) for word in sys.argv[1:3]]
+for descriptor, end in enumerate(ends, 3):
+    os.dup2(end, descriptor)
+    os.close(end)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 def find() -> str | None:
@@ -48,11 +58,10 @@ class Page:
         assert program is not None
         to_browser, self._to = os.pipe()
         self._from, from_browser = os.pipe()
-        # The browser reads commands from descriptor 3, and writes answers to descriptor 4.
-        start = 'exec "$0" "$@" 3<&%d 4>&%d' % (to_browser, from_browser)
-        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", "--no-first-run"]
+        flags = ("headless=new", "no-sandbox", "disable-gpu", "no-first-run", "remote-debugging-pipe")
+        words = [program, *(f"--{flag}" for flag in flags), f"--user-data-dir={self._profile}"]
         self._process = subprocess.Popen(
-            ["/bin/sh", "-c", start, program, *flags, f"--user-data-dir={self._profile}", "about:blank"],
+            [sys.executable, "-c", LAUNCH, str(to_browser), str(from_browser), *words, "about:blank"],
             pass_fds=(to_browser, from_browser),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -126,7 +135,7 @@ class Page:
             time.sleep(0.05)
 
     def click(self, selector: str, x: float | None = None, y: float | None = None) -> None:
-        """Click with the mouse in the middle of an element, or at a point relative to its upper left corner."""
+        """Click in the middle of an element, or at a point relative to its upper left corner."""
         box = self.value(
             f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
             "e.scrollIntoView({ block: 'nearest' }); const b = e.getBoundingClientRect();"
@@ -160,7 +169,8 @@ class Page:
     def choose(self, selector: str, value: str) -> None:
         """Choose an entry of a list."""
         self.value(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.value = {json.dumps(value)};"
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+            f"e.value = {json.dumps(value)};"
             "e.dispatchEvent(new Event('change', { bubbles: true })); })()"
         )
 

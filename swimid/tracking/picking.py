@@ -233,7 +233,9 @@ class Session:
                 try:
                     body = setup_format.of({"markers": [BODY], key: value})
                     if key == "scale":
-                        answer["scale"] = self._scale(body.model_copy(update={"plane": choice.plane}))
+                        answer["scale"] = self._scale(
+                            body.model_copy(update={"plane": choice.plane or body.plane})
+                        )
                 except SwimidError as error:
                     errors[key] = told(error)
             try:
