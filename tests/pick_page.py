@@ -27,6 +27,8 @@ POOL = SAMPLES / "pool" / "pool.mp4"
 #: and corners of the floor of the pool in pixels.
 NOSE, TAIL = (179, 254), (182, 205)
 CORNERS = ((67.2, 43.2), (579.2, 33.6), (608.0, 446.4), (25.6, 441.6))
+#: Condition under which the page shows the film and the answer to its first request.
+READY = "typeof image !== 'undefined' && image && checks && get('prompt').textContent"
 PICKS = [{"name": name, "x": x, "y": y} for name, (x, y) in (("nose", NOSE), ("tail", TAIL))]
 
 
@@ -114,7 +116,7 @@ def draw(path: Path) -> None:
         served(POOL, "-o", Path(folder) / "setup.yaml") as run,
         Page(run.address, 1180, 760) as page,
     ):
-        page.until("image")
+        page.until(READY)
         for pixel in (NOSE, TAIL):
             click(page, *pixel)
         page.until("proposal.markers.length === 2")
@@ -129,7 +131,9 @@ def draw(path: Path) -> None:
         page.until("trial && !playing")
         page.value("show(120).then(() => scrollTo(0, 0))")
         page.picture(path)
-    Image.open(path).convert("RGB").quantize(96).save(path, optimize=True)
+    whole = Image.open(path).convert("RGB")
+    colours = whole.quantize(250, Image.Quantize.MAXCOVERAGE)
+    whole.quantize(palette=colours).save(path, optimize=True)
 
 
 if __name__ == "__main__":

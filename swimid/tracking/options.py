@@ -123,8 +123,9 @@ class TrackSetupOptions(
 ):
     """Draft a setup from a film: propose markers, draw them, and write a YAML file to edit.
 
-    It needs no display and no input. The file can be used as it is. With --pick, a page in the browser shows
-    the film: click on markers and on points of known distance, try the setup, and write it.
+    The file can be used as it is. Without --pick the command needs no display and no input. With --pick, a
+    page in the browser shows the film: click on markers and on points of known distance, try the setup, and
+    write it.
 
     Example:
       swimid track setup pool.mp4 -o setup.yaml
@@ -139,6 +140,11 @@ class TrackSetupOptions(
         help="One pixel of a marker of any colour or shade; head first, then tail. "
         "Equal markers have one name.",
     )
+    background: bool = option(False, help="Follow a whole body by its difference from the empty scene.")
+    frame: int = option(0, ge=0, help="Frame of the --marker pixels.")
+    metres_per_pixel: float | None = option(None, gt=0, help="Scale: metres per pixel.")
+    plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
+    fps: float | None = _rate()
     pick: bool = option(False, recorded=False, help="Pick markers and scale in a page of the browser.")
     port: int | None = option(
         None, ge=1, le=65535, recorded=False, help="Port of the page of --pick  [default: any free port]."
@@ -146,11 +152,6 @@ class TrackSetupOptions(
     browser: bool = option(
         True, flag="--browser/--no-browser", recorded=False, help="Open the page of --pick in the browser."
     )
-    background: bool = option(False, help="Follow a whole body by its difference from the empty scene.")
-    frame: int = option(0, ge=0, help="Frame of the --marker pixels.")
-    metres_per_pixel: float | None = option(None, gt=0, help="Scale: metres per pixel.")
-    plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
-    fps: float | None = _rate()
 
     @model_validator(mode="after")
     def _one_method(self) -> Self:
