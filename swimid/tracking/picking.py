@@ -25,12 +25,11 @@ from swimid.errors import InputError, SwimidError, UsageError
 from swimid.files import yamlio
 from swimid.logs.plane import plane_of
 from swimid.notices import Progress, Step, recorded
-from swimid.results.result import Result
 from swimid.tracking import frames
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import ColourModel, Frame, RawTrack, Video
 from swimid.tracking.options import Pick, TrackSetupOptions
-from swimid.tracking.pick_server import Answer, PageServer, Request
+from swimid.tracking.pick_server import BAD_JSON, Answer, PageServer, Request
 from swimid.tracking.proposals import kinds_of, marker_fault, pick_markers, setup_of
 from swimid.tracking.setup import Marker
 from swimid.tracking.tracker import follow
@@ -60,11 +59,19 @@ class Finish(Protocol):
         """Return the draft of the setup."""
 
 
+class Click(yamlio.Document):
+    """Name of a marker, and the pixel on which the user clicked."""
+
+    name: str
+    x: float
+    y: float
+
+
 class Choice(yamlio.Document):
     """Choice of the user on the page. The values of the setup keys are checked by the setup format."""
 
     frame: Annotated[int, Field(ge=0)] = 0
-    picks: Annotated[tuple[Pick, ...], Field(max_length=400)] = ()
+    picks: Annotated[tuple[Click, ...], Field(max_length=400)] = ()
     background: bool = False
     plane: Any = None
     frame_rate_hz: Any = None
@@ -149,7 +156,8 @@ class Session:
         self, video: Path, finish: Finish, progress: Progress, start: dict[str, Any], target: str
     ) -> None:
         self.reader = FrameReader(video)
-        self.video, self.draft = video, None
+        self.video = video
+        self.draft: Any = None
         self.status: dict[str, Any] = {"task": "", "count": 0}
         self._finish, self._progress, self._start, self._target = finish, progress, start, target
         self._post = {"check": self.check, "try": self.attempt, "done": self.done}
@@ -186,6 +194,8 @@ class Session:
                 return self._frame(request.content)
         except SwimidError as error:
             return Answer.of_json({"error": told(error)}, 422)
+        except RecursionError:
+            return BAD_JSON
         return Answer.of_json({"error": {"message": "no such page", "hint": None}}, 404)
 
     def _page(self) -> Answer:
@@ -277,7 +287,8 @@ class Session:
         index, _, frame = self.reader.at(choice.frame, _no_step)
         if index != choice.frame:
             raise InputError(f"has no frame {choice.frame}", file=self.video)
-        return pick_markers(frame, kinds_of(choice.picks), path=self.video, index=index)
+        picks = [Pick(one.name, one.x, one.y) for one in choice.picks]
+        return pick_markers(frame, kinds_of(picks), path=self.video, index=index)
 
     def _chosen(self, choice: Choice) -> tuple[list[Marker], dict[str, Any]]:
         """Return markers and other keys of the setup; raise the first error of the choice."""
@@ -312,16 +323,16 @@ class _Chosen(yamlio.Document):
 
 
 def told(error: SwimidError) -> dict[str, Any]:
-    """Return message and hint of an error, as the command prints them."""
-    return {"message": error.message, "hint": error.hint}
+    """Return class, message and hint of an error. The command prints the same message and hint."""
+    return {"type": type(error).__name__, "message": error.message, "hint": error.hint}
 
 
 def _found(track: RawTrack, name: str) -> dict[str, Any]:
     """Return the share of frames in which a marker was found, its fault, and its circle in each frame."""
     row = track.row(name)
     found = track.found[row]
-    circles = np.column_stack([track.x[row], track.y[row], np.sqrt(track.area[row] / np.pi)]).round(2)
-    circles = [circle if seen else None for circle, seen in zip(circles.tolist(), found, strict=True)]
+    table = np.column_stack([track.x[row], track.y[row], np.sqrt(track.area[row] / np.pi)]).round(2)
+    circles = [circle if seen else None for circle, seen in zip(table.tolist(), found, strict=True)]
     fault = marker_fault(track, name)[1]
     return {"name": name, "share": float(found.mean()), "fault": fault, "circles": circles}
 
@@ -334,8 +345,8 @@ def pick(
     *,
     output: Path | None,
     progress: Progress,
-) -> Result:
-    """Serve the page until the user presses Done, and return the draft of the setup.
+) -> Any:
+    """Serve the page until the user presses Done, and return the draft that ``finish`` made.
 
     Raises
     ------
@@ -351,5 +362,4 @@ def pick(
     server = PageServer(options.port, lambda: session.status)
     server.announce(browser=options.browser)
     server.run(session.answer)
-    draft: Result = session.draft
-    return draft
+    return session.draft

@@ -140,15 +140,14 @@ def track_setup(
             _free(video, output, force)
             return _draft(video, _follow_chosen(video, markers, common, progress), [], output)
 
-        return picking.pick(video, options, common, finish, output=output, progress=progress)
+        picked: SetupDraft = picking.pick(video, options, common, finish, output=output, progress=progress)
+        return picked
     if options.picks or options.background:
         markers = [picking.BODY]
         if options.picks:
             markers = _picked(video, options)
-        run, rejected = _follow_chosen(video, markers, common, progress), []
-    else:
-        run, rejected = _from_film(video, common, progress)
-    return _draft(video, run, rejected, output)
+        return _draft(video, _follow_chosen(video, markers, common, progress), [], output)
+    return _draft(video, *_from_film(video, common, progress), output)
 
 
 def _free(video: str | Path, output: str | Path | None, force: bool) -> Path | None:
