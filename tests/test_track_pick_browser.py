@@ -64,7 +64,8 @@ def test_markers_scale_and_region_are_picked_by_mouse(tmp_path: Path) -> None:
 
         page.click("#done")
         page.until("!get('finished').hidden")
-        assert "swimid track video pool.mp4 --setup setup.yaml -o run.csv" in page.text("#answer")
+        assert "nose: found in" in page.text("#answer")
+        assert page.text("#following") == f"swimid track video {POOL} --setup {output} -o run.csv"
         assert run.end()[0] == 0
         assert not [one for one in page.problems if "422" not in one]
         loaded = page.value("performance.getEntriesByType('resource').map((entry) => entry.name)")

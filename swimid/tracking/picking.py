@@ -7,6 +7,7 @@ proposals and trials from it with the functions that ``track setup`` uses, and k
 from __future__ import annotations
 
 import math
+import shlex
 from bisect import bisect_left
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -278,7 +279,9 @@ class Session:
         choice = yamlio.validate({"choice": content}, _Chosen, Path("page")).choice
         markers, common = self._chosen(choice)
         self.draft = self._finish(markers, common, self.progress)
-        return {"text": self.draft.text, "outputs": [str(path) for path in self.draft.outputs]}
+        outputs = [str(path) for path in self.draft.outputs]
+        following = "".join(self.draft.next_command(shlex.quote(path)) for path in outputs[:1])
+        return {"text": self.draft.text, "outputs": outputs, "next": following}
 
     def _markers(self, choice: Choice) -> list[Marker]:
         """Return the setup entries of the picked markers, or that of the whole body."""

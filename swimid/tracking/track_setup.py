@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -72,6 +73,10 @@ class SetupDraft(Result):
     def setup(self) -> Setup:
         """Setup of the draft, which can be passed to ``track_video``."""
         return setup_format.of(yamlio.parse_scalar(self.document))
+
+    def next_command(self, file: str) -> str:
+        """Return the command that tracks the film with the setup in ``file``."""
+        return f"swimid track video {shlex.quote(self.data['video'])} --setup {file} -o run.csv"
 
     def _write(self, path: Path) -> list[Path]:
         atomic.write_text(path, self.document)
@@ -181,11 +186,9 @@ def _draft(video: Path, run: Run, rejected: list[Candidate], output: Path | None
     if setup.scale is None:
         lines.append("no scale yet: positions will be in pixels. Fill in 'scale' in the file")
     if output is not None:
-        lines.append(
-            f"look at {output.with_suffix('.markers.png').name}, then: "
-            f"swimid track video {video.name} --setup {output.name} -o run.csv"
-        )
+        lines.append(f"look at {output.with_suffix('.markers.png').name}")
     data = {
+        "video": str(video),
         "markers": [m.model_dump(mode="json", exclude_none=True) for m in setup.markers],
         "head": setup.head,
         "tail": setup.tail,
