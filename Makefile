@@ -87,6 +87,7 @@ samples: $(VENV)/.ready-dev
 # The pictures of the manuals, from the sample logs.
 pictures: $(VENV)/.ready-dev
 	$(BIN)/python docs/pictures.py
+	$(BIN)/python -m tests.pick_page docs/figures/pick.png
 
 # The published figures of the built-in multi-link robots, and the twin of the dolphin: one page.
 reproduction: $(VENV)/.ready-dev
