@@ -164,9 +164,16 @@ def test_answers_fit_their_schema(
     monkeypatch.chdir(samples)
     answer = swimid(*words, "--json").json
     jsonschema.validate(answer, swimid("schema", "answer").json)
-    if answer["ok"] and words[0] == "fit-drag":
-        assert answer["verdict"]["level"] == "caution"  # no trial is held out
-        assert "no trial was held out" in answer["verdict"]["reasons"][0]
+
+
+def test_a_fit_without_held_out_trials_is_not_good(swimid: Run, samples: Path, tmp_path: Path) -> None:
+    text = (samples / "rig/trials.yaml").read_text()
+    assert swimid("fit-drag", samples / "rig/trials.yaml", "--json").json["verdict"]["level"] == "good"
+    text = text.replace("log: ", f"log: {samples}/rig/").replace(", role: validate", "")
+    (tmp_path / "trials.yaml").write_text(text)
+    verdict = swimid("fit-drag", tmp_path / "trials.yaml", "--json").json["verdict"]
+    assert verdict["level"] == "caution"
+    assert verdict["reasons"] == ["no trial was held out (role: validate)"]
 
 
 @pytest.mark.parametrize("words", [("schema", "trials"), ("doctor",)])

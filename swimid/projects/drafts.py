@@ -14,6 +14,7 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from swimid.errors import InputError, NoTrustworthyResult
@@ -23,7 +24,7 @@ from swimid.logs.foreign import open_table
 from swimid.logs.mapping import guess_mapping
 from swimid.logs.point_files import tracked_points
 from swimid.logs.trials import FORMAT as TRIALS
-from swimid.logs.trials import FallingWeightTrial, FreeSwimTrial
+from swimid.logs.trials import FallingWeightTrial, FreeSwimTrial, Trial
 from swimid.notices import Progress, silent
 from swimid.projects.survey import CRUISE, Recording, several
 from swimid.robots.file import built_in
@@ -210,17 +211,17 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
             text = re.sub(r"(?m)^  number: .*$", rf"\g<0>\n  at_m: [{ASK}, {ASK}]   # {place}", text)
         project.files[name] = re.sub(r"(?m)^frame_rate_hz: 1\.0\n", "", text)
         return
-    film = shlex.quote(project.relative(group.first.path))
+    file = shlex.quote(project.relative(group.first.path))
     project.missing.append(
         f"{name}: no marker was found in {group.first.path.name}. "
-        f"Pick the markers: swimid track setup {film} --pick -o {name}"
+        f"Pick the markers: swimid track setup {file} --pick -o {name}"
     )
 
 
 def _of_points(project: Project, group: Group, progress: Progress) -> None:
     """Add a points file: places on a robot if the robot is known, and a chain otherwise."""
     name = f"{group.name}.points.yaml"
-    points = list(tracked_points(dict.fromkeys(group.first.columns)))
+    points = list(tracked_points({name: np.empty(0) for name in group.first.columns}))
     options: dict[str, Any] = {"points": name}
     lines = [
         f"# Points of {group.first.path.name}. Answer every {ASK}. All keys: docs/points.md",
@@ -351,16 +352,16 @@ def _add_trials(project: Project, group: Group, notes: list[Recording]) -> None:
     fitting = group.experiments()
     metadata = [one.metadata for one in group.recordings]
     stated = {one.get("experiment") for one in metadata} - {None}
-    experiment = ASK
+    experiment: str = ASK
     if len(stated) == 1 and stated <= {*fitting}:
-        experiment = stated.pop()
+        experiment = str(stated.pop())
     elif project.experiment in fitting:
         experiment = str(project.experiment)
     elif fitting == ["cruise"]:
         experiment = "cruise"
     group.fitting = fitting if experiment == ASK else [experiment]
     robots = {one.get("robot") for one in metadata} - {None}
-    robot = project.robot or (robots.pop() if len(robots) == 1 else ASK)
+    robot = project.robot or (str(robots.pop()) if len(robots) == 1 else ASK)
     group.robot = robot
     lines = [
         f"# Trials of {len(group.recordings)} recordings of {group.first.path.parent.name}. "
@@ -405,7 +406,8 @@ def _keys_of(one: Recording, notes: list[Recording], experiment: str) -> dict[st
         for number, name in enumerate(table.cells[table.columns[0]]):
             if name in (one.path.name, one.path.stem):
                 rows.append({key: yamlio.parse_scalar(cells[number]) for key, cells in table.cells.items()})
-    trial = {"falling-weight": FallingWeightTrial, "free-swim": FreeSwimTrial}.get(experiment)
+    trials: dict[str, type[Trial]] = {"falling-weight": FallingWeightTrial, "free-swim": FreeSwimTrial}
+    trial = trials.get(experiment)
     keys = {"role", *(trial.model_fields if trial else ())} - {"id", "log", "drive", "coefficients"}
     found: dict[str, Any] = {}
     drive: dict[str, Any] = {}

@@ -128,7 +128,7 @@ def _drafted(
 
 def _write(project: Project) -> list[Path]:
     """Write all files of a project, and return their paths."""
-    written = []
+    written: list[Path] = []
     for name, text in project.files.items():
         path = project.folder / name
         if name in project.pictures:

@@ -13,13 +13,18 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from tests.blind import swim_actuation, swimmers
+from tests.blind import swim_actuation, swim_files, swimmers
 from tests.generators import film_writer, gap_trials
 from tests.generators.point_films import TFISH
 
 Array = np.ndarray
 WIDTH, HEIGHT, RATE_HZ = 640, 360, 30.0
 METRES_PER_PIXEL = 0.003
+#: Frequency (Hz), amplitude (deg) and bias (deg) of the trials; the last is held out.
+SETTINGS = (
+    (1.0, 12, 0), (1.0, 25, 0), (1.0, 42, 0), (1.0, 32, 10), (1.4, 20, -12), (1.4, 30, 0), (1.8, 25, 8),
+    (1.4, 25, 0),
+)  # fmt: skip
 #: Blue, green, red.
 RED, YELLOW, HULL, FIN, WATER = (40, 40, 205), (45, 200, 225), (95, 98, 100), (130, 133, 135), (150, 130, 85)
 #: Stations of the markers behind the nose, and their radius, m.
@@ -94,11 +99,11 @@ def _in_picture(swim: dict[str, Array]) -> dict[str, Array]:
 
 
 def write_sample(folder: Path) -> None:
-    """Write the films and the table of the trials."""
+    """Write the films, the table of the trials, and coefficients that were identified on another day."""
     folder.mkdir(parents=True, exist_ok=True)
     seed = gap_trials.SEED
     rng = np.random.default_rng([seed, 1])
-    trials = gap_trials.plan("tfish", gap_trials.SETTINGS, 10.0, RATE_HZ, seed)
+    trials = gap_trials.plan("tfish", SETTINGS, 10.0, RATE_HZ, seed, scatter=0.0)
     coefficients = swimmers.truth("tfish", rng)
     backlash = swim_actuation.servo_backlash(np.random.default_rng(seed), gap_trials.SIZE, "tfish")
     noise, rows = gap_trials.tracking("tfish"), []
@@ -114,19 +119,8 @@ def write_sample(folder: Path) -> None:
             folder / f"{trial.id}.mp4", pictures(swim, np.random.default_rng([seed, 7, number])),
             size=(WIDTH, HEIGHT), times=swim["t_s"], rate_hz=RATE_HZ, crf=24, preset="slow",
         )  # fmt: skip
-        role = "validate" if number == 1 else "fit"
-        rows.append(
-            {
-                "film": trial.id,
-                **dict(
-                    zip(
-                        ("frequency_hz", "amplitude_deg", "bias_deg"),
-                        gap_trials.SETTINGS[number],
-                        strict=True,
-                    )
-                ),
-                "role": role,
-                "start_state": "rest",
-            }
-        )
-    pd.DataFrame(rows).to_csv(folder / "trials.csv", index=False)
+        role = "fit" if number < len(SETTINGS) - 1 else "validate"
+        rows.append((trial.id, *SETTINGS[number], role, "rest"))
+    names = ["film", "frequency_hz", "amplitude_deg", "bias_deg", "role", "start_state"]
+    pd.DataFrame(rows, columns=names).to_csv(folder / "trials.csv", index=False)
+    swim_files.write_prior(folder / "march.yaml", "tfish", coefficients, swimmers.FITTED["tfish"], rng)
