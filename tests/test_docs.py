@@ -77,3 +77,14 @@ def test_nothing_of_the_workshop_is_left() -> None:
     ]
     for path in [*files, ROOT / "README.md", ROOT / "Makefile", ROOT / "CHANGELOG.md"]:
         assert not words.search(path.read_text()), path
+
+
+def test_the_paper_states_what_the_manuals_state() -> None:
+    """Each figure of the table stands in the page that it links to, and each reference is in the list."""
+    text = (ROOT / "docs/paper.md").read_text()
+    rows = re.findall(r"^\| [^|]+ \| ([^|]*\d[^|]*) \| \[[\w.-]+\]\(([\w.-]+)", text, re.M)
+    assert len(rows) > 3
+    for value, page in rows:
+        assert value in (ROOT / "docs" / page).read_text(), f"{page} has no '{value}'"
+    known = set(re.findall(r"^@\w+\{([\w-]+),", (ROOT / "docs/paper.bib").read_text(), re.M))
+    assert set(re.findall(r"@([\w-]+)[;\]]", text)) <= known

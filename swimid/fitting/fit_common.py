@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -89,12 +90,21 @@ def inputs_of(path: Path, entries: Trials, logs: Sequence[Input]) -> list[Input]
 def read_log(
     entry: TrialEntry, folder: Path, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Log:
-    """Read the log of a trial, cut it to the interval in the trials file, and blank repeated positions."""
+    """Read the log of a trial, cut it to the interval in the trials file, and blank repeated positions.
+
+    Positions and angles of a tracked film are those measured in the frames, not the smoothed ones. The errors
+    of smoothed values are smaller and extend over many frames, which no noise model of a fit describes.
+    """
+    pose = [name for name in (*required, *optional) if name in (*POSITIONS, *ANGLES)]
+    measured = {name: re.sub(r"_(m|rad)$", r"_raw_\1", name) for name in pose}
+    optional = (*optional, *measured.values())
     if entry._held is not None:
         log = entry._held.chosen(required, optional)
     else:
         log = log_format.read(folder / entry.log, required=required, optional=optional)
-    log = _measured_anew(log)
+    columns = {name: values for name, values in log.columns.items() if name not in measured.values()}
+    columns |= {name: log[raw] for name, raw in measured.items() if raw in log}
+    log = _measured_anew(replace(log, columns=columns))
     if entry.start_s is None and entry.end_s is None:
         return log
     low = -np.inf if entry.start_s is None else entry.start_s

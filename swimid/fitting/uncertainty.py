@@ -690,6 +690,8 @@ UNIDENTIFIABLE = 0.5
 UNSEEN = 1e-7
 #: Minimum standard error of a parameter in a group of confounded parameters, as a fraction of its magnitude.
 VAGUE = 0.5 * UNIDENTIFIABLE
+#: Maximum number of parameters in a group for which the report states their known weighted sum.
+MAX_NAMED = 6
 #: Minimum weight of a parameter in a known weighted sum of parameters, as a fraction of the largest weight.
 #: Parameters with smaller weights are left out.
 NEGLIGIBLE = 0.01
@@ -799,8 +801,14 @@ def sentences(result: FitResult) -> list[str]:
     said, grouped = [], set()
     for group in confounded(result):
         grouped |= set(group)
-        names, rest = f"{', '.join(group[:-1])} and {group[-1]}", ", and no sum of them is known"
-        said.append(f"{names} cannot be separated by these trials{known.get(group, rest)}")
+        named, rest = list(group), known.get(group, ", and no sum of them is known")
+        if len(group) > MAX_NAMED:
+            # Nobody reads a sum of so many terms. The parameter file has their correlations.
+            named, rest = [label for label in group if "[" not in label], ""
+            if len(named) < len(group):
+                named.append(f"{len(group) - len(named)} parameters of single trials")
+        listed = " and ".join(filter(None, [", ".join(named[:-1]), named[-1]]))
+        said.append(f"{listed} cannot be separated by these trials{rest}")
     alone = [label for label in unidentifiable(result) if label not in grouped]
     own = [label.partition("[") for label in alone if "[" in label]
     for name in dict.fromkeys(name for name, _, _ in own):

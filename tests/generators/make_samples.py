@@ -5,7 +5,17 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tests.generators import cruise, gap_trials, longfin, polled_camera, pool_video, rig, sealion, swimmer
+from tests.generators import (
+    cruise,
+    gap_trials,
+    longfin,
+    polled_camera,
+    pool_video,
+    rig,
+    sealion,
+    swimmer,
+    tutorial_films,
+)  # fmt: skip
 
 
 def main(folder: Path) -> None:
@@ -18,6 +28,7 @@ def main(folder: Path) -> None:
     gap_trials.write_sample(folder / "gap")
     polled_camera.write_sample(folder / "camera")
     sealion.write_sample(folder / "sealion")
+    tutorial_films.write_sample(folder / "tutorial")
 
 
 if __name__ == "__main__":

@@ -103,7 +103,7 @@ def write_sample(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     seed = gap_trials.SEED
     rng = np.random.default_rng([seed, 1])
-    trials = gap_trials.plan("tfish", SETTINGS, 10.0, RATE_HZ, seed, scatter=0.0)
+    trials = gap_trials.plan("tfish", SETTINGS, 10.0, RATE_HZ, seed)
     coefficients = swimmers.truth("tfish", rng)
     backlash = swim_actuation.servo_backlash(np.random.default_rng(seed), gap_trials.SIZE, "tfish")
     noise, rows = gap_trials.tracking("tfish"), []
@@ -114,7 +114,7 @@ def write_sample(folder: Path) -> None:
         # Ripples of the surface move the picture of the fish.
         ripples = trial.rng("noise")
         for name in ("x_m", "y_m", "yaw_rad"):
-            swim[name] = swim[name] + noise.draw(name, len(swim["t_s"]), ripples)
+            swim[name] = swim[name] + 0.5 * noise.draw(name, len(swim["t_s"]), ripples)
         film_writer.write(
             folder / f"{trial.id}.mp4", pictures(swim, np.random.default_rng([seed, 7, number])),
             size=(WIDTH, HEIGHT), times=swim["t_s"], rate_hz=RATE_HZ, crf=24, preset="slow",
