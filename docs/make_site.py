@@ -1,8 +1,8 @@
 """Build the documentation site into ``site``: ``make docs``.
 
-The pages of ``docs`` are copied to ``build/docs``. Pages of reference are written there from the options of the
-commands and from the docstrings of the public functions. Zensical makes the site of them (``zensical.toml``).
-Equations become MathML, which browsers show without a script.
+The pages of ``docs`` are copied to ``build/docs``. Pages of reference are written there from the options of
+the commands and from the docstrings of the public functions, and quick pictures are drawn. Zensical makes the
+site of them (``zensical.toml``). Equations become MathML, which browsers show without a script.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typing import Any
 import click
 import griffe
 import latex2mathml.converter
+from pictures import draw_quick
 
 from swimid.api import NAMES
 from swimid.cli.main import SECTIONS, SHARED, Command, found, main
@@ -32,18 +33,23 @@ FOREIGN_SCRIPT = "https://unpkg.com/iframe-worker/shim"
 
 #: Title of each page of the Python reference, and the public names on it.
 PYTHON = {
-    "Trials, logs and robots": ("load", "read_log", "read_robot", "built_in_robots", "TrialSet", "Log", "Robot"),
+    "Trials, logs and robots": (
+        "load", "read_log", "read_robot", "built_in_robots", "TrialSet", "Log", "Robot",
+    ),
     "Make logs": ("track_video", "track_setup", "track_imu", "import_log", "guess_mapping", "plot", "Logged"),
     "Identify": ("fit_drag", "fit_propulsion", "fit_graybox", "rwls", "Fitted"),
     "Simulate and compare": ("simulate", "Simulation", "compare", "Comparison"),
     "Diagnose": ("diagnose", "Diagnosis", "DetectionPower", "sensitivity", "Sensitivity"),
     "Put to work": (
-        "performance_map", "PerformanceMap", "optimise_stiffness", "StiffnessRule", "optimise_gait", "BestGait",
+        "performance_map", "PerformanceMap", "optimise_stiffness", "StiffnessRule", "optimise_gait",
+        "BestGait",
     ),
     "Many at once": ("batch", "Batch", "compare_runs", "ComparedRuns"),
     "Results": ("load_result", "Result", "report", "export"),
     "Models and effects": ("Model", "Parameter", "Channel", "Trial", "fit_model", "Effect"),
-    "Errors and warnings": ("SwimidError", "InputError", "UsageError", "NoTrustworthyResult", "SwimidWarning"),
+    "Errors and warnings": (
+        "SwimidError", "InputError", "UsageError", "NoTrustworthyResult", "SwimidWarning",
+    ),
 }  # fmt: skip
 
 
@@ -251,6 +257,7 @@ def finish(page: Path) -> None:
 def build() -> int:
     """Build the site. Return the exit status of Zensical, which is not 0 after a warning."""
     copy_pages()
+    draw_quick(PAGES / "figures")
     command_pages()
     python_pages()
     zensical = Path(sys.executable).with_name("zensical")
