@@ -2,7 +2,7 @@
 
 The pages of ``docs`` are copied to ``build/docs``. Pages of reference are written there from the options of
 the commands and from the docstrings of the public functions, and quick pictures are drawn. Zensical makes the
-site of them (``zensical.toml``). Equations become MathML, which browsers show without a script.
+site of them (``zensical.toml``). Equations become drawings, which need no script and no font of the reader.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 
 import click
 import griffe
-import latex2mathml.converter
+import ziamath
 from pictures import draw_quick
 
 from swimid.api import NAMES
@@ -30,6 +30,10 @@ ROOT = Path(__file__).parents[1]
 PAGES, SITE = ROOT / "build" / "docs", ROOT / "site"
 #: Script that Zensical loads for a search without a server. ``docs/site.js`` takes its place.
 FOREIGN_SCRIPT = "https://unpkg.com/iframe-worker/shim"
+#: Equation of a page, as the Markdown extension arithmatex leaves it.
+EQUATION = re.compile(r'<(span|div) class="arithmatex">\s*\\(?P<open>[\[(])(?P<tex>.*?)\\[\])]\s*</\1>', re.S)
+#: Font size of equations, px.
+EQUATION_PX = 17
 
 #: Title of each page of the Python reference, and the public names on it.
 PYTHON = {
@@ -121,13 +125,13 @@ def option_table(parameters: Iterable[click.Parameter]) -> Iterator[str]:
     yield "| option | default | meaning |"
     yield "|---|---|---|"
     for one in parameters:
-        if isinstance(one, click.Option) and not one.hidden:
+        if isinstance(one, click.Option) and one.name != "help":
             flags, meaning = one.get_help_record(click.Context(click.Command("swimid"))) or ("", "")
             default = re.search(r"default: ([^;\]]+)", meaning)
             meaning = re.sub(r"\s*\[(default|required).*?\]$", "", meaning)
             state = f"`{default[1]}`" if default else "required" if one.required else ""
-            cells = (f"`{flags}`".replace("|", "\\|"), state, escaped(meaning).replace("|", "\\|"))
-            yield f"| {' | '.join(cells)} |"
+            code = html.escape(flags).replace("|", "&#124;")
+            yield f"| <code>{code}</code> | {state} | {escaped(meaning).replace('|', '&#124;')} |"
     yield ""
 
 
@@ -241,15 +245,20 @@ def write(path: Path, lines: Iterable[str]) -> None:
 # ---------------------------------------------------------------- site
 
 
+def drawn_equation(found: re.Match[str]) -> str:
+    """Return the HTML of an equation: its drawing, with its LaTeX as text for readers who cannot see it."""
+    tex, inline = html.unescape(found["tex"]).strip(), found["open"] == "("
+    drawing = ziamath.Latex(tex, size=EQUATION_PX, inline=inline, color="currentColor")
+    tag, depth = ("span", f"{drawing.getyofst():.2f}px") if inline else ("div", "0")
+    attributes = (
+        f'class="equation" role="img" aria-label="{html.escape(tex)}" style="vertical-align: {depth}"'
+    )
+    return f"<{tag} {attributes}>{drawing.svg()}</{tag}>"
+
+
 def finish(page: Path) -> None:
-    """Replace the LaTeX of a page of the site by MathML, and the script of another server by ``site.js``."""
-
-    def mathml(found: re.Match[str]) -> str:
-        display = "block" if found["open"] == "[" else "inline"
-        return latex2mathml.converter.convert(html.unescape(found["tex"]).strip(), display=display)
-
-    pattern = r'<(?P<tag>span|div) class="arithmatex">\s*\\(?P<open>[\[(])(?P<tex>.*?)\\[\])]\s*</(?P=tag)>'
-    text = re.sub(pattern, mathml, page.read_text(encoding="utf-8"), flags=re.S)
+    """Draw the equations of a page of the site, and replace the script of another server by ``site.js``."""
+    text = EQUATION.sub(drawn_equation, page.read_text(encoding="utf-8"))
     up = "../" * (len(page.relative_to(SITE).parts) - 1)
     page.write_text(text.replace(FOREIGN_SCRIPT, f"{up}site.js"), encoding="utf-8")
 
@@ -262,6 +271,7 @@ def build() -> int:
     python_pages()
     zensical = Path(sys.executable).with_name("zensical")
     words = [str(zensical), "build", "--clean", "--strict", "--config-file", str(ROOT / "zensical.toml")]
+    ziamath.config.svg2 = False  # glyphs of two equations would share names
     status = subprocess.run(words, cwd=ROOT, check=False).returncode
     if status == 0:
         for page in SITE.rglob("*.html"):
