@@ -7,6 +7,7 @@ site of them (``zensical.toml``). Equations become drawings, which need no scrip
 
 from __future__ import annotations
 
+import csv
 import html
 import inspect
 import re
@@ -14,6 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -79,7 +81,16 @@ def copy_pages() -> None:
         for name, place in places.items():  # The options of a command are a page of the site.
             link = f"[`swimid {name} --help`]({up}{place}#{slug(name)})"
             text = text.replace(f"`swimid {name} --help`", link)
+        text = re.sub(r"^\[All rows\]\((.+\.csv)\)$", partial(with_table, path.parent), text, flags=re.M)
         path.write_text(text, encoding="utf-8")
+
+
+def with_table(folder: Path, link: re.Match[str]) -> str:
+    """Return the link to a CSV file, and its content as a table."""
+    with (folder / link[1]).open(encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    cells = (head, ["---"] * len(head), *rows)
+    return "\n".join([f"{link[0]}\n", *(f"| {' | '.join(row)} |" for row in cells)])
 
 
 # ---------------------------------------------------------------- reference of the commands
