@@ -181,7 +181,8 @@ def object_text(name: str, item: Any) -> Iterator[str]:
         if isinstance(value, property):
             yield f"### .{member} {{ #{slug(name)}.{member} }}\n"
         elif inspect.isroutine(value):
-            yield f"### .{signature_text(member, getattr(item, member), '')} {{ #{slug(name)}.{member} }}\n"
+            yield f"### .{member}() {{ #{slug(name)}.{member} }}\n"
+            yield from ("```python", signature_text(member, getattr(item, member), "."), "```\n")
         else:
             continue
         yield from docstring_text(doc)
