@@ -239,7 +239,7 @@ def marked(text: str) -> str:
     text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"`\1`", text)
     text = re.sub(r"``(.+?)``", r"`\1`", text)
     text = re.sub(r"^\.\. \[(\d+)\] ", r"\1. ", text, flags=re.M)
-    return escaped(text)
+    return re.sub(r"`docs/([\w-]+\.md)`", r"[\1](../../\1)", escaped(text))
 
 
 def escaped(text: str) -> str:
