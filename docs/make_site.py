@@ -14,6 +14,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator
 from functools import partial
 from importlib import import_module
@@ -200,7 +201,8 @@ def signature_text(name: str, item: Any, module: str = "swimid.") -> str:
     except ValueError:  # A class with a constructor in C.
         return f"{module}{name}"
     bare = [one.replace(annotation=one.empty) for one in parameters if one.name not in ("self", "progress")]
-    return f"{module}{name}{inspect.Signature(bare)}"
+    call = f"{module}{name}{inspect.Signature(bare)}"
+    return textwrap.fill(call, 76, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
 
 
 def docstring_text(text: str) -> Iterator[str]:

@@ -1,4 +1,5 @@
 // A browser runs no worker of a page that is opened from the disk. The search then runs in a hidden frame.
+// A message is a copy, as that of a worker is.
 if (location.protocol === "file:") {
   window.Worker = class extends EventTarget {
     constructor(url) {
@@ -7,7 +8,7 @@ if (location.protocol === "file:") {
       frame.hidden = true;
       document.body.append(frame);
       this.inner = frame.contentWindow;
-      this.inner.postMessage = (data) => this.answer(data);
+      this.inner.postMessage = (data) => setTimeout(() => this.answer(structuredClone(data)));
       this.inner.importScripts = () => {};
       this.loaded = new Promise((resolve) => {
         const script = this.inner.document.createElement("script");
@@ -22,7 +23,8 @@ if (location.protocol === "file:") {
       this.onmessage?.(event);
     }
     postMessage(data) {
-      this.loaded.then(() => this.inner.dispatchEvent(new this.inner.MessageEvent("message", { data })));
+      const event = new MessageEvent("message", { data: structuredClone(data) });
+      this.loaded.then(() => this.inner.dispatchEvent(event));
     }
     terminate() {
       this.inner.frameElement.remove();
