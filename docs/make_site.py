@@ -140,7 +140,7 @@ def option_table(parameters: Iterable[click.Parameter]) -> Iterator[str]:
         if isinstance(one, click.Option) and one.name != "help":
             flags, meaning = one.get_help_record(click.Context(click.Command("swimid"))) or ("", "")
             default = re.search(r"default: ([^;\]]+)", meaning)
-            meaning = re.sub(r"\s*\[(default|required).*?\]$", "", meaning)
+            meaning = re.sub(r"\s*\[(default|required)[^]]*\](\.?)$", r"\2", meaning)
             state = f"`{default[1]}`" if default else "required" if one.required else ""
             code = html.escape(flags).replace("|", "&#124;")
             yield f"| <code>{code}</code> | {state} | {escaped(meaning).replace('|', '&#124;')} |"
@@ -247,7 +247,9 @@ def marked(text: str) -> str:
 def escaped(text: str) -> str:
     """Escape what Markdown would take for a tag or an emphasis, outside of code."""
     parts = re.split(r"(`[^`]*`)", text)
-    return "".join(part if part.startswith("`") else re.sub(r"([<*_\[])", r"\\\1", part) for part in parts)
+    for k in range(0, len(parts), 2):
+        parts[k] = re.sub(r"([*_\[])", r"\\\1", parts[k].replace("<", "&lt;"))
+    return "".join(parts)
 
 
 def write(path: Path, lines: Iterable[str]) -> None:
