@@ -285,8 +285,7 @@ def build() -> int:
     draw_quick(PAGES / "figures")
     command_pages()
     python_pages()
-    zensical = Path(sys.executable).with_name("zensical")
-    words = [str(zensical), "build", "--clean", "--strict", "--config-file", str(ROOT / "zensical.toml")]
+    words = [sys.executable, "-m", "zensical", "build", "--clean", "--strict"]
     ziamath.config.svg2 = False  # glyphs of two equations would share names
     status = subprocess.run(words, cwd=ROOT, check=False).returncode
     if status == 0:
