@@ -16,7 +16,7 @@ export PYTHONUTF8 := 1
 # Files of tests stay whole: what their tests share is made once.
 SPREAD := -n 2 --dist loadfile
 
-.PHONY: demo test check-all lint types bench blind coverage faults mutants samples pictures docs reproduction hooks \
+.PHONY: demo test check-all lowest lint types bench blind coverage faults mutants samples pictures docs reproduction hooks \
     clean
 
 demo: $(VENV)/.ready
@@ -42,6 +42,13 @@ test: $(VENV)/.ready-dev
 check-all: $(VENV)/.ready-dev lint types
 	$(BIN)/python -m pytest $(SPREAD) -m ""
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_cache/bounds $(BIN)/python -m pytest $(SPREAD) -m "kernels"
+
+# The tests with the lowest versions that pyproject.toml declares.
+lowest:
+	$(PYTHON) -m venv $(VENV)-lowest
+	$(VENV)-lowest/bin/python -m pip install --quiet uv
+	$(VENV)-lowest/bin/uv pip install --quiet --python $(VENV)-lowest/bin/python --resolution lowest-direct -e ".[dev]"
+	$(VENV)-lowest/bin/python -m pytest $(SPREAD)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
@@ -80,6 +87,7 @@ samples: $(VENV)/.ready-dev
 # The pictures of the manuals, from the sample logs.
 pictures: $(VENV)/.ready-dev
 	$(BIN)/python docs/pictures.py
+	$(BIN)/python -m tests.pick_page docs/figures/pick.png
 
 # The documentation site, in site/: pages of docs, reference from the code, the pictures that are drawn quickly.
 docs: $(VENV)/.ready-docs

@@ -40,6 +40,7 @@ EQUATION_PX = 17
 
 #: Title of each page of the Python reference, and the public names on it.
 PYTHON = {
+    "Start": ("init", "sample"),
     "Trials, logs and robots": (
         "load", "read_log", "read_robot", "built_in_robots", "TrialSet", "Log", "Robot",
     ),
@@ -71,7 +72,7 @@ def slug(title: str) -> str:
 def copy_pages() -> None:
     """Copy the pages of ``docs`` and the documents beside it, with their links adapted."""
     shutil.rmtree(PAGES, ignore_errors=True)
-    shutil.copytree(ROOT / "docs", PAGES, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "docs", PAGES, ignore=shutil.ignore_patterns("__pycache__", "llms.txt"))
     for name in ("CONTRIBUTING.md", "CHANGELOG.md"):
         text = (ROOT / name).read_text(encoding="utf-8")
         (PAGES / name).write_text(text.replace("](docs/", "]("), encoding="utf-8")

@@ -47,6 +47,8 @@ _NAMES_OF = {
     "swimid.exporters.export": ("export",),
     "swimid.runs.batch": ("batch", "Batch"),
     "swimid.runs.compare_runs": ("compare_runs", "ComparedRuns"),
+    "swimid.projects.init": ("init",),
+    "swimid.projects.sample": ("sample",),
     "swimid.results.report": ("report",),
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),

@@ -93,7 +93,8 @@ class Options(BaseModel):
         Description of the output that ``-o`` writes.
     argument : str
         Positional argument of the command, by default ``"TRIALS"``. ``"LOG..."`` stands for several files,
-        ``"[NAME]"`` for an optional word, and an empty string for no argument.
+        ``"[NAME]"`` for an optional word, ``"[NAME] [FOLDER]"`` for a word and the output, and an empty
+        string for no argument.
     function, module : str
         Name of the function, and of its module in the same package. The default of the function is the
         command with ``_`` in place of ``-``, that of the module is the function. The function takes the

@@ -227,7 +227,8 @@ class TestResult:
     def test_a_notebook_shows_and_saves_the_figure(self, drag: swimid.Fitted, tmp_path: Path) -> None:
         from matplotlib import pyplot
 
-        drawn, _ = drag.plot("overlay-x_m")  # the worst and the best trial
+        drawn, *others = drag.plot("overlay-x_m")  # the worst, the best and the held-out trial
+        assert len(others) == 2
         # what the inline backend shows at the end of a cell, and what pyplot.savefig saves
         assert drawn is pyplot.gcf().axes[0]
         pyplot.savefig(tmp_path / "x.svg")

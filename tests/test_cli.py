@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import jsonschema
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -139,6 +140,42 @@ def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
     assert "properties" in document or "oneOf" in document
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fit-drag", "rig/trials.yaml"),
+        ("rwls", "longfin/longfin_marching.csv", "--input=cmd1_rad", "--output=u_m_s", "--na=2", "--nb=1"),
+        ("import", "camera/polled.csv", "--guess"),
+        ("compare", "gap/trials.yaml", "--params=gap/params.yaml"),
+        ("simulate", "--params=gap/params.yaml", "--frequency-hz=1", "--amplitude-deg=20", "--duration-s=2"),
+        ("export", "gap/params.yaml", "--to=mjcf"),
+        ("report", "gap/params.yaml"),
+        ("init", "rig"),
+        ("sample",),
+        ("doctor",),
+        ("schema",),
+        ("fit-drag", "nowhere.yaml"),
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_answers_fit_their_schema(
+    swimid: Run, samples: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(samples)
+    answer = swimid(*words, "--json").json
+    jsonschema.validate(answer, swimid("schema", "answer").json)
+
+
+def test_a_fit_without_held_out_trials_is_not_good(swimid: Run, samples: Path, tmp_path: Path) -> None:
+    text = (samples / "rig/trials.yaml").read_text()
+    assert swimid("fit-drag", samples / "rig/trials.yaml", "--json").json["verdict"]["level"] == "good"
+    text = text.replace("log: ", f"log: {samples}/rig/").replace(", role: validate", "")
+    (tmp_path / "trials.yaml").write_text(text)
+    verdict = swimid("fit-drag", tmp_path / "trials.yaml", "--json").json["verdict"]
+    assert verdict["level"] == "caution"
+    assert verdict["reasons"] == ["no trial was held out (role: validate)"]
+
+
 @pytest.mark.parametrize("words", [("schema", "trials"), ("doctor",)])
 def test_schema_and_doctor_write_over_nothing_of_others(
     swimid: Run, tmp_path: Path, words: tuple[str, ...]
@@ -154,7 +191,8 @@ def test_schema_and_doctor_write_over_nothing_of_others(
 def test_schema_lists_every_format(swimid: Run) -> None:
     listed = swimid("schema").out.split()
     assert listed[:6] == ["trials", "robot", "setup", "mapping", "points", "evidence"]
-    assert listed[6:] == [form.removeprefix("swimid-").partition("/")[0] for form in FORMATS]
+    assert listed[6:-1] == [form.removeprefix("swimid-").partition("/")[0] for form in FORMATS]
+    assert listed[-1] == "answer"
 
 
 def test_doctor(swimid: Run, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from swimid.cli.main import found, main
 from tests.conftest import ROOT, SAMPLES, Ran
 
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", DOCS / "llms.txt", *sorted(DOCS.rglob("*.md"))]
 
 
 def _commands(page: Path) -> list[str]:

@@ -33,7 +33,8 @@ def test_a_fit_recovers_the_truth_with_its_evidence(model: Toy, swings: list[Tri
         estimate = fitted[parameter.name]
         assert estimate.stderr is not None
         assert estimate.value == pytest.approx(truth, abs=3.5 * estimate.stderr)
-    assert fitted.verdict == "good"
+    checks = fitted.checks()
+    assert list(checks["name"][checks["verdict"] == "warn"]) == ["held-out trials"]
     assert {"overlay-y", "residuals-y"} <= set(fitted.figure_names)
     assert {"converged", "identifiable", "trials agree"} <= set(fitted.checks()["name"])
     assert fitted.summary().startswith("Fit of toy\n  model toy; trials 3\n")
@@ -50,12 +51,13 @@ def test_choices_are_applied_and_recorded(model: Toy, swings: list[Trial]) -> No
 
 def test_held_out_trials_are_scored_not_fitted(model: Toy, swings: list[Trial]) -> None:
     *kept, last = swings
-    held_out = Trial(last.id, "validate", last.time_s, {"y": last.measured["y"] + 1.0})
     alone = fit_model(model, kept)
-    beside = fit_model(model, [*kept, held_out])
-    assert beside["rate"].value == alone["rate"].value
-    assert beside.verdict == "bad"
-    assert alone.verdict == "good"
+    assert alone.verdict == "caution"
+    for shift, verdict in ((0.0, "good"), (1.0, "bad")):
+        held_out = Trial(last.id, "validate", last.time_s, {"y": last.measured["y"] + shift})
+        beside = fit_model(model, [*kept, held_out])
+        assert beside["rate"].value == alone["rate"].value
+        assert beside.verdict == verdict
 
 
 def test_nothing_is_written_unless_asked(

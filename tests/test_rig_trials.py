@@ -125,7 +125,7 @@ def test_a_friction_that_grows_with_the_pulling_mass_is_no_random_effect(swimid:
 
 
 def test_an_omitted_drag_that_changes_the_estimates_is_bad(swimid: Run, tmp_path: Path) -> None:
-    trials = generator.write_falls(tmp_path, np.random.default_rng(0), linear_N_s_m=0.06)
+    trials = generator.write_falls(tmp_path, np.random.default_rng(0), linear_N_s_m=0.06, held_out=(25,))
     assert _verdict(swimid("fit-drag", trials)) == "BAD"
     assert _verdict(swimid("fit-drag", trials, "--free", "linear_drag")) == "GOOD"
 

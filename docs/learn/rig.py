@@ -17,8 +17,8 @@ import pandas as pd
 import swimid
 from tests.generators import rig
 
-#: Pulling masses, g.
-WEIGHTS_G = (10, 15, 20, 25, 30, 40)
+#: Pulling masses, g, and the one of the held-out trial.
+WEIGHTS_G, HELD_OUT_G = (10, 15, 20, 25, 30, 35, 40), 25
 #: Standard deviation of the camera, m, and its rate, Hz.
 CAMERA_SD_M, RATE_HZ = 0.0005, 50.0
 
@@ -70,7 +70,10 @@ def clicked(weight_g: float, rng: np.random.Generator) -> dict[str, Any]:
 def fitted(fall: Fall, *, weights_g: Sequence[float] = WEIGHTS_G, fixed: Mapping[str, float]) -> str:
     """Return the cells of a row: errors of the estimates, their 95 % intervals, and the verdict."""
     rng = np.random.default_rng(11)
-    trials = [{"id": f"w{weight}", **fall(weight, rng)} for weight in weights_g]
+    trials = [
+        {"id": f"w{weight}", "role": "validate" if weight == HELD_OUT_G else "fit", **fall(weight, rng)}
+        for weight in weights_g
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", swimid.SwimidWarning)
         found = swimid.fit_drag(

@@ -17,6 +17,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 import swimid
+from swimid.cli.answers import answer_schema
 from swimid.cli.options import DoctorOptions, ImportLogOptions, SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
@@ -73,16 +74,18 @@ OTHERS = {
     "points": "swimid.logs.point_files:PointsFile",
     "evidence": "swimid.results.evidence:Evidence",
 }
+#: Name of the schema of the answer of any command to ``--json``.
+ANSWER = "answer"
 
 
 @takes(SchemaOptions)
 def schema(name: str | None = None, *, options: SchemaOptions, output: Path | None = None) -> Result:
-    """Return the JSON Schema of one file format, or the list of all file formats.
+    """Return the JSON Schema of one file format or of the answers to ``--json``, or the list of all.
 
     Parameters
     ----------
     name : str, optional
-        Name of the format: ``"gap"`` for ``format: swimid-gap/1``.
+        Name of the format: ``"gap"`` for ``format: swimid-gap/1``, ``"answer"`` for ``--json``.
     output : path, optional
         File for the schema.
 
@@ -93,19 +96,24 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     """
     results = {form.removeprefix("swimid-").split("/")[0]: place for form, place in FORMATS.items()}
     places = OTHERS | results
+    names = [*places, ANSWER]
     if name is None:
-        return Result("schema", "\n".join(places), {"formats": list(places)})
-    if name not in places:
-        raise UsageError(f"there is no format '{name}'", hint=suggestion(name, list(places)))
-    module, _, attribute = places[name].partition(":")
-    found = getattr(importlib.import_module(module), attribute)
-    if name == "robot":
-        found = found()
+        return Result("schema", "\n".join(names), {"formats": names})
+    if name not in names:
+        raise UsageError(f"there is no format '{name}'", hint=suggestion(name, names))
+    if name == ANSWER:
+        content = answer_schema()
+    else:
+        module, _, attribute = places[name].partition(":")
+        found = getattr(importlib.import_module(module), attribute)
+        if name == "robot":
+            found = found()
+        # The attribute ``file_type`` of a class of results is the pydantic model of its file.
+        content = TypeAdapter(getattr(found, "file_type", found)).json_schema()
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
-        # The attribute ``file_type`` of a class of results is the pydantic model of its file.
-        **TypeAdapter(getattr(found, "file_type", found)).json_schema(),
+        **content,
     }
     text = json.dumps(document, indent=2)
     if output is None:
@@ -147,13 +155,22 @@ KERNELS = (
 def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
     """Check the installation of swimid: versions of packages, optional packages and video decoding.
 
-    With ``warm_up``, also compile the numerical functions, so that no later command waits for it.
+    With ``warm_up``, also compile the numerical functions, so that no later command waits for it. With
+    ``clean``, remove the compiled functions instead.
 
     Parameters
     ----------
     output : path, optional
         File for the findings, as JSON.
     """
+    if options.clean:
+        from swimid.files import kernels
+
+        if options.warm_up:
+            raise UsageError("--clean and --warm-up contradict each other: give one of them")
+        freed = kernels.remove_cache()
+        text = f"removed compiled kernels of {freed / 1e6:.1f} MB"
+        return Result("doctor --clean", text, {"freed_bytes": freed})
     findings: dict[str, Any] = {
         "swimid": swimid.__version__,
         "python": sys.version.split()[0],

@@ -177,6 +177,12 @@ class Run:
         if not self.quiet:
             for line in _warning_lines(notices, (MAX_ALIKE, sys.maxsize)[self.verbose > 0]):
                 click.echo(line, err=True)
+        following = []
+        if outcome is not None:
+            file = shlex.quote(str(outcome.path))
+            line = outcome.next_command(file)
+            if line and (outcome.outputs or file not in line):
+                following.append(line)
         if self.as_json:
             from swimid.files import yamlio
 
@@ -185,8 +191,10 @@ class Run:
                 "ok": "result" in answer,
                 "command": self.command,
                 **answer,
+                "verdict": _verdict(outcome),
                 "warnings": [{"code": one.code, "text": one.text} for one in notices],
                 "outputs": [str(path) for path in outputs],
+                "next": following,
             }
             click.echo(json.dumps(yamlio.plain(document, finite=True), ensure_ascii=False))
         if self.as_json or self.quiet:
@@ -195,10 +203,8 @@ class Run:
             click.echo(text)
         for path in outputs:
             click.echo(f"wrote {path}", err=True)
-        if outcome is not None and outcome.outputs:
-            following = outcome.next_command(shlex.quote(str(outcome.path)))
-            if following:
-                click.echo(f"next: {following}", err=True)
+        for line in following:
+            click.echo(f"next: {line}", err=True)
 
     def protect(self, output: Path, *, inputs: Iterable[str | Path] = ()) -> None:
         """Raise an error if the output would replace an input, or a file that swimid did not write.
@@ -218,6 +224,15 @@ class Run:
             raise UsageError(
                 f"{output} exists and was not written by swimid", hint="name another output, or give --force"
             )
+
+
+def _verdict(outcome: Result | None) -> dict[str, Any] | None:
+    """Return level, text and reasons of the verdict on a result; None without evidence."""
+    if outcome is None or outcome.evidence is None:
+        return None
+    found = outcome.evidence
+    reasons = [check.reason or check.name for check in found.checks if check.verdict in ("warn", "fail")]
+    return {"level": found.verdict.level, "text": found.verdict.text, "reasons": reasons}
 
 
 def _warning_lines(notices: list[Notice], most: int) -> Iterator[str]:
@@ -356,8 +371,11 @@ class Command(click.Command):
         """Return all parameters of the command: its argument, its own options and the shared options."""
         return [*self._own, *super().get_params(ctx)]
 
-    def _called(self, *, files: Any = None, **typed: Any) -> None:
+    def _called(self, *, files: Any = None, place: Path | None = None, **typed: Any) -> None:
         """Execute the command with the arguments and options that the user typed."""
+        if place is not None and typed["output"] is not None:
+            raise click.UsageError(f"two outputs are named: {place} and {typed['output']}")
+        typed["output"] = place or typed["output"]
         shared = {one.name: typed.pop(one.name) for one in fields(Run) if one.name in typed}
         run = Run(self.spec.command, lock=self.spec.lock, **shared)
         run(partial(self._outcome, run, files, typed))
@@ -419,10 +437,16 @@ def _argument(metavar: str) -> list[click.Parameter]:
     """Return the positional argument of a command as a list of click parameters.
 
     The list is empty for an empty ``metavar``. ``LOG...`` stands for several files, ``[NAME]`` for an
-    optional word.
+    optional word. A second word is the output, as an alternative to ``-o``.
     """
     if not metavar:
         return []
+    metavar, _, place = metavar.partition(" ")
+    if place:
+        return [
+            *_argument(metavar),
+            click.Argument(["place"], required=False, metavar=place, type=_FilePath()),
+        ]
     kind: click.ParamType = _FilePath()
     count = 1
     if metavar.endswith("..."):
@@ -582,6 +606,7 @@ def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
 
 #: Headings in the list of commands that ``swimid --help`` prints, in the order in which users need them.
 SECTIONS = (
+    "Start",
     "Make logs",
     "Identify",
     "Simulate and compare",
@@ -618,8 +643,9 @@ def main() -> None:
     with its uncertainty, every result with the evidence it rests on.
 
     \b
-    A first session, on the logs that ship with the source:
-      swimid fit-drag sample_logs/rig/trials.yaml -o drag.yaml
+    A first session, on a sample:
+      swimid sample rig
+      swimid fit-drag rig/trials.yaml -o drag.yaml
       swimid report drag.yaml -o report.html
     """
 

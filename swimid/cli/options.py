@@ -53,11 +53,13 @@ class DoctorOptions(
 ):
     """Check the installation: versions, video codecs, compiled kernels.
 
-    Example:
+    Examples:
       swimid doctor --warm-up
+      swimid doctor --clean
     """
 
     warm_up: bool = option(False, help="Compile the numerical kernels now, so that no later run waits.")
+    clean: bool = option(False, help="Remove the compiled kernels, as before swimid is uninstalled.")
 
 
 class SchemaOptions(

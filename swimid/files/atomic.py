@@ -226,6 +226,21 @@ def make_folder(path: Path) -> None:
         group.cleanup.callback(_remove_empty, path)
 
 
+def check_empty(folder: Path, *, force: bool = False) -> None:
+    """Check that a folder for output files is new or empty, or with ``force`` that it is a folder.
+
+    Raises
+    ------
+    UsageError
+        If it is a file, or has content.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"the output {folder} is a file", hint="name a folder")
+    if not force and folder.is_dir() and any(folder.iterdir()):
+        hint = "name a new folder, or give --force to replace files of the same names"
+        raise UsageError(f"the folder {folder} is not empty", hint=hint)
+
+
 def _remove_empty(folder: Path) -> None:
     with suppress(OSError):  # The operating system refuses to remove a folder that contains files.
         folder.rmdir()

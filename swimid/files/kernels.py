@@ -69,6 +69,33 @@ def _find_faults(folders: Iterable[Path]) -> str:
     return next((f"{folder} {fault}" for folder, fault in faults if fault), "")
 
 
+def own_cache() -> Path:
+    """Return the cache folder of the user for the kernels of swimid."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "swimid"
+
+
+def remove_cache() -> int:
+    """Remove the compiled kernels beside the modules and in the cache folder of the user.
+
+    Kernels in ``NUMBA_CACHE_DIR`` stay, because other programs may share this folder.
+
+    Returns
+    -------
+    int
+        Number of bytes that were freed.
+    """
+    files = [path for path in _PACKAGE.rglob("__pycache__/**/*") if path.suffix in (".nbi", ".nbc")]
+    files += _PACKAGE.rglob("__pycache__/lanes/*.py")
+    files += (path for path in own_cache().rglob("*") if path.is_file())
+    freed = 0
+    for path in files:
+        freed += path.stat().st_size
+        path.unlink()
+    for folder in (*_PACKAGE.rglob("__pycache__/lanes"), own_cache()):
+        shutil.rmtree(folder, ignore_errors=True)
+    return freed
+
+
 def choose_cache() -> None:
     """Set the environment variable of numba's cache folder, if its usual folders must not be used.
 
@@ -85,7 +112,7 @@ def choose_cache() -> None:
         fault = _find_faults([*beside, *(folder / "lanes" / "__pycache__" for folder in beside)])
     if not fault:
         return
-    own = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "swimid"
+    own = own_cache()
     if not stated and own.is_absolute() and not find_fault(own):
         os.environ[_VARIABLE] = str(own)
         return
@@ -102,4 +129,4 @@ import numba  # noqa: E402 - numba reads the variable when it is imported
 
 numba.config.reload_config()
 
-__all__ = ["choose_cache", "find_fault", "numba"]
+__all__ = ["choose_cache", "find_fault", "numba", "own_cache", "remove_cache"]

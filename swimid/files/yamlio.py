@@ -10,7 +10,7 @@ import io
 import json
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -32,6 +32,8 @@ MAX_NODES = 500_000
 MAX_SCALAR = 100_000
 #: Maximum number of characters of a value in a message.
 MAX_SHOWN = 80
+#: Placeholder for an unknown value in a drafted file. The user must replace it by a value.
+ASK = "ASK"
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -174,7 +176,33 @@ def load(path: str | Path) -> CommentedMap:
         raise InputError("is empty", file=path)
     if not isinstance(data, CommentedMap):
         raise InputError("its top level must be 'key: value' lines", file=path, line=1)
+    _refuse_open(data, path)
     return data
+
+
+def _refuse_open(data: Any, path: str | Path) -> None:
+    """Raise an error that names the first value that is still the placeholder :data:`ASK`."""
+    places = list(_open_places(data, ()))
+    if places:
+        key = [part for part in places[0] if isinstance(part, str)]
+        text = f"is still {ASK}: state it, or delete the line"
+        if len(places) > 1:
+            text += f" (and {len(places) - 1} more)"
+        raise InputError(text, file=path, line=line_of(data, places[0]), column=".".join(key) or None)
+
+
+def _open_places(data: Any, place: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of keys and indices of each value that is the placeholder :data:`ASK`."""
+    parts: Any = ()
+    if isinstance(data, Mapping):
+        parts = data.items()
+    elif isinstance(data, list | tuple):
+        parts = enumerate(data)
+    for key, value in parts:
+        if isinstance(value, str) and value == ASK:
+            yield (*place, key)
+        else:
+            yield from _open_places(value, (*place, key))
 
 
 def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
@@ -229,6 +257,8 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
     InputError
         For the first error, with the line, the dotted key and the allowed values.
     """
+    if not isinstance(data, CommentedMap):
+        _refuse_open(data, path)
     try:
         return model.model_validate(plain(data))
     except ValidationError as error:

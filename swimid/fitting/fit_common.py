@@ -681,6 +681,10 @@ def checks(result: FitResult) -> list[ev.Check]:
         limit, text = f"≤ {STEP_ERROR:g} sd", "largest change of a simulated sample when the step is halved"
         reason = f"halving the integration step changes samples by {size} of their noise"
         found.append(warned_check("SWM016", "integration step", size, passed, limit, text, reason))
+    number = sum(t.role == "validate" for t in result.trials)
+    text = "trials with role: validate are predicted, not fitted"
+    shown = ("held-out trials", str(number), number > 0, "1 or more", text)
+    found.append(ev.check(*shown, reason="no trial was held out (role: validate)"))
     held_out = [c for c in result.model.channels if result.series_of(c.name, "validate")]
     return found + [_validation(result, c) for c in held_out if c.name in result.noise]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections import Counter, abc
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ from swimid.errors import InputError
 from swimid.files import atomic, isolated, memory, yamlio
 from swimid.files.provenance import path_of
 from swimid.files.tabular import repeated
+from swimid.files.yamlio import ASK
 from swimid.logs import log
 from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
@@ -73,29 +75,11 @@ COUNT = re.compile(
     r"(frame|index|idx|row|sample|num(ber)?|n|no|count)s?([ _.#]*(number|num|index|idx|no|id|#))?"
 )
 
-#: Placeholder for an unknown value in a drafted mapping. The user must replace it by a value.
-ASK = "ASK"
 #: Type of the reference to a column of a foreign file: its name, or its number, counted from 1.
 ColumnKey = Annotated[str | int, Field(union_mode="left_to_right")]
 
 
-class Stated(yamlio.Document):
-    """Base class of the sections of a mapping. It refuses a value that is still the placeholder ``ASK``."""
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _nothing_is_open(cls, value: Any) -> Any:
-        inner = [value]
-        if isinstance(value, list):
-            inner = value
-        elif isinstance(value, dict):
-            inner = [*value.values()]
-        if any(isinstance(part, str) and part == ASK for part in inner):
-            raise ValueError(f"is still {ASK}: state it, or delete the line")
-        return value
-
-
-class Time(Stated):
+class Time(yamlio.Document):
     """Source of the sample times in a file (key ``time:`` of a mapping)."""
 
     #: Column that holds the times, or several columns that form one time: date and time of day, or seconds
@@ -145,7 +129,7 @@ class Time(Stated):
         return [self.unit] * len(self.sources)
 
 
-class Column(Stated):
+class Column(yamlio.Document):
     """Mapping of one column: ``target = source * (factor from the unit to SI) * factor + offset``."""
 
     source: ColumnKey
@@ -178,14 +162,14 @@ class Column(Stated):
         return self.factor * unit_factor(str(self.unit), self.target)
 
 
-class Quaternion(Stated):
+class Quaternion(yamlio.Document):
     """Convention of the quaternions in the file: order of the elements, and direction of the rotation."""
 
     order: Literal["wxyz", "xyzw"] = "wxyz"
     direction: Literal["body-to-world", "world-to-body"] = "body-to-world"
 
 
-class Joined(Stated):
+class Joined(yamlio.Document):
     """Columns of another topic, struct or file, which are interpolated at the times of the log."""
 
     #: Path of another file, relative to the folder of the foreign log; by default the same file.
@@ -200,7 +184,7 @@ class Joined(Stated):
     between: Literal["line", "hold"] = "line"
 
 
-class Mapping(Stated):
+class Mapping(yamlio.Document):
     """Content of a mapping file, which assigns the columns of a foreign file to those of a log."""
 
     format: Literal["swimid-mapping/1"]
@@ -1006,6 +990,10 @@ class Draft(Result):
         """
         return of(yamlio.parse_scalar(self.document))
 
+    def next_command(self, file: str) -> str:
+        """Return the command that imports the recording with the mapping in ``file``."""
+        return f"swimid import {shlex.quote(self.data['file'])} --map {file} -o run.csv"
+
     def _write(self, path: Path) -> list[Path]:
         atomic.write_text(path, self.document)
         return [path]
@@ -1064,8 +1052,9 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     if output is None:
         return Draft("import", text.rstrip("\n"), data, document=text)
     todo = f"answer the {asked} lines with {ASK}" if asked else "look at every line"
-    told = f"{path.name}: mapping drafted; {todo}, then swimid import {path.name} --map {output} -o run.csv"
-    return Draft("import", told, data, document=text).save(output)
+    return Draft("import", f"{path.name}: mapping drafted; {todo} of {output}", data, document=text).save(
+        output
+    )
 
 
 def _of_profile(table: Table) -> list[str]:

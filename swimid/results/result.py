@@ -59,8 +59,16 @@ NEXT = {
     ),
     "compare": "swimid diagnose {trials} --params {params} -o gap.yaml",
     **dict.fromkeys(("track video", "track imu", "import", "simulate"), "swimid plot {file} -o log.svg"),
-    **dict.fromkeys(("diagnose", "rwls", "map", "sensitivity"), "swimid report {file} -o report.html"),
-}
+    **dict.fromkeys(
+        (
+            "diagnose", "rwls", "map", "sensitivity", "optimise stiffness", "optimise gait", "compare-runs",
+        ),
+        "swimid report {file} -o report.html",
+    ),
+    **dict.fromkeys(("plot", "report", "batch"), "python -m webbrowser {file}"),
+    "doctor": "swimid sample",
+    "doctor --clean": "pip uninstall swimid",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +144,6 @@ class Result:
     def next_command(self, file: str) -> str:
         """Return the command that a user may run next on this result in ``file``; empty if there is none."""
         provenance = getattr(self.evidence, "provenance", {})
-        if not provenance and self.path.suffix not in LOG_ENDINGS:
-            return ""
         files = [name for name in provenance.get("inputs") or {} if name.endswith((".yaml", ".yml"))]
         trials, *others = files or ["TRIALS.yaml"]
         params = (others or ["PARAMETERS.yaml"])[-1]

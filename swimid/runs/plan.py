@@ -190,7 +190,7 @@ def folder_of(run: Path, ident: str) -> Path:
     return run / "items" / ident
 
 
-def resolve(path: Path, run: Path) -> Resolved:
+def resolve(path: Path, run: Path, data: Any = None) -> Resolved:
     """Read a plan file, and return its items with all command lines.
 
     Parameters
@@ -199,6 +199,8 @@ def resolve(path: Path, run: Path) -> Resolved:
         Plan file.
     run : Path
         Folder of the run.
+    data : mapping, optional
+        Content of a plan that is not written yet.
 
     Raises
     ------
@@ -206,7 +208,8 @@ def resolve(path: Path, run: Path) -> Resolved:
         If the plan is invalid: a pattern without files, an unknown command or option, a step that lacks its
         input. The message names the line of the plan.
     """
-    data = yamlio.load(path)
+    if data is None:
+        data = yamlio.load(path)
     plan = yamlio.validate(data, PlanFile, path)
     return _Resolution(path, data, plan, run).resolved()
 

@@ -135,6 +135,8 @@ class Video:
         Size of the picture, px.
     claimed : int
         Number of frames according to the container; 0 if the container does not state it.
+    stated_rate_hz : float
+        Frame rate according to the container; 0 if it states none.
     first_stamp_s : float
         Stamp of the first frame, which is t = 0; NaN for pictures.
 
@@ -150,6 +152,7 @@ class Video:
         # threads make the evaluation of small pictures slower.
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
+        self.stated_rate_hz = 0.0
         # The path is a series of pictures if it is a folder, or if it is a pattern such as %04d and no such
         # file exists.
         if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
@@ -159,6 +162,7 @@ class Video:
         else:
             self.files = [self.path]
             capture = _opened(self.path)
+            self.stated_rate_hz = capture.get(cv2.CAP_PROP_FPS)
             count, self.claimed = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
             if 0 < count < 1e9:
                 self.claimed = int(count)

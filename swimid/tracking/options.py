@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -11,6 +12,9 @@ from pydantic import model_validator
 
 from swimid.errors import UsageError
 from swimid.options import Options, Source, option
+
+#: Pattern of the name of a marker.
+NAME = re.compile("[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 
 def _rate() -> Any:
@@ -81,6 +85,13 @@ class Pick:
     x: float
     y: float
 
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise UsageError(
+                f"a marker cannot be named '{self.name}'",
+                hint="a name begins with a letter, and has at most 40 letters, digits, _ and -",
+            )
+
     @classmethod
     def of_text(cls, text: str, flag: str) -> Self:
         """Return the picked marker that a text such as ``red@320,240`` describes.
@@ -112,10 +123,13 @@ class TrackSetupOptions(
 ):
     """Draft a setup from a film: propose markers, draw them, and write a YAML file to edit.
 
-    It needs no display and no input. The file can be used as it is.
+    The file can be used as it is. Without --pick the command needs no display and no input. With --pick, a
+    page in the browser shows the film: click on markers and on points of known distance, try the setup, and
+    write it.
 
     Example:
       swimid track setup pool.mp4 -o setup.yaml
+      swimid track setup pool.mp4 --pick -o setup.yaml
       swimid track setup pool.mp4 --marker nose@412,230 --marker tail@371,236 -o setup.yaml
     """
 
@@ -131,9 +145,19 @@ class TrackSetupOptions(
     metres_per_pixel: float | None = option(None, gt=0, help="Scale: metres per pixel.")
     plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
     fps: float | None = _rate()
+    pick: bool = option(False, recorded=False, help="Pick markers and scale in a page of the browser.")
+    port: int | None = option(
+        None, ge=1, le=65535, recorded=False, help="Port of the page of --pick  [default: any free port]."
+    )
+    browser: bool = option(
+        True, flag="--browser/--no-browser", recorded=False, help="Open the page of --pick in the browser."
+    )
 
     @model_validator(mode="after")
     def _one_method(self) -> Self:
         if self.background and self.picks:
             raise UsageError("--background and --marker contradict each other: give one of them")
+        for flag, given in (("--port", self.port is not None), ("--no-browser", not self.browser)):
+            if given and not self.pick:
+                raise UsageError(f"{flag} is an option of the page that --pick opens", hint="add --pick")
         return self

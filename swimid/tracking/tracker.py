@@ -12,7 +12,7 @@ import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, product
+from itertools import combinations, islice, product
 from pathlib import Path
 
 import numpy as np
@@ -663,14 +663,16 @@ class Run:
     kept: dict[int, Frame]
 
 
-def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> Run:
+def follow(
+    path: Path, setup: Setup, *, step: Step, file: str | None = None, within: slice = slice(None)
+) -> Run:
     """Follow the markers of a setup through a film, and return the track.
 
     A motionless object of the colour of a marker is not the marker if there are other objects of the same
     colour. In this case the film is read again without the motionless object. The second track is returned if
-    its marker moves. ``file`` names the setup in messages.
+    its marker moves. ``file`` names the setup in messages, and ``within`` selects frames (start and stop).
     """
-    first = _follow_once(path, setup, step, file)
+    first = _follow_once(path, setup, step, file, within)
     track, boxes = first.track, []
     alone = [marker.name for marker in setup.markers if marker.number == 1 and marker.name in track.rivals]
     still = [name for name in alone if track.measure_range(name)[1] < frames.MIN_RADII]
@@ -681,7 +683,7 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
         half = 0.7 * math.sqrt(area) + 3
         boxes.append((round(x - half), round(y - half), round(x + half), round(y + half)))
     setup = setup.model_copy(update={"ignore_px": [*setup.ignore_px, *boxes]})
-    second = _follow_once(path, setup, step, file)
+    second = _follow_once(path, setup, step, file, within)
     if any(second.track.measure_range(name)[1] < 3.0 for name in still):
         return first
     listed = "; ".join(f"[{', '.join(f'{side:.0f}' for side in box)}]" for box in boxes)
@@ -690,7 +692,7 @@ def follow(path: Path, setup: Setup, *, step: Step, file: str | None = None) -> 
     return second
 
 
-def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
+def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within: slice) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
         camera_matrix(setup.camera, video.width, video.height, file)
@@ -702,7 +704,7 @@ def _follow_once(path: Path, setup: Setup, step: Step, file: str | None) -> Run:
     else:
         follower = Follower(setup, video.width, video.height)
     keeper, last = frames.FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf
-    for index, (time, frame) in enumerate(video.frames()):
+    for index, (time, frame) in enumerate(islice(video.frames(), within.start, within.stop)):
         if not time > last:
             text = "has no time stamp, or none later than that of the frame before"
             hint = "give the true frame rate with --fps, or frame_rate_hz in the setup"

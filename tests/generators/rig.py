@@ -115,7 +115,8 @@ def write_sample(folder: Path, *, seed: int = 20) -> None:
             "# encoder_resolution_m: 0.00785\n"
         )
         (folder / f"w{weight}.csv").write_text(f"{header}t_s,x_m\n{rows}\n")
-        lines.append(f"  - {{log: w{weight}.csv, id: w{weight}, pulling_mass_kg: {weight / 1000:.3f}}}")
+        role = ", role: validate" * (weight == 25)
+        lines.append(f"  - {{log: w{weight}.csv, id: w{weight}, pulling_mass_kg: {weight / 1000:.3f}{role}}}")
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
 
 

@@ -1,0 +1,185 @@
+"""Command ``swimid init``: drafts of the files of a project, from a folder of recordings."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from swimid.files import atomic
+from swimid.files.yamlio import ASK
+from swimid.notices import Progress, silent
+from swimid.options import takes
+from swimid.projects import drafts
+from swimid.projects.drafts import EXPERIMENTS, RUN, Project
+from swimid.projects.options import InitOptions
+from swimid.projects.survey import Recording, survey
+from swimid.results.evidence import Table
+from swimid.results.result import Result, table_text
+from swimid.robots import file as robot_format
+
+#: Maximum number of questions and of files that the terminal shows. The README of the project has all.
+MAX_SHOWN = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Drafted(Result):
+    """Result of ``init``: what was found, the questions, and the commands.
+
+    Attributes
+    ----------
+    document : Project
+        Text of each drafted file.
+    """
+
+    def next_command(self, file: str) -> str:
+        """Return the first command of the project."""
+        return str(self.data["next"])
+
+
+@takes(InitOptions)
+def init(
+    folder: str | Path,
+    *,
+    options: InitOptions,
+    output: str | Path | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+) -> Drafted:
+    """Look at a folder of recordings, and draft the files to work with them.
+
+    Parameters
+    ----------
+    folder : path
+        Folder of films, logs and tables, with its subfolders.
+    output : path, optional
+        Folder of the project. Without it, nothing is written.
+    force : bool
+        Whether the folder of the project may have content. Files of the same names are replaced.
+    progress : Progress
+        Progress over the files of the folder and the films.
+
+    Returns
+    -------
+    Result
+        ``.document.files`` has the text of each file, ``.data`` the recordings, questions and commands.
+
+    Raises
+    ------
+    InputError
+        The folder does not exist or is empty, or the robot does not exist.
+    UsageError
+        The folder of the project has content.
+
+    Examples
+    --------
+    >>> found = init("sample_logs/rig", robot="boxfish", experiment="falling-weight")
+    >>> sorted(found.document.files)
+    ['README.md', 'log-1.trials.yaml']
+    """
+    source = Path(folder)
+    target = Path() if output is None else Path(output)
+    if output is not None:
+        atomic.check_empty(target, force=force)
+    robot = options.robot
+    if robot is not None:
+        place = robot_format.locate(robot)
+        if robot not in robot_format.built_in():
+            robot = drafts.relative(place, target)
+    recordings = survey(source, target if output else None, progress)
+    project = Project(target, robot, options.experiment)
+    written: list[Path] = []
+    with atomic.together():
+        if output is not None:
+            # Paths of the plan are looked up from the folder, which is removed again after an error.
+            atomic.make_folder(target)
+        data = _drafted(project, source, recordings, progress)
+        if output is not None:
+            written = _write(project)
+            data["next"] = f"cd {shlex.quote(str(target))}"
+    return Drafted("init", _told(project, data), data, written, document=project)
+
+
+def _drafted(
+    project: Project, source: Path, recordings: list[Recording], progress: Progress
+) -> dict[str, Any]:
+    """Add all files to a project, and return what was found, the questions and the commands as plain data."""
+    notes = [one for one in recordings if one.kind == "notes"]
+    drafts.draft(project, drafts.groups_of(recordings), notes, progress)
+    grouped = {one.path for group in project.groups for one in group.recordings}
+    commands, questions = _commands(project), project.questions()
+    others = [one for one in recordings if one.path not in grouped]
+    project.files["README.md"] = drafts.rendered(
+        "README.md", folder=source.resolve().name, groups=project.groups, others=others,
+        missing=project.missing, questions=questions, commands=commands,
+    )  # fmt: skip
+    return {
+        "recordings": [{"file": str(one.path), "kind": one.kind, "content": one.about} for one in recordings],
+        "others": [f"{one.path.name}: {one.about}" for one in others],
+        "files": list(project.files),
+        "questions": [{"file": name, "line": line, "text": text} for name, line, text in questions],
+        "missing": project.missing,
+        "commands": commands,
+        "next": f"swimid init {shlex.quote(str(source))} -o project",
+    }
+
+
+def _write(project: Project) -> list[Path]:
+    """Write all files of a project, and return their paths."""
+    written: list[Path] = []
+    for name, text in project.files.items():
+        path = project.folder / name
+        if name in project.pictures:
+            # The draft of a setup writes the picture of its markers, too.
+            written += project.pictures[name].save(path).outputs
+        atomic.write_text(path, text)
+        written.append(path)
+    return list(dict.fromkeys(written))
+
+
+def _commands(project: Project) -> list[str]:
+    """Return the commands of a project in the order in which they are typed."""
+    commands = []
+    if "plan.yaml" in project.files:
+        commands.append(f"swimid batch plan.yaml -o {RUN}")
+    for group in project.groups:
+        trials = f"{group.name}.trials.yaml"
+        experiment = re.search(r"(?m)^experiment: ([\w-]+)", project.files[trials])
+        assert experiment is not None
+        fit = "FIT"
+        if experiment[1] != ASK:
+            fit = EXPERIMENTS[experiment[1]].command
+        model, results = f"{group.name}.yaml", f"{group.name}.yaml {group.name}.comparison.yaml"
+        commands += [
+            f"swimid {fit} {trials} -o {model}",
+            f"swimid compare {trials} --params {model} -o {group.name}.comparison.yaml",
+            f"swimid report {results} -o {group.name}.html",
+        ]
+    return commands
+
+
+def _told(project: Project, data: dict[str, Any]) -> str:
+    """Return the text that the command prints: groups, other files, and what is to be answered."""
+    rows = [
+        [group.name, str(len(group.recordings)), group.first.path.name, group.first.about]
+        for group in project.groups
+    ]
+    columns = ["recordings", "number", "first", "content"]
+    lines = [table_text(Table(id="found", title="Found", columns=columns, rows=rows))]
+    asked = list(data["missing"])
+    of_robot = [one for one in data["questions"] if one["file"] == "robot.yaml"]
+    asked += [
+        f"{one['file']}, line {one['line']}: {one['text']}"
+        for one in data["questions"]
+        if one not in of_robot
+    ]
+    if of_robot:
+        asked.append(f"robot.yaml: {len(of_robot)} lines, for a robot that is not built in")
+    for title, entries in (("Other files", data["others"]), ("To answer", asked)):
+        if entries:
+            lines += ["", f"{title} ({len(entries)}):", *(f"  {entry}" for entry in entries[:MAX_SHOWN])]
+        if len(entries) > MAX_SHOWN:
+            lines.append(f"  and {len(entries) - MAX_SHOWN} more in README.md")
+    return "\n".join(lines)

@@ -1,0 +1,54 @@
+"""Options of the commands ``swimid init`` and ``swimid sample``."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from swimid.options import Options, option
+
+#: Names of the experiments of trials files.
+Experiment = Literal["falling-weight", "towed", "free-decay", "cruise", "free-swim", "multibody", "arma"]
+
+
+class InitOptions(
+    Options,
+    command="init",
+    section="Start",
+    argument="FOLDER",
+    output="Folder of the project to write. Without it, what was found is only listed.",
+    beside=(),
+    lock=False,
+):
+    """Look at a folder of films, logs and tables, and draft the files to work with them.
+
+    The project has a setup for each camera, a mapping or a points file for each kind of table, a trials file,
+    a robot file, a plan for `swimid batch`, and a README with the questions and the next commands. What the
+    recordings do not state is ASK in these files. A command refuses a file in which an ASK is left.
+
+    Examples:
+      swimid init recordings
+      swimid init recordings -o project
+      swimid init recordings -o project --robot tfish --experiment free-swim
+    """
+
+    robot: str | None = option(None, metavar="NAME|FILE", help="Robot of the trials, built in or a file.")
+    experiment: Experiment | None = option(None, help="Experiment of the trials.")
+
+
+class SampleOptions(
+    Options,
+    command="sample",
+    section="Start",
+    argument="[NAME] [FOLDER]",
+    output="The folder to write, in place of FOLDER.",
+    beside=(),
+    lock=False,
+):
+    """Copy sample recordings of the installed version to a folder.
+
+    Without NAME, list the samples. The default folder is named like the sample.
+
+    Examples:
+      swimid sample
+      swimid sample rig my-rig
+    """

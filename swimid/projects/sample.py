@@ -1,0 +1,92 @@
+"""Command ``swimid sample``: copies of the sample recordings of the installed version."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from swimid.errors import InputError, UsageError, suggestion
+from swimid.files import atomic, yamlio
+from swimid.options import takes
+from swimid.projects.options import SampleOptions
+from swimid.results.evidence import Table
+from swimid.results.result import Result, table_text
+
+#: File that lists the samples, and name by which all of them are copied.
+INDEX, ALL = "samples.yaml", "all"
+#: Folder of the samples in an installed package, and in the source.
+PLACES = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
+
+
+@dataclass(frozen=True, eq=False)
+class Sample(Result):
+    """Result of ``sample``. Its ``data`` has the folder and the command for the sample, or all samples."""
+
+    def next_command(self, file: str) -> str:
+        """Return the command for the copied sample, or the command that copies the first sample."""
+        return str(self.data.get("command", "swimid sample rig"))
+
+
+@takes(SampleOptions)
+def sample(
+    name: str | None = None, *, options: SampleOptions, output: Path | None = None, force: bool = False
+) -> Result:
+    """Copy a sample to a folder, or list the samples.
+
+    Parameters
+    ----------
+    name : str, optional
+        Name of the sample. Without a name, nothing is copied.
+    output : path, optional
+        Folder for the copy, by default a folder in the working folder with the name of the sample.
+    force : bool
+        Whether the folder may have content. Files of the same names are replaced.
+
+    Returns
+    -------
+    Result
+        ``.outputs`` are the copied files.
+
+    Raises
+    ------
+    UsageError
+        There is no such sample, or the folder has content.
+    InputError
+        The samples are not installed, or the folder cannot be written.
+
+    Examples
+    --------
+    >>> list(sample().data["samples"])[:3]
+    ['rig', 'cruise', 'tfish']
+    """
+    source = next((place for place in PLACES if place.is_dir()), None)
+    if source is None:
+        raise InputError("the samples are not part of this installation", hint="reinstall swimid")
+    known = yamlio.load(source / INDEX)
+    if name is None:
+        rows = [[one, entry["about"]] for one, entry in known.items()]
+        table = Table(id="samples", title="Samples", columns=["name", "content"], rows=rows)
+        return Sample("sample", table_text(table), {"samples": yamlio.plain(known)})
+    if name not in known:
+        raise UsageError(f"there is no sample '{name}'", hint=suggestion(name, list(known)))
+    folder = Path(name) if output is None else output
+    atomic.check_empty(folder, force=force)
+    copies = []
+    origin = source
+    if name != ALL:
+        origin = source / name
+    with atomic.together():
+        atomic.make_folder(folder)
+        for path in sorted(origin.rglob("*")):
+            copy = folder / path.relative_to(origin)
+            if path.is_dir():
+                atomic.make_folder(copy)
+            elif path.name != INDEX:
+                with atomic.replacing(copy) as temporary:
+                    shutil.copyfile(path, temporary)
+                copies.append(copy)
+    command = " ".join(str(known[name]["command"]).split()).format(folder=shlex.quote(folder.as_posix()))
+    data = {"sample": name, "folder": str(folder), "about": known[name]["about"], "command": command}
+    return Sample("sample", f"{folder}: {known[name]['about']}", data, copies)

@@ -1,0 +1,177 @@
+"""Survey of a folder: which of its files are films, logs, tables of tracked points, or files of swimid."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from swimid.errors import InputError
+from swimid.logs import log
+from swimid.logs.foreign import Peek, formats, is_text, open_table
+from swimid.logs.point_files import tracked_points
+from swimid.notices import Progress, recorded, silent
+from swimid.tracking.frames import ENDINGS as PICTURES
+from swimid.tracking.frames import Video
+
+#: Endings of films. FFmpeg decodes all of them.
+FILMS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts", ".mjpeg", ".mj2")
+#: Endings of tables, in addition to those of the formats that can be read.
+TABLES = (".tsv", ".tdms", ".c3d", ".lvm", ".nc", ".json", ".trc", ".mot", ".sto", ".kva", ".bin", "")
+#: Endings of files that swimid or an editor leaves beside others, and that are passed over.
+BESIDE = re.compile(r".*(\.evidence\.json|\.partial|\.lock|\.markers\.png|~)|\..*|__pycache__")
+#: Minimum number of pictures with numbers in their names that count as a film.
+MIN_PICTURES = 10
+#: Columns of a cruise table. Mean speed may take the place of the time.
+CRUISE = {"fin", "frequency_hz", "amplitude_deg", "distance_m"}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """File, or folder of pictures, and what it is.
+
+    Attributes
+    ----------
+    kind : str
+        ``film``, ``log`` (in the log format), ``points`` (of a tracker), ``table``, ``cruise``, ``notes``
+        (a table that names recordings), ``choice`` (several topics), ``swimid`` (a YAML file of swimid),
+        ``damaged`` or ``other``.
+    about : str
+        Content in words, or the reason why it cannot be read.
+    alike : tuple
+        Recordings with equal values were made in the same way.
+    columns : tuple of str
+        Names of the columns of a table.
+    rate_hz : float
+        Frame rate that a film states; 0 if it states none.
+    has_times : bool
+        Whether the rows of a table have times.
+    profile : str
+        Name of the format of a table with a profile; empty otherwise.
+    """
+
+    path: Path
+    kind: str
+    about: str
+    alike: tuple[Any, ...] = ()
+    columns: tuple[str, ...] = ()
+    rate_hz: float = 0.0
+    has_times: bool = False
+    profile: str = ""
+    metadata: dict[str, Any] = field(default_factory=dict, compare=False)
+    #: Rows of a small table as text, by column.
+    cells: dict[str, list[str]] = field(default_factory=dict, compare=False)
+
+
+def survey(folder: Path, left_out: Path | None = None, progress: Progress = silent) -> list[Recording]:
+    """Return the recordings of a folder and of its subfolders, in the order of their names.
+
+    Parameters
+    ----------
+    folder : Path
+    left_out : Path, optional
+        Folder that is passed over: that of the project.
+
+    Raises
+    ------
+    InputError
+        The folder does not exist, or holds no file.
+    """
+    if not folder.is_dir():
+        raise InputError("is no folder", file=folder, hint="name the folder of your recordings")
+    paths = list(_paths(folder, left_out and left_out.resolve()))
+    if not paths:
+        raise InputError("holds no file", file=folder, hint="name the folder of your recordings")
+    found = []
+    with progress("looking", total=len(paths)) as step, recorded():
+        for path in paths:
+            found.append(recognised(path))
+            step()
+    names = {name for one in found for name in (one.path.name, one.path.stem) if one.kind != "notes"}
+    return [_with_notes(one, names) for one in found]
+
+
+def _paths(folder: Path, left_out: Path | None) -> Iterator[Path]:
+    """Yield the files below a folder, and the folders that hold the numbered pictures of a film."""
+    for root, folders, files in os.walk(folder):
+        here = Path(root)
+        folders[:] = sorted(
+            one for one in folders if not BESIDE.fullmatch(one) and (here / one).resolve() != left_out
+        )
+        numbered = [name for name in files if re.search(r"\d", name) and name.lower().endswith(PICTURES)]
+        if len(numbered) >= MIN_PICTURES and here != folder:
+            yield here
+            files = [name for name in files if name not in numbered]
+        yield from (here / name for name in sorted(files) if not BESIDE.fullmatch(name))
+
+
+def recognised(path: Path) -> Recording:
+    """Return what a file or a folder of pictures is."""
+    ending = path.suffix.lower()
+    readable = {end for form in formats().values() for end in form.endings} | {*TABLES}
+    try:
+        if path.is_dir() or ending in FILMS:
+            return _film(path)
+        if ending in (".yaml", ".yml"):
+            form = re.search(r"^format: (swimid-\S+)", "\n".join(Peek.of(path).lines), re.M)
+            if form is not None:
+                return Recording(path, "swimid", form[1])
+        elif ending in readable:
+            return _table(path)
+    except InputError as error:
+        kind = "choice" if several(error) else "damaged"
+        return Recording(path, kind, ". ".join(filter(None, [error.message, error.hint])))
+    return Recording(path, "other", "no recording")
+
+
+def several(error: InputError) -> bool:
+    """Return whether a file could not be read because the user must choose one of its topics or tracks."""
+    return "; name one" in error.message
+
+
+def _film(path: Path) -> Recording:
+    video = Video(path)
+    size = f"{video.width} x {video.height} px"
+    rate = round(video.stated_rate_hz, 2)
+    about = f"{size}, {video.claimed} frames"
+    if rate:
+        about += f" at {rate:g} Hz"
+    return Recording(path, "film", about, ("film", size, rate), rate_hz=rate)
+
+
+def _table(path: Path) -> Recording:
+    table = open_table(path, kind="")
+    kind = "table"
+    columns = tuple(table.columns)
+    points = tracked_points(table.columns)
+    title = formats()[table.profile].title if table.profile else "table"
+    about = f"{title}, {max(map(len, table.columns.values()))} rows"
+    if table.profile == "swimid":
+        kind = "log"
+    elif points and table.profile:
+        kind, about = "points", f"{about}, points {', '.join(points)}"
+    elif set(columns) >= CRUISE and {"time_s", "mean_speed_m_s"} & {*columns}:
+        kind, about = "cruise", f"table of cruising speeds, {len(table.columns['fin'])} runs"
+    metadata = table.metadata
+    if kind == "log":
+        metadata = log.metadata_of(table.comments, path, strict=False)
+    cells = {}
+    if kind == "table" and any(map(is_text, table.columns.values())):
+        cells = {name: [str(cell) for cell in values[:10_000]] for name, values in table.columns.items()}
+    alike = (kind, table.profile, columns, tuple(table.units.items()), metadata.get("experiment"))
+    return Recording(
+        path, kind, about, alike, columns, has_times=log.TIME in columns, profile=table.profile,
+        metadata=metadata, cells=cells,
+    )  # fmt: skip
+
+
+def _with_notes(one: Recording, names: set[str]) -> Recording:
+    """Return a table as ``notes`` if all cells of one of its columns name recordings of the folder."""
+    for name, cells in one.cells.items():
+        if cells and all(cell in names for cell in cells):
+            about = f"table of {len(cells)} recordings, named in its column '{name}'"
+            return Recording(one.path, "notes", about, columns=(name, *one.columns), cells=one.cells)
+    return one
