@@ -16,7 +16,7 @@ export PYTHONUTF8 := 1
 # Files of tests stay whole: what their tests share is made once.
 SPREAD := -n 2 --dist loadfile
 
-.PHONY: demo test check-all lowest lint types bench blind coverage faults mutants samples pictures reproduction hooks \
+.PHONY: demo test check-all lowest lint types bench blind coverage faults mutants samples pictures docs reproduction hooks \
     clean
 
 demo: $(VENV)/.ready
@@ -89,6 +89,10 @@ pictures: $(VENV)/.ready-dev
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python -m tests.pick_page docs/figures/pick.png
 
+# The documentation site, in site/: pages of docs, reference from the code, the pictures that are drawn quickly.
+docs: $(VENV)/.ready-docs
+	$(BIN)/python docs/make_site.py
+
 # The published figures of the built-in multi-link robots, and the twin of the dolphin: one page.
 reproduction: $(VENV)/.ready-dev
 	$(BIN)/python docs/reproduction.py > docs/reproduction.md.part
@@ -110,5 +114,9 @@ $(VENV)/.ready-bench: $(VENV)/.ready-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
 	touch $@
 
+$(VENV)/.ready-docs: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	touch $@
+
 clean:
-	rm -rf $(VENV) $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache
+	rm -rf $(VENV) $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache .cache build site

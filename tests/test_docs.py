@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import re
 import shlex
-from collections.abc import Callable
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 
-from swimid.cli.main import main
-from tests.conftest import ROOT, Ran
+from swimid.api import NAMES
+from swimid.cli.main import found, main
+from tests.conftest import ROOT, SAMPLES, Ran
 
-PAGES = [ROOT / "README.md", ROOT / "docs/llms.txt", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", DOCS / "llms.txt", *sorted(DOCS.rglob("*.md"))]
 
 
 def _commands(page: Path) -> list[str]:
@@ -32,7 +41,7 @@ def _anchors(page: Path) -> set[str]:
     return {heading.replace(" ", "-") for heading in plain}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_links_lead_to_files_and_headings(page: Path) -> None:
     for target, anchor in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", page.read_text()):
         if target.startswith("http"):
@@ -88,3 +97,75 @@ def test_the_paper_states_what_the_manuals_state() -> None:
         assert value in (ROOT / "docs" / page).read_text(), f"{page} has no '{value}'"
     known = set(re.findall(r"^@\w+\{([\w-]+),", (ROOT / "docs/paper.bib").read_text(), re.M))
     assert set(re.findall(r"@([\w-]+)[;\]]", text)) <= known
+
+
+# ---------------------------------------------------------------- the site
+
+
+def _pages_of(nav: Any) -> Iterator[str]:
+    """Yield the pages of the navigation of the site."""
+    if isinstance(nav, str):
+        yield nav
+    for one in nav.values() if isinstance(nav, dict) else nav if isinstance(nav, list) else ():
+        yield from _pages_of(one)
+
+
+def test_every_page_is_in_the_navigation_once() -> None:
+    nav = list(
+        _pages_of(tomllib.loads((ROOT / "zensical.toml").read_text(encoding="utf-8"))["project"]["nav"])
+    )
+    written = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")]
+    made = [name for name in nav if name.startswith("reference/")]
+    assert sorted(nav) == sorted([*written, *made, "CONTRIBUTING.md", "CHANGELOG.md"])
+
+
+def _alike(row: str, other: str) -> bool:
+    """Return whether two rows have the same words, and the same numbers but for the noise of a simulation.
+
+    Processors and versions of libraries differ in the last digits of a fit, and codecs in single pixels.
+    """
+    number = r"[-+]?\d+\.?\d*"
+    values, others = (list(map(float, re.findall(number, line))) for line in (row, other))
+    same_words = re.sub(number, "", row) == re.sub(number, "", other)
+    return same_words and values == pytest.approx(others, rel=0.3, abs=0.03)
+
+
+@pytest.mark.parametrize("name", ["rig", "markers", "trials", "imu"])
+@pytest.mark.slow
+def test_the_tables_of_a_page_are_printed_by_its_command(name: str) -> None:
+    page = (DOCS / "learn" / f"{name}.md").read_text(encoding="utf-8")
+    command = f"docs.learn.{name}"
+    assert f"`python -m {command}`" in page
+    ran = subprocess.run(
+        [sys.executable, "-m", command], cwd=ROOT, capture_output=True, encoding="utf-8", check=True
+    )
+    shown = [line for line in page.splitlines() if line.startswith("|")]
+    printed = [line for line in ran.stdout.splitlines() if line]
+    assert len(printed) > 5
+    for row in printed:
+        assert any(_alike(row, line) for line in shown), row
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    importlib.util.find_spec("zensical") is None, reason="the extra docs is not installed: make docs"
+)
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    for folder in (DOCS, ROOT / "swimid", SAMPLES):
+        shutil.copytree(folder, tmp_path / folder.name)
+    for name in ("zensical.toml", "CONTRIBUTING.md", "CHANGELOG.md"):
+        shutil.copy(ROOT / name, tmp_path)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    words = [sys.executable, "docs/make_site.py"]
+    ran = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, encoding="utf-8")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    pages = sorted((tmp_path / "site").rglob("*.html"))
+    whole = "".join(path.read_text(encoding="utf-8") for path in pages)
+    foreign = r"<(script|img|iframe)[^>]*src=.https?:|<link[^>]*=.stylesheet[^>]*https?:"
+    assert not re.search(foreign, whole)
+    assert 'class="equation"' in (tmp_path / "site" / "equations.html").read_text(encoding="utf-8")
+    assert "arithmatex" not in whole
+    for command in found():
+        assert f'id="{command.replace(" ", "-")}"' in whole
+    for name in NAMES:
+        assert f'id="{name.lower()}"' in whole
