@@ -803,7 +803,7 @@ def sentences(result: FitResult) -> list[str]:
         grouped |= set(group)
         named, rest = list(group), known.get(group, ", and no sum of them is known")
         if len(group) > MAX_NAMED:
-            # Nobody reads a sum of so many terms. The parameter file has their correlations.
+            # A sum of many terms is not readable. The parameter file has their correlations.
             named, rest = [label for label in group if "[" not in label], ""
             if len(named) < len(group):
                 named.append(f"{len(group) - len(named)} parameters of single trials")
