@@ -74,10 +74,11 @@ def draw(project: Path) -> None:
         first.get_figure(root=True).savefig(FIGURES / f"{name}.svg", metadata={"Date": None})
         plt.close("all")
     shutil.copy(project / "run03.svg", FIGURES / "learn-log.svg")
-    shutil.copy(project / "film-1.setup.markers.png", FIGURES / "learn-markers.png")
+    sheet = cv2.imread(str(project / "film-1.setup.markers.png"))
+    cv2.imwrite(str(FIGURES / "learn-markers.jpg"), sheet[: len(sheet) // 2])
     film = cv2.VideoCapture(str(project.parent / "films/run03.mp4"))
     film.set(cv2.CAP_PROP_POS_FRAMES, 120)
-    cv2.imwrite(str(FIGURES / "learn-film.png"), film.read()[1])
+    cv2.imwrite(str(FIGURES / "learn-film.jpg"), film.read()[1])
 
 
 def main() -> None:

@@ -17,8 +17,8 @@ from swimid.notices import Progress, silent
 MAX_BROKEN_SHARE = 0.01
 #: Number of points of the Sobol design that are evaluated in one call of the model function.
 BATCH = 8
-#: Number of bootstrap samples for the 95 % intervals of the indices.
-N_DRAWS = 1000
+#: Maximum number of independently scrambled parts of the design. The intervals follow from their differences.
+MAX_PARTS = 8
 
 #: Type of the model function. Its argument is an array of n points in the space of the d parameters, shape
 #: (n, d). It returns s outputs for each point, shape (n, s), which are NaN if the model breaks down.
@@ -76,7 +76,7 @@ def sobol(
     samples : int
         Number of rows of the design, a power of two. Each row has d + 2 points.
     seed : int
-        Seed of the scrambled Sobol sequence and of the bootstrap.
+        Seed of the scrambled Sobol sequences.
     groups : sequence of sequences of int
         Groups of outputs. The indices of a group refer to the sum of the variances of its outputs (Gamboa et
         al. 2014, doi:10.1214/14-EJS895).
@@ -89,8 +89,8 @@ def sobol(
     Returns
     -------
     Sobol
-        Indices with intervals from the percentile bootstrap over the rows. Rows with a point that breaks down
-        are left out.
+        Indices of the whole design, with intervals from the jackknife over its parts. Rows with a point that
+        breaks down are left out.
 
     Raises
     ------
@@ -99,6 +99,7 @@ def sobol(
     NoTrustworthyResult
         If more than :data:`MAX_BROKEN_SHARE` of the evaluations break down.
     """
+    from scipy import stats
     from scipy.stats import qmc
 
     d = len(lower)
@@ -106,7 +107,11 @@ def sobol(
         raise UsageError("Sobol indices share an output's variance between parameters: vary two or more")
     if samples < 2 or samples & (samples - 1):
         raise UsageError(f"the number of samples must be a power of two, not {samples}")
-    unit = qmc.Sobol(2 * d, scramble=True, bits=64, rng=np.random.default_rng(seed)).random(samples)
+    number = min(MAX_PARTS, samples)
+    unit = np.concatenate([
+        qmc.Sobol(2 * d, scramble=True, bits=64, rng=rng).random(samples // number)
+        for rng in np.random.default_rng(seed).spawn(number)
+    ])  # fmt: skip
     a, b = (lower + part * (upper - lower) for part in (unit[:, :d], unit[:, d:]))
     design = np.concatenate([a[:, None], b[:, None], np.repeat(a[:, None], d, axis=1)], axis=1)
     design[:, 2 + np.arange(d), np.arange(d)] = b
@@ -138,11 +143,23 @@ def sobol(
     both = outputs[:2].transpose(1, 0, 2).reshape(outputs.shape[1], -1)
     mean, sd = both.mean(axis=1), both.std(axis=1)
     outputs = outputs - mean[:, None]
-    rng, rows = np.random.default_rng([seed, 1]), outputs.shape[-1]
-    drawn = [_indices(outputs[..., rng.integers(rows, size=rows)], groups) for _ in range(N_DRAWS)]
-    first, total = _indices(outputs, groups)
-    first_ci, total_ci = np.percentile(drawn, (2.5, 97.5), axis=0).transpose(1, 0, 2, 3)
-    return Sobol(mean, sd, len(points), broken, samples - rows, first, total, first_ci, total_ci)
+    part = np.repeat(np.arange(number), samples // number)[sound]
+    found = _indices(outputs, groups)
+    half = stats.t.ppf(0.975, number - 1) * _jackknife_error(outputs, part, groups)
+    ends = np.stack([found - half, found + half], axis=1)
+    left_out = samples - outputs.shape[-1]
+    return Sobol(mean, sd, len(points), broken, left_out, *found, *ends)
+
+
+def _jackknife_error(outputs: Array, part: Array, groups: Sequence[Sequence[int]]) -> Array:
+    """Return the standard errors of the indices, shape (2, s + g, d), from estimates without one part each.
+
+    A bootstrap over the rows would give too wide intervals, because the rows of one Sobol sequence are not
+    independent. The parts are.
+    """
+    without = np.array([_indices(outputs[..., part != k], groups) for k in np.unique(part)])
+    number = len(without)
+    return np.sqrt((number - 1) / number * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
 
 
 def _indices(outputs: Array, groups: Sequence[Sequence[int]]) -> Array:

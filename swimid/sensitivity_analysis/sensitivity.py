@@ -677,6 +677,7 @@ def _method(file: SensitivityFile) -> str:
         f"First-order and total Sobol indices of the outputs of {trials} to {', '.join(file.ranges)}, "
         f"independent and uniform over their ranges, were estimated from {file.samples} rows of a scrambled "
         f"Sobol sequence ({runs.evaluated} points, {runs.broken} of which broke down) by the estimators of "
-        "Saltelli et al. (2010), with intervals by the bootstrap over the rows; those of all trials together "
+        "Saltelli et al. (2010), with intervals by the jackknife over "
+        "independently scrambled parts of the design; those of all trials together "
         "are shares of their summed variance (Gamboa et al. 2014)."
     )
