@@ -203,8 +203,10 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
         except (NoTrustworthyResult, InputError):
             continue
         project.pictures[name] = made
+        pick = f"swimid track setup {shlex.quote(project.relative(film.path))} --pick -o {name} --force"
         text = made.document.replace(
-            "# scale: {metres_per_pixel: 0.0015}", f"scale: {{metres_per_pixel: {ASK}}}"
+            "# scale: {metres_per_pixel: 0.0015}",
+            f"scale: {{metres_per_pixel: {ASK}}}   # or pick it in the browser: {pick}",
         )
         if made.setup.tail is not None:
             place = "of the marker, m: forward of the reference point of the robot, and to port"
