@@ -1274,6 +1274,13 @@ class TestPosterior:
         found = _posterior(5000.0, ("a", 1010.0), ("b", 2000.0), ("a+b", 1000.0))
         assert sum(found.sets.values()) + found.none + found.outside == pytest.approx(1.0)
 
+    def test_the_excess_that_refutes_nothing_is_the_sum_of_its_parts(self) -> None:
+        """Directions in each part, one percent of the squared noise, and a share of the gap."""
+        known = posterior.Calibration(7.0, 0.2, 0.0, 12.0, -2.0, 1.5, 0.5)
+        record = posterior.Record(samples=2000.0, parts=6, effects=20)
+        assert posterior.unit(record, 500.0, known) == pytest.approx(7.0 * 6 + 20.0 + 0.2 * 500.0)
+        assert posterior.unit(record, -500.0, known) == pytest.approx(7.0 * 6 + 20.0)
+
     def test_an_effect_that_leaves_several_times_more_is_no_rival(self) -> None:
         found = _posterior(20000.0, ("a", 1000.0), ("b", 1900.0), ("c", 1000.0))
         assert found.instead("a", frozenset({"a"}))["b"] < 0.01

@@ -90,6 +90,15 @@ def test_a_given_window_with_a_changing_speed_is_not_steady():
     assert found.change.low > 0.03
 
 
+def test_three_whole_strokes_are_enough_for_a_speed():
+    """The mean over a stroke takes half a stroke from either end of a track of 4.4 strokes."""
+    path, heading = swimmer(start=1e-6, bend=0.0)
+    found = kinematics.measure(made(path, heading, noise=1e-5, seconds=4.4 / BEAT))
+    assert found.frequency_hz.value == pytest.approx(BEAT, rel=0.01)
+    assert found.advance.value == pytest.approx(0.3, rel=0.01)
+    assert abs(found.acceleration.value) < 0.01
+
+
 @pytest.mark.parametrize("acceleration", [(30.0, -340.0), (0.0, 5.0)])
 def test_constant_acceleration_is_measured(acceleration):
     """A block on a ramp, px: nothing is steady, and both accelerations are told."""
