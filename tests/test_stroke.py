@@ -238,3 +238,16 @@ def test_a_single_stroke_has_no_rival(kind: str) -> None:
         found = beat.find_stroke(T, {"yaw_rad": values})
         assert found is not None
         assert not found.doubt
+
+
+def test_further_beats_are_no_multiples_of_the_first() -> None:
+    """A second motion is found beside the first; harmonics of the first are none."""
+    rng = np.random.default_rng(1)
+
+    def found(*parts: tuple[float, float]) -> list[float]:
+        channel = sum(size * np.sin(2 * np.pi * f * T + f) for f, size in parts)
+        return [b.frequency_hz for b in beat.find_beats(T, channel + 0.05 * rng.normal(size=len(T)))]
+
+    assert found((1.0, 1.0), (2.4, 0.6)) == pytest.approx([1.0, 2.4], rel=5e-3)
+    assert found((1.0, 1.0), (2.0, 0.6), (3.0, 0.4)) == pytest.approx([1.0], rel=5e-3)
+    assert found((1.0, 0.5), (2.0, 1.0)) == pytest.approx([1.0], rel=5e-3)
