@@ -176,6 +176,27 @@ class TestCruise:
         assert "SWM031" in ran.err
         free = ran.json["result"]["derived"]["free_frequency_exponent"]
         assert free["value"] == pytest.approx(2.4, abs=0.05)
+        assert free["status"] == "estimated"
+
+    def test_no_exponent_is_known_with_the_offset_at_its_bound(
+        self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, rng: np.random.Generator
+    ) -> None:
+        """The speed grows with (amplitude + 13 deg)^(2/3); the lowest offset that is allowed is -10 deg."""
+        rows = []
+        for fin, f, a in cruise.settings():
+            t = 12.0 * (f / 2.5) ** -1.0 * ((a + 13.0) / 29.0) ** (-2.0 / 3.0)
+            rows.append((fin, f, a, 1.15, t + rng.normal(0, 0.02)))
+        cruise.write_table(tmp_path / "speeds.csv", rows)
+        (tmp_path / "trials.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
+        )
+        out = tmp_path / "p.yaml"
+        swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag, "--keep-departures", "-o", out)
+        file = parameters.read(out)
+        assert file.parameters["amplitude_offset_deg"].status == "at-bound"
+        assert file.derived["free_frequency_exponent"].status == "unidentifiable"
+        checks = {c.name: c for c in evidence.read(evidence.sidecar(out)).checks}
+        assert checks["frequency exponent"].value == "not identifiable"
 
     @pytest.mark.parametrize(
         "table, words",

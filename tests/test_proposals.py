@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import proposals
-from swimid.diagnosis.proposals import Limits, Proposal, Segment, protocol_of
+from swimid.diagnosis.proposals import Limits, Proposal, Segment, Swim, protocol_of
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Model, RigInput, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import RecoilModel, SurgeModel
 from swimid.rig import model as rig
 from swimid.robots import file as robots
+from swimid.robots.spatial import Stroke
 from swimid.swimmer.planar.model import MultilinkModel
 from tests import effect_cases
 
@@ -139,6 +140,7 @@ def test_a_signal_is_played_larger_and_faster() -> None:
     time = 1.0 + np.arange(201) * 0.05
     trial = Trial("run", "fit", time, {}, inputs={"cmd1_rad": np.sin(time)})
     larger = proposed(model, [trial], LARGER, 99.0)
+    assert (larger.trial.id, larger.trial.role) == ("proposed", "fit")
     np.testing.assert_allclose(larger.columns["cmd1_rad"], 1.4 * np.sin(time), atol=1e-12)
     assert larger.text == "play cmd1_rad of run 1.4 times as large and 1 times as fast, for 10 s"
     faster = proposed(model, [trial], FASTER, 99.0)
@@ -277,6 +279,20 @@ def test_joints_keep_their_own_limits(limit: dict[str, float], deg: float) -> No
     assert found.entry["drive"]["amplitude_deg"] == pytest.approx(deg, abs=0.11)
     assert proposed(MultilinkModel(robot), [beating(1.0, 20.0, 10.0)], USUAL, 99.0).text.startswith(
         "swim at 1 Hz and 20 deg"
+    )
+
+
+def test_a_stroke_is_scaled(fish: MultilinkModel) -> None:
+    law = Stroke(period_s=1.0, knots_s=[0.0, 0.25, 0.5, 1.0], angles_deg={"joint1": [0.0, 30.0, 10.0, 0.0]})
+    stroke = drives.Cycle("thrust", law, 0.8, 1.2)
+    swim = SwimInput(stroke=stroke, coefficients={})
+    template = Trial("s", "fit", np.arange(0.0, 10.01, 0.04), {}, swim=swim)
+    found = Swim(fish, [template], limits())((Segment(frequency=1.4, amplitude=0.6),), 99.0)
+    assert found is not None
+    assert found.trial.swim.stroke is not None
+    assert (found.trial.swim.stroke.frequency_hz, found.trial.swim.stroke.scale) == (1.12, 0.72)
+    assert (
+        found.text == "swim with the stroke thrust at 1.12 Hz and 0.72 times its angles, from rest, for 10 s"
     )
 
 
