@@ -1507,6 +1507,29 @@ def test_a_base_in_a_poor_optimum_restarts_from_the_prior(rng: np.random.Generat
     assert based.cost < trapped.cost
 
 
+def test_of_many_starting_points_the_best_optimum_is_found(rng: np.random.Generator) -> None:
+    """The starting points lie in several optima of a parameter of an effect. The worse half is dropped."""
+
+    def turning(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        return {"y": values[0] * np.sin(values[1] * t) * np.exp(-0.05 * t)}
+
+    parameters = (parameter("size", 1.0), parameter("turn/rate", 1.0))
+    trials = [
+        Trial(f"t{k}", "fit", t, {"y": turning([1.3, 1.05], t)["y"] + 0.05 * rng.normal(size=len(t))})
+        for k, t in enumerate(np.linspace(0.0, 20.0 + k, 200) for k in range(4))
+    ]
+    context = FitContext(Toy(turning, parameters, ("y",)), parameters, trials, {"size": (1.0, 0.5)})
+    noise_model = NoiseModel([[np.full(200, 0.05)] for _ in trials])
+    warm = context.fit((), noise_model, [np.array([1.0, 0.5])])
+    starts = [np.array([1.0, rate]) for rate in (0.3, 2.5, 0.6, 3.1, 1.0, 1.7, 1.1)]
+    for rough, tolerance in ((False, 0.002), (True, 0.02)):
+        found = context.multistart((), noise_model, starts, warm=warm, rough=rough)
+        assert found.value("turn/rate") == pytest.approx(1.05, abs=tolerance)
+    assert found.value("size") == pytest.approx(1.3, abs=0.1)
+    alone = context.multistart((), noise_model, [np.array([1.0, 2.5])], warm=warm)
+    assert abs(alone.value("turn/rate") - 1.05) > 0.5
+
+
 @pytest.mark.parametrize(
     ("before", "after", "sound"),
     [(5.0, 500.0, True), (5.0, 1e5, False), (5.0, np.nan, False), (1e5, 2e5, True), (np.nan, np.nan, True)],
