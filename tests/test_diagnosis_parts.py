@@ -1373,6 +1373,39 @@ def test_a_trial_that_diverges_leaves_an_effect_to_the_others(rng: np.random.Gen
         assert all(np.abs(c).max() > 1.0 for c in changes[1:])
 
 
+class InUnits(Seen):
+    """Effect that adds a curve, with its size in another unit."""
+
+    def __init__(self, name: str, unit: float) -> None:
+        super().__init__(name, lambda t: 0.001 / unit * np.tanh(t))
+        self.unit = unit
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        return (parameter("size", 0.0, scale=self.unit),)
+
+
+def test_the_screening_does_not_depend_on_the_unit_of_a_parameter(rng: np.random.Generator) -> None:
+    """The changes are small against the noise, so that the prior of the size matters."""
+    trials = []
+    for k in range(6):
+        t = np.linspace(0.0, 5.0, 100)
+        trials.append(Trial(f"t{k}", "fit", t, {"y": 0.004 * np.tanh(t) + 0.02 * rng.normal(size=len(t))}))
+    context = FitContext(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
+    noise_model = NoiseModel([[np.full(100, 0.02)] for _ in trials])
+    base = context.fit((), noise_model, [context.shape.start])
+    effects = [InUnits("metres", 1.0), InUnits("millimetres", 1000.0), InUnits("kilometres", 1e-3)]
+    found = candidates.screen(context, base, noise_model, candidates.simulate(context, base, effects))
+    first, *others = found.tried
+    assert len(others) == 2
+    for other in others:
+        np.testing.assert_allclose(other.gains, first.gains, rtol=1e-6)
+    # a single direction with the prior standard deviation of five typical sizes, by Bayes's rule
+    information = sum(np.sum((0.001 * np.tanh(t.time_s) / 0.02) ** 2) for t in trials)
+    seen = sum(np.sum(0.001 * np.tanh(t.time_s) * t.measured["y"] / 0.02**2) for t in trials)
+    one = next(t for t in found.tried if t.effect.name == "metres")
+    assert one.point[0] == pytest.approx(seen / (information + 1 / 25), rel=1e-6)
+
+
 def test_a_start_without_a_change_is_skipped(context: FitContext) -> None:
     fit = context.fit(
         (), NoiseModel([[np.full(len(t.time_s), 0.05)] * 2 for t in context.trials]), [context.shape.start]

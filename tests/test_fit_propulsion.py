@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from swimid.errors import InputError
+from swimid.fitting import output_error
+from swimid.fitting.model import CruiseInput, Trial
 from swimid.logs import log
 from swimid.logs.beat import find_beat
 from swimid.propulsion import model as propulsion
@@ -93,6 +96,26 @@ class TestPublishedFigures:
                 found[name].append(float(propulsion.strouhal(2.0, np.deg2rad(16), lever, terminal)))
         assert (min(found["fin"]), max(found["fin"])) == pytest.approx((0.67, 0.77), abs=0.01)
         assert (min(found["axle"]), max(found["axle"])) == pytest.approx((0.77, 0.94), abs=0.01)
+
+
+@pytest.mark.parametrize(("noise", "status"), [(0.06, "estimated"), (0.09, "unidentifiable")])
+def test_an_offset_of_zero_is_known_to_a_degree(noise: float, status: str) -> None:
+    """An offset is not identifiable if its standard error exceeds half of its typical size, 2 degrees."""
+    model = propulsion.RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    inputs = {
+        "frequency_hz": np.tile([1.5, 2.0, 2.5, 3.0], 3),
+        "amplitude_rad": np.deg2rad(np.repeat([8.0, 12.0, 20.0], 4)),
+        "distance_m": np.ones(12),
+    }
+    cruise = CruiseInput(fin="a", inertia_kg_m2=1e-4, middle=(2.25, 0.25))
+    runs = Trial("a", "fit", np.arange(12.0), {}, inputs=inputs, cruise=cruise)
+    speed = model.simulate(np.array([0.3, 0.0, 3.0, 2.0]), runs)["mean_speed_m_s"]
+    # the error does not change with frequency or amplitude
+    errors = noise * np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, -1, 1])
+    found = output_error.fit(model, [replace(runs, measured={"mean_speed_m_s": speed * (1 + errors)})])
+    assert abs(found.value("amplitude_offset_deg")) < 0.1
+    assert found.status["amplitude_offset_deg"] == status
+    assert found.status["recoil_efficiency"] == "estimated"
 
 
 class TestCruise:
