@@ -129,6 +129,14 @@ def test_residuals_have_one_row_for_each_trial() -> None:
     assert lagged.traces[0].x == [1.0, 2.0, 3.0, 4.0]
 
 
+def test_the_twelve_trials_with_the_largest_residuals_are_shown() -> None:
+    trials = [Series(f"t{k}", 1.0 + (7 * k) % 15) for k in range(15)]
+    (rows,) = ev.residuals("f", "t", "c", "time (s)", trials, None).panels
+    smallest = {f"t{k}" for k in range(15) if (7 * k) % 15 < 3}
+    assert rows.y_categories == [f"t{k}" for k in range(15) if f"t{k}" not in smallest]
+    assert len(rows.y_categories) == 12
+
+
 def test_settings_of_the_user_stay() -> None:
     before = dict(mpl.rcParams)
     assert isinstance(drawing.canvas([_empty()]), Canvas)

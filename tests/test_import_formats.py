@@ -298,13 +298,15 @@ def test_kinovea_csv(mark: str, decimal: str, imported: Imported, swimid: Run, t
     assert np.allclose(record["tail_tip_y_m"], Y_M, atol=6e-6)
 
 
-def test_kinovea_text(imported: Imported, tmp_path: Path) -> None:
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_kinovea_text(decimal: str, imported: Imported, tmp_path: Path) -> None:
     lines = ["#Kinovea Trajectory data export", "#T X Y", "", "# nose"]
-    lines += [f"{1000 * t:.2f} {x:.5f} {y:.5f}" for t, x, y in zip(T, X_M, Y_M, strict=True)]
-    lines += ["", "# tail"]
-    lines += [
+    rows = [f"{1000 * t:.2f} {x:.5f} {y:.5f}" for t, x, y in zip(T, X_M, Y_M, strict=True)]
+    rows += ["", "# tail"]
+    rows += [
         f"{1000 * t:.2f} {x - 0.08:.5f} {y:.5f}" for t, x, y in zip(T[5:], X_M[5:], Y_M[5:], strict=True)
     ]
+    lines += [row.replace(".", decimal) for row in rows]
     (tmp_path / "a.txt").write_text("\n".join([*lines, ""]) + "\n")
     (tmp_path / "map.yaml").write_text(
         "format: swimid-mapping/1\nas: kinovea\ntime: {source: Time, unit: ms}\nreader: {length_unit: m}\n"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from swimid.logs.tracks import net_speed
+from swimid.logs.tracks import Cleaning, net_speed, speed
 
 #: Residuals that alternate, so that no correlation of successive samples widens the interval.
 SIZE = 1e-4
@@ -63,3 +63,29 @@ def test_a_long_track_is_measured_at_its_ends() -> None:
 def test_few_samples_have_no_net_speed() -> None:
     t = np.arange(11.0)
     assert net_speed(t, np.column_stack([t, t])) is None
+
+
+def cleaned(time_s: np.ndarray, gaps: list[tuple[float, float]]) -> Cleaning:
+    none = np.zeros(len(time_s), dtype=bool)
+    good = ~none
+    for begin, end in gaps:
+        good &= (time_s <= begin) | (time_s >= end)
+    return Cleaning(good, none, none, 0, [], gaps)
+
+
+def test_the_speed_along_a_swaying_path_is_larger_than_its_net_speed() -> None:
+    """The path of 0.2 m/s along and 30 mm at 0.5 Hz across, with 0.1 mm of noise and a gap."""
+    time, rng = np.arange(0.0, 40.0, 0.04), np.random.default_rng(3)
+    x = 0.2 * time + rng.normal(0, 1e-4, len(time))
+    y = 0.03 * np.sin(np.pi * time) + rng.normal(0, 1e-4, len(time))
+    fine = np.linspace(0.0, 2.0, 2001)
+    truth = np.mean(np.hypot(0.2, 0.03 * np.pi * np.cos(np.pi * fine)))
+    found = speed(time, [x, y], cleaned(time, [(10.0, 14.0)]), 0.5)
+    assert found is not None
+    assert found.path.value == pytest.approx(truth, rel=1e-3)
+    assert found.path.high - found.path.low < 1e-3
+    assert found.line.value == pytest.approx(0.2, rel=1e-3)
+    # errors of 0.1 mm at the ends of 40 s
+    assert found.line.high - found.line.low < 1e-4
+    assert found.noise_m == pytest.approx(1e-4, rel=0.2)
+    assert found.covered_s == pytest.approx(35.96, abs=0.1)
