@@ -473,11 +473,10 @@ def armed(base: str, at: list[float]) -> MultibodyModel:
     return MultibodyModel(robot_format.schema_of().model_validate(robot))
 
 
-def beaten(model: MultibodyModel, time: np.ndarray) -> dict[str, np.ndarray]:
+def beaten(model: MultibodyModel, time: np.ndarray, **values: float) -> dict[str, np.ndarray]:
     swim = SwimInput(drives.Beat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
-    return model.simulate(
-        np.array([p.start for p in model.parameters]), Trial("t", "fit", time, {}, swim=swim)
-    )
+    known = np.array([values.get(p.name, p.start) for p in model.parameters])
+    return model.simulate(known, Trial("t", "fit", time, {}, swim=swim))
 
 
 def test_a_load_cell_measures_about_the_reference_point() -> None:
@@ -504,7 +503,10 @@ NAMES = [f"{word}_{axis}_{unit}" for word, unit in (("force", "N"), ("torque", "
 def test_velocities_and_rates_are_the_derivatives_of_the_pose() -> None:
     """At the reference point, in the axes of the body; positive pitch raises the nose."""
     time = np.arange(0.0, 1.0, 0.002)
-    found = beaten(armed("free", [0.1, -0.05, 0.2]), time)
+    begun = {"surge": 0.3, "sway": -0.1, "heave": 0.2, "roll_rate": 0.5, "pitch_rate": -0.4, "yaw_rate": 0.7}
+    values = {f"initial_{name}": value for name, value in begun.items()}
+    moved = {"start_x": 0.01, "start_y": -0.02, "start_z": 0.03, "start_yaw": 0.1}
+    found = beaten(armed("free", [0.1, -0.05, 0.2]), time, **values, **moved)
     place, body, rates = (
         np.column_stack([found[name] for name in names])
         for names in (
@@ -516,7 +518,10 @@ def test_velocities_and_rates_are_the_derivatives_of_the_pose() -> None:
     turn = Rotation.from_euler(
         "ZYX", np.column_stack([found["yaw_rad"], -found["pitch_rad"], found["roll_rad"]])
     )
-    np.testing.assert_allclose(place[0], [0.3, -0.2, 0.1], atol=1e-12)
+    np.testing.assert_allclose(place[0], [0.31, -0.22, 0.13], atol=1e-12)
+    np.testing.assert_allclose([*body[0], *rates[0]], list(begun.values()), atol=1e-12)
+    angles = [found[name][0] for name in ("roll_rad", "pitch_rad", "yaw_rad")]
+    np.testing.assert_allclose(angles, [0.2, -0.3, 2.6], atol=1e-12)
     # central differences: the third derivative times the square of the step over 6
     np.testing.assert_allclose(turn.apply(body)[1:-1], (place[2:] - place[:-2]) / 0.004, atol=1e-3)
     spin = (turn[:-2].inv() * turn[2:]).as_rotvec() / 0.004
