@@ -33,7 +33,7 @@ from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
 from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
-from swimid.diagnosis.gap_file import Facts, HeldOutTrial, Shrinkage
+from swimid.diagnosis.gap_file import ChannelGap, Facts, HeldOutTrial, Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
@@ -1572,6 +1572,17 @@ def test_a_cause_with_which_a_held_out_trial_diverges_is_reported(
 ) -> None:
     """The range of the trial is 200 times its noise. Another trial is predicted well with the cause."""
     assert shrinkage.sound([piece(5.0, 0.0), piece(before, after)]) is sound
+
+
+@pytest.mark.parametrize(
+    ("within", "nrmse", "differs"),
+    [(0.7, 1.0, True), (0.72, 1.0, False), (0.07, 0.1, True), (None, 1.0, False), (0.1, None, False)],
+)
+def test_trials_differ_if_most_of_the_squared_error_is_between_them(
+    within: float | None, nrmse: float | None, differs: bool
+) -> None:
+    gap = ChannelGap(channel="x_m", nrmse=nrmse, floor=0.01, share=1.0, within=within)
+    assert gap.differs is differs
 
 
 def test_twins_share_one_prior_probability() -> None:

@@ -85,6 +85,23 @@ def test_a_heat_map_says_each_number_and_shades_the_largest_most() -> None:
     assert [patch.get_alpha() for patch in axes.patches] == pytest.approx([0.0, 0.55 / 3, 0.55])
 
 
+@pytest.mark.parametrize(
+    ("values", "scale", "alphas"),
+    [
+        ([[0.5, 1.0], [10.0, 100.0]], "log", [0.0, 0.0, 0.275, 0.55]),
+        # cells up to three times the neutral number are pale
+        ([[1.0, 1.5]], "log", [0.0, 0.55 * np.log(1.5) / np.log(3.0)]),
+        ([[-1.0, 0.0, 3.0]], "linear", [0.0, 0.55 / 4, 0.55]),
+        ([[2.0, 2.0]], "linear", [0.0, 0.0]),
+        ([[None, None]], "linear", []),
+    ],
+)
+def test_the_shade_of_a_heat_map(values: list[list[float]], scale: str, alphas: list[float]) -> None:
+    rows, columns = (list("abc")[: len(names)] for names in (values, values[0]))
+    axes = drawn(heat=Heat(rows=rows, columns=columns, values=values, scale=scale, neutral=1.0))
+    assert [patch.get_alpha() for patch in axes.patches] == pytest.approx(alphas)
+
+
 def test_lists_of_different_lengths_are_refused() -> None:
     with pytest.raises(ValidationError, match="1 numbers of 'y' for 2 of 'x'"):
         Trace(x=[0.0, 1.0], y=[1.0])

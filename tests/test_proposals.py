@@ -38,7 +38,9 @@ def proposed(
 ) -> Any:
     protocol = protocol_of(model, trials, limits(**stated))
     assert protocol is not None
-    return protocol(segments, most_s)
+    found = protocol(segments, most_s)
+    assert found is None or (found.trial.id, found.trial.role) == ("proposed", "fit")
+    return found
 
 
 # ---------------------------------------------------------------- straight swimming and cruises
@@ -140,7 +142,6 @@ def test_a_signal_is_played_larger_and_faster() -> None:
     time = 1.0 + np.arange(201) * 0.05
     trial = Trial("run", "fit", time, {}, inputs={"cmd1_rad": np.sin(time)})
     larger = proposed(model, [trial], LARGER, 99.0)
-    assert (larger.trial.id, larger.trial.role) == ("proposed", "fit")
     np.testing.assert_allclose(larger.columns["cmd1_rad"], 1.4 * np.sin(time), atol=1e-12)
     assert larger.text == "play cmd1_rad of run 1.4 times as large and 1 times as fast, for 10 s"
     faster = proposed(model, [trial], FASTER, 99.0)
