@@ -29,7 +29,7 @@ from swimid.diagnosis import (
     weighting,
 )
 from swimid.diagnosis.candidates import own_gains
-from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
+from swimid.diagnosis.context import START_PRIOR, Fit, FitContext, beyond
 from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
@@ -1583,6 +1583,15 @@ def test_trials_differ_if_most_of_the_squared_error_is_between_them(
 ) -> None:
     gap = ChannelGap(channel="x_m", nrmse=nrmse, floor=0.01, share=1.0, within=within)
     assert gap.differs is differs
+
+
+def test_residuals_of_columns_of_any_size_and_of_equal_columns(rng: np.random.Generator) -> None:
+    """The columns differ by 16 orders of size, two are equal and one is zero."""
+    raw = rng.normal(size=(40, 3))
+    values = rng.normal(size=40)
+    columns = np.column_stack([1e-8 * raw[:, 0], 1e8 * raw[:, 1], raw[:, 2], raw[:, 2], np.zeros(40)])
+    basis = np.linalg.qr(raw)[0]
+    np.testing.assert_allclose(beyond(columns, values), values - basis @ (basis.T @ values), atol=1e-12)
 
 
 def test_twins_share_one_prior_probability() -> None:

@@ -163,6 +163,15 @@ class TestEncoder:
         gaps = np.diff(t)[np.searchsorted(t, record.time_s) - 1]
         np.testing.assert_allclose(record.time_sd_s, gaps / np.sqrt(12.0), rtol=1e-12)
 
+    @pytest.mark.parametrize("way", [1, -1])
+    def test_two_steps_within_an_interval_have_their_middle_in_its_middle(self, way: int) -> None:
+        counts = np.array([0, 0, 1, 1, 2, 2, 2, 3, 3, 5, 5, 6, 6, 9, 9, 10])
+        record = rig_trials.read_encoder(0.1 * np.arange(len(counts)), way * STEP * counts)
+        assert record.kind == "sampled"
+        np.testing.assert_allclose(record.position, way * STEP * np.array([1, 2, 3, 4.5, 6, 8, 10]))
+        np.testing.assert_allclose(record.time_s, [0.15, 0.35, 0.65, 0.85, 1.05, 1.25, 1.45])
+        np.testing.assert_allclose(record.time_sd_s, 0.1 / np.sqrt(12.0))
+
     @pytest.mark.parametrize("rounding", rig_trials.ROUNDINGS)
     def test_true_positions_from_rounded_counts(self, rounding: str) -> None:
         t = np.arange(0, 10, 0.001)
