@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -252,7 +253,9 @@ def test_velocities_are_the_derivatives_of_the_pose_of_any_reference_point() -> 
     beat = SwimInput(drives.Beat("sine", 1.4, math.radians(30.0)), pose=(0.3, -0.2, 0.7))
     begun = {"initial_surge": 0.2, "initial_sway": -0.1, "initial_yaw_rate": 0.5}
     values = [begun.get(p.name, v) for p, v in zip(model.parameters, values_of(model), strict=True)]
-    found = model.simulate(np.array(values), Trial("run", "fit", time, {}, swim=beat))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = model.simulate(np.array(values), Trial("run", "fit", time, {}, swim=beat))
     path, heading = found["x_m"] + 1j * found["y_m"], found["yaw_rad"]
     assert (path[0], heading[0]) == pytest.approx((0.3 - 0.2j, 0.7))
     first = [found[name][0] for name in ("u_m_s", "v_m_s", "yaw_rate_rad_s")]

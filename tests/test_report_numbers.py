@@ -157,3 +157,14 @@ def test_the_table_of_parameters_has_their_intervals(tmp_path: Path) -> None:
     assert found["pulley_inertia"] == "(4.28 … 4.75) × 10⁻⁵"
     assert (found[["linear_drag", "string_stiffness", "water_density"]] == "").all()
     assert tables["derived"]["95 % interval"].tolist() == ["0.1620 … 0.1702"]
+
+
+def test_texts_of_probabilities_and_percentages() -> None:
+    assert numbers.probability_text(0.1234) == "12 %"
+    assert numbers.probability_text(0.0012) == "0.12 %"
+    assert numbers.probability_text(0.00099) == "< 0.1 %"
+    assert numbers.probability_text(1.0) == "100 %"
+    assert numbers.probability_text(0.9999) == "> 99 %"
+    assert numbers.probability_text(None) == "–"
+    assert numbers.listed(["a"]) == "a"
+    assert numbers.listed(["a", "b", "c"], "or") == "a, b or c"
