@@ -29,8 +29,8 @@ def swings(model: Toy, rng: np.random.Generator) -> list[Trial]:
 
 def test_a_fit_recovers_the_truth_with_its_evidence(model: Toy, swings: list[Trial]) -> None:
     fitted = fit_model(model, swings)
-    for parameter, truth in zip(DECAY, TRUTH, strict=True):
-        estimate = fitted[parameter.name]
+    for one, truth in zip(DECAY, TRUTH, strict=True):
+        estimate = fitted[one.name]
         assert estimate.stderr is not None
         assert estimate.value == pytest.approx(truth, abs=3.5 * estimate.stderr)
     assert fitted.verdict == "good"
