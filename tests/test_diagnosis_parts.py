@@ -616,6 +616,32 @@ class Tilt(Effect):
         return Hooks(output=(more,))
 
 
+@pytest.mark.parametrize("repeated", [False, True])
+def test_fixed_parameters_of_trials_may_differ_at_random(context: FitContext, repeated: bool) -> None:
+    """A tenth of the friction is the scale of its deviation; a drag may differ between repeats only."""
+
+    def own(name: str, scale: float, *, free: bool = False, per_trial: bool = True) -> Parameter:
+        return parameter(name, 0.0, scale=scale, free=free, per_trial=per_trial)
+
+    parameters = (
+        own("pulley_friction", 0.1, free=True, per_trial=False),
+        own("friction_deviation", 0.5),
+        own("relative_drag_deviation", 0.05),
+        own("start_offset", 0.01),
+        own("initial_speed", 0.02, free=True),
+        own("clock_offset", 0.3),
+    )
+    known = {"pulley_friction": -0.03}
+    found = kinds(context.model, parameters, context.trials, [], known, repeated=repeated)
+    expected = {"friction_deviation": (0.003, 1), "start_offset": (0.01, 3)}
+    if repeated:
+        expected["relative_drag_deviation"] = (0.05, 2)
+    assert {k.name: (pytest.approx(k.size), k.place) for k in found} == expected
+    assert all(k.label == k.name and k.effect is None for k in found)
+    (unknown, *_) = kinds(context.model, parameters, context.trials, [], {})
+    assert (unknown.name, unknown.size) == ("friction_deviation", 0.5)
+
+
 def test_random_effects_are_parameters_with_a_prior(context: FitContext) -> None:
     """Fit, products and standard errors equal those of noise with the marginal covariance."""
     model = Hooked(line, LINE, ("y", "v"))
