@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
-from swimid.inertial import smoother
+from swimid.inertial import estimate, smoother
 from swimid.inertial.smoother import Observation
 
 STATES, NODES = 10, 4
@@ -125,3 +128,52 @@ def test_drawn_errors_have_the_smoothed_covariance(system: dict[str, Any]) -> No
 def test_the_cross_matrix_multiplies_as_a_cross_product(rng: np.random.Generator) -> None:
     v, u = rng.normal(size=(2, 5, 3))
     np.testing.assert_allclose(np.einsum("nij,nj->ni", smoother.cross_matrix(v), u), np.cross(v, u))
+
+
+# ---------------------------------------------------------------- contradictions
+
+
+def estimated(
+    tilt_rad: float, *, yaw_rad: float = 0.0, stray: float = 0.0, mean: float = 0.0
+) -> estimate.Estimate:
+    """Return an estimate whose tilt departs from that of a filter, of 0.01 rad as its own is of 0.014 rad."""
+    count, tilt = 50, smoother.PARTS["rotation"]
+    covariance = np.zeros((count, tilt.stop, tilt.stop))
+    for k in (0, 1):
+        covariance[:, tilt.start + k, tilt.start + k] = 2e-4
+    covariance[:, tilt.start + 2, tilt.start + 2] = 1.0  # of the yaw, which is no tilt
+    turn = Rotation.from_euler("ZX", np.tile([yaw_rad, tilt_rad], (count, 1)))
+    known = np.arange(100) < 80
+    found: Any = SimpleNamespace(
+        setup=SimpleNamespace(
+            rests=[],
+            attitude_sd=0.01,
+            source=SimpleNamespace(kind="filter", rotation=Rotation.identity(count)),
+        ),
+        smoothed=SimpleNamespace(
+            errors=SimpleNamespace(mean=np.full((count, 9), mean), covariance=covariance),
+            path=SimpleNamespace(rotation=turn),
+        ),
+        fixes=SimpleNamespace(
+            position=np.where(known, 0.0, np.nan)[:, None] * np.ones(3),
+            stray=(np.arange(100) < stray * 80)[:, None] * np.ones(2, dtype=bool),
+        ),
+    )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("estimated_with", "words"),
+    [
+        # six standard deviations, sqrt(2 * 0.01^2 + 2 * 2e-4) each, are 0.147 rad or 8.4 degrees
+        ({"tilt_rad": 0.140, "yaw_rad": 2.0}, []),
+        ({"tilt_rad": -0.154}, ["its tilt departs from that of the filter by 9 deg rms, where 8 deg is 6"]),
+        ({"tilt_rad": 0.0, "stray": 0.4}, []),
+        ({"tilt_rad": 0.0, "stray": 0.6}, ["60 % of the fixes lie beyond 6 deviations"]),
+        ({"tilt_rad": 0.0, "mean": math.nan}, ["the smoothing has no finite result"]),
+    ],
+)
+def test_contradictions_of_a_motion(estimated_with: dict[str, float], words: list[str]) -> None:
+    found = estimate.find_contradictions(estimated(**estimated_with))
+    assert len(found) == len(words)
+    assert all(word in text for word, text in zip(words, found, strict=True))
