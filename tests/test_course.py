@@ -43,6 +43,20 @@ def test_a_true_track_is_not_mirrored_and_its_slip_is_small() -> None:
     assert abs(seen.slip_rad) < 0.1
 
 
+@pytest.mark.parametrize(("samples", "known"), [(3, True), (2, False)])
+def test_three_samples_of_a_track_show_its_course(samples: int, known: bool) -> None:
+    """Short straight tracks in several directions; the heading is 0.05 rad to port of each course."""
+    time = np.linspace(0.0, 1.0, samples)
+    courses = np.linspace(-3.0, 3.0, 30)
+    seen = beat.compare_course(
+        [[time, time * np.cos(c), time * np.sin(c), np.full(samples, c + 0.05)] for c in courses], 1.5
+    )
+    assert (seen is not None) == known
+    if seen is not None:
+        assert seen.slip_rad == pytest.approx(-0.05, abs=1e-9)
+        assert seen.spread_rad == pytest.approx(0.0, abs=1e-6)
+
+
 @pytest.mark.parametrize("axis", [1, 2, 3])
 def test_one_axis_turned_round_is_mirrored(axis: int) -> None:
     wrong = [[*t[:axis], -t[axis], *t[axis + 1 :]] for t in tracks(TURNS)]

@@ -29,11 +29,11 @@ from swimid.diagnosis import (
     weighting,
 )
 from swimid.diagnosis.candidates import own_gains
-from swimid.diagnosis.context import START_PRIOR, Fit, FitContext
+from swimid.diagnosis.context import START_PRIOR, Fit, FitContext, beyond
 from swimid.diagnosis.context import covariance as covariance_of
 from swimid.diagnosis.crossval import Drawn, NormalEquations
 from swimid.diagnosis.floor import Floor, disagreement, floors, nuisance_residuals, repeats, split
-from swimid.diagnosis.gap_file import Facts, HeldOutTrial, Shrinkage
+from swimid.diagnosis.gap_file import ChannelGap, Facts, HeldOutTrial, Shrinkage
 from swimid.diagnosis.noise_model import NoiseModel, brief, coloured
 from swimid.diagnosis.nominal import ParameterChange
 from swimid.diagnosis.random_effects import LARGEST_SD, RandomEffect, kinds, spread
@@ -614,6 +614,32 @@ class Tilt(Effect):
             return {**found, "y": found["y"] + values[0] * time}
 
         return Hooks(output=(more,))
+
+
+@pytest.mark.parametrize("repeated", [False, True])
+def test_fixed_parameters_of_trials_may_differ_at_random(context: FitContext, repeated: bool) -> None:
+    """A tenth of the friction is the scale of its deviation; a drag may differ between repeats only."""
+
+    def own(name: str, scale: float, *, free: bool = False, per_trial: bool = True) -> Parameter:
+        return parameter(name, 0.0, scale=scale, free=free, per_trial=per_trial)
+
+    parameters = (
+        own("pulley_friction", 0.1, free=True, per_trial=False),
+        own("friction_deviation", 0.5),
+        own("relative_drag_deviation", 0.05),
+        own("start_offset", 0.01),
+        own("initial_speed", 0.02, free=True),
+        own("clock_offset", 0.3),
+    )
+    known = {"pulley_friction": -0.03}
+    found = kinds(context.model, parameters, context.trials, [], known, repeated=repeated)
+    expected = {"friction_deviation": (0.003, 1), "start_offset": (0.01, 3)}
+    if repeated:
+        expected["relative_drag_deviation"] = (0.05, 2)
+    assert {k.name: (pytest.approx(k.size), k.place) for k in found} == expected
+    assert all(k.label == k.name and k.effect is None for k in found)
+    (unknown, *_) = kinds(context.model, parameters, context.trials, [], {})
+    assert (unknown.name, unknown.size) == ("friction_deviation", 0.5)
 
 
 def test_random_effects_are_parameters_with_a_prior(context: FitContext) -> None:
@@ -1274,6 +1300,13 @@ class TestPosterior:
         found = _posterior(5000.0, ("a", 1010.0), ("b", 2000.0), ("a+b", 1000.0))
         assert sum(found.sets.values()) + found.none + found.outside == pytest.approx(1.0)
 
+    def test_the_excess_that_refutes_nothing_is_the_sum_of_its_parts(self) -> None:
+        """Directions in each part, one percent of the squared noise, and a share of the gap."""
+        known = posterior.Calibration(7.0, 0.2, 0.0, 12.0, -2.0, 1.5, 0.5)
+        record = posterior.Record(samples=2000.0, parts=6, effects=20)
+        assert posterior.unit(record, 500.0, known) == pytest.approx(7.0 * 6 + 20.0 + 0.2 * 500.0)
+        assert posterior.unit(record, -500.0, known) == pytest.approx(7.0 * 6 + 20.0)
+
     def test_an_effect_that_leaves_several_times_more_is_no_rival(self) -> None:
         found = _posterior(20000.0, ("a", 1000.0), ("b", 1900.0), ("c", 1000.0))
         assert found.instead("a", frozenset({"a"}))["b"] < 0.01
@@ -1364,6 +1397,39 @@ def test_a_trial_that_diverges_leaves_an_effect_to_the_others(rng: np.random.Gen
     for _, changes in found.points:
         assert not changes[0].any()
         assert all(np.abs(c).max() > 1.0 for c in changes[1:])
+
+
+class InUnits(Seen):
+    """Effect that adds a curve, with its size in another unit."""
+
+    def __init__(self, name: str, unit: float) -> None:
+        super().__init__(name, lambda t: 0.001 / unit * np.tanh(t))
+        self.unit = unit
+
+    def parameters(self, model: Model, trials: Sequence[Trial]) -> tuple[Parameter, ...]:
+        return (parameter("size", 0.0, scale=self.unit),)
+
+
+def test_the_screening_does_not_depend_on_the_unit_of_a_parameter(rng: np.random.Generator) -> None:
+    """The changes are small against the noise, so that the prior of the size matters."""
+    trials = []
+    for k in range(6):
+        t = np.linspace(0.0, 5.0, 100)
+        trials.append(Trial(f"t{k}", "fit", t, {"y": 0.004 * np.tanh(t) + 0.02 * rng.normal(size=len(t))}))
+    context = FitContext(Hooked(lambda v, t: {"y": np.zeros_like(t)}, (), ("y",)), (), trials, {})
+    noise_model = NoiseModel([[np.full(100, 0.02)] for _ in trials])
+    base = context.fit((), noise_model, [context.shape.start])
+    effects = [InUnits("metres", 1.0), InUnits("millimetres", 1000.0), InUnits("kilometres", 1e-3)]
+    found = candidates.screen(context, base, noise_model, candidates.simulate(context, base, effects))
+    first, *others = found.tried
+    assert len(others) == 2
+    for other in others:
+        np.testing.assert_allclose(other.gains, first.gains, rtol=1e-6)
+    # a single direction with the prior standard deviation of five typical sizes, by Bayes's rule
+    information = sum(np.sum((0.001 * np.tanh(t.time_s) / 0.02) ** 2) for t in trials)
+    seen = sum(np.sum(0.001 * np.tanh(t.time_s) * t.measured["y"] / 0.02**2) for t in trials)
+    one = next(t for t in found.tried if t.effect.name == "metres")
+    assert one.point[0] == pytest.approx(seen / (information + 1 / 25), rel=1e-6)
 
 
 def test_a_start_without_a_change_is_skipped(context: FitContext) -> None:
@@ -1500,6 +1566,29 @@ def test_a_base_in_a_poor_optimum_restarts_from_the_prior(rng: np.random.Generat
     assert based.cost < trapped.cost
 
 
+def test_of_many_starting_points_the_best_optimum_is_found(rng: np.random.Generator) -> None:
+    """The starting points lie in several optima of a parameter of an effect. The worse half is dropped."""
+
+    def turning(values: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+        return {"y": values[0] * np.sin(values[1] * t) * np.exp(-0.05 * t)}
+
+    parameters = (parameter("size", 1.0), parameter("turn/rate", 1.0))
+    trials = [
+        Trial(f"t{k}", "fit", t, {"y": turning([1.3, 1.05], t)["y"] + 0.05 * rng.normal(size=len(t))})
+        for k, t in enumerate(np.linspace(0.0, 20.0 + k, 200) for k in range(4))
+    ]
+    context = FitContext(Toy(turning, parameters, ("y",)), parameters, trials, {"size": (1.0, 0.5)})
+    noise_model = NoiseModel([[np.full(200, 0.05)] for _ in trials])
+    warm = context.fit((), noise_model, [np.array([1.0, 0.5])])
+    starts = [np.array([1.0, rate]) for rate in (0.3, 2.5, 0.6, 3.1, 1.0, 1.7, 1.1)]
+    for rough, tolerance in ((False, 0.002), (True, 0.02)):
+        found = context.multistart((), noise_model, starts, warm=warm, rough=rough)
+        assert found.value("turn/rate") == pytest.approx(1.05, abs=tolerance)
+    assert found.value("size") == pytest.approx(1.3, abs=0.1)
+    alone = context.multistart((), noise_model, [np.array([1.0, 2.5])], warm=warm)
+    assert abs(alone.value("turn/rate") - 1.05) > 0.5
+
+
 @pytest.mark.parametrize(
     ("before", "after", "sound"),
     [(5.0, 500.0, True), (5.0, 1e5, False), (5.0, np.nan, False), (1e5, 2e5, True), (np.nan, np.nan, True)],
@@ -1509,6 +1598,26 @@ def test_a_cause_with_which_a_held_out_trial_diverges_is_reported(
 ) -> None:
     """The range of the trial is 200 times its noise. Another trial is predicted well with the cause."""
     assert shrinkage.sound([piece(5.0, 0.0), piece(before, after)]) is sound
+
+
+@pytest.mark.parametrize(
+    ("within", "nrmse", "differs"),
+    [(0.7, 1.0, True), (0.72, 1.0, False), (0.07, 0.1, True), (None, 1.0, False), (0.1, None, False)],
+)
+def test_trials_differ_if_most_of_the_squared_error_is_between_them(
+    within: float | None, nrmse: float | None, differs: bool
+) -> None:
+    gap = ChannelGap(channel="x_m", nrmse=nrmse, floor=0.01, share=1.0, within=within)
+    assert gap.differs is differs
+
+
+def test_residuals_of_columns_of_any_size_and_of_equal_columns(rng: np.random.Generator) -> None:
+    """The columns differ by 16 orders of size, two are equal and one is zero."""
+    raw = rng.normal(size=(40, 3))
+    values = rng.normal(size=40)
+    columns = np.column_stack([1e-8 * raw[:, 0], 1e8 * raw[:, 1], raw[:, 2], raw[:, 2], np.zeros(40)])
+    basis = np.linalg.qr(raw)[0]
+    np.testing.assert_allclose(beyond(columns, values), values - basis @ (basis.T @ values), atol=1e-12)
 
 
 def test_twins_share_one_prior_probability() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import matplotlib as mpl
@@ -43,6 +44,22 @@ def test_measured_points_lie_above_the_pale_line_of_their_model() -> None:
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time (s)", "x (m)")
 
 
+def test_a_figure_drawn_twice_is_the_same_text(tmp_path: Path) -> None:
+    """The ids in an SVG file do not depend on the run, and those of two panels of a page differ."""
+    traces = [Trace(x=[0.0, 1.0], y=[0.0, 1.0], style="points")]
+    panels = [Panel(x_label="t", y_label=y, traces=traces) for y in "xy"]
+    figure = Figure(id="f", title="t", caption="c", panels=panels)
+    pages = [drawing.for_page(figure, "p") for _ in range(2)]
+    assert pages[0] == pages[1]
+    first, second = (set(re.findall(r'clipPath id="(\w+)"', text)) for text in pages[0])
+    assert first
+    assert second
+    assert not first & second
+    for name in "ab":
+        drawing.write(tmp_path / f"{name}.svg", [figure], title="t")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
 def test_groups_have_colours_and_markers_of_their_own() -> None:
     traces = [Trace(x=[0.0, 1.0], y=[k, k], style="points", label=str(k), group=k) for k in range(6)]
     axes = drawn(*traces)
@@ -66,6 +83,23 @@ def test_a_heat_map_says_each_number_and_shades_the_largest_most() -> None:
     axes = drawn(heat=heat)
     assert [text.get_text() for text in axes.texts] == ["1", "2", "–", "4"]
     assert [patch.get_alpha() for patch in axes.patches] == pytest.approx([0.0, 0.55 / 3, 0.55])
+
+
+@pytest.mark.parametrize(
+    ("values", "scale", "alphas"),
+    [
+        ([[0.5, 1.0], [10.0, 100.0]], "log", [0.0, 0.0, 0.275, 0.55]),
+        # cells up to three times the neutral number are pale
+        ([[1.0, 1.5]], "log", [0.0, 0.55 * np.log(1.5) / np.log(3.0)]),
+        ([[-1.0, 0.0, 3.0]], "linear", [0.0, 0.55 / 4, 0.55]),
+        ([[2.0, 2.0]], "linear", [0.0, 0.0]),
+        ([[None, None]], "linear", []),
+    ],
+)
+def test_the_shade_of_a_heat_map(values: list[list[float]], scale: str, alphas: list[float]) -> None:
+    rows, columns = (list("abc")[: len(names)] for names in (values, values[0]))
+    axes = drawn(heat=Heat(rows=rows, columns=columns, values=values, scale=scale, neutral=1.0))
+    assert [patch.get_alpha() for patch in axes.patches] == pytest.approx(alphas)
 
 
 def test_lists_of_different_lengths_are_refused() -> None:
@@ -110,6 +144,14 @@ def test_residuals_have_one_row_for_each_trial() -> None:
     for k, trace in enumerate(rows.traces):
         assert np.abs(np.array(trace.y) - k).max() < 0.5
     assert lagged.traces[0].x == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_the_twelve_trials_with_the_largest_residuals_are_shown() -> None:
+    trials = [Series(f"t{k}", 1.0 + (7 * k) % 15) for k in range(15)]
+    (rows,) = ev.residuals("f", "t", "c", "time (s)", trials, None).panels
+    smallest = {f"t{k}" for k in range(15) if (7 * k) % 15 < 3}
+    assert rows.y_categories == [f"t{k}" for k in range(15) if f"t{k}" not in smallest]
+    assert len(rows.y_categories) == 12
 
 
 def test_settings_of_the_user_stay() -> None:

@@ -11,7 +11,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from swimid.effects import actuation
-from swimid.effects.base import Affected
+from swimid.effects.base import Affected, for_every_joint
 from swimid.fitting import drives
 from swimid.fitting.model import CruiseInput, Hooks, Stroke, SurgeInput, SwimInput, Trial
 from swimid.propulsion.model import SPEED, RecoilModel, SurgeModel, mean_speed, terminal_speed, velocity_ratio
@@ -140,6 +140,25 @@ class TestOperators:
         gain = actuation.describing_gain(ratio)
         assert np.all(np.diff(gain) > 0)
         assert np.abs(np.diff(gain)).max() < 2 * 4 / np.pi * (ratio[1] - ratio[0])
+
+
+def test_joints_with_one_command_share_one_result() -> None:
+    """The change is computed once, and no joint can alter the result of another."""
+    calls = []
+
+    def doubled(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        calls.append(len(time))
+        return 2.0 * angle
+
+    command, time, angle = for_every_joint(doubled), TIME[:5], TIME[:5] + 1.0
+    first = command(time, angle, 0)
+    assert command(time, angle, 1) is first
+    assert calls == [5]
+    with pytest.raises(ValueError, match="read-only"):
+        first[0] = 0.0
+    np.testing.assert_allclose(command(time, angle.copy(), 2), 2.0 * angle)
+    np.testing.assert_allclose(command(time[:4], angle[:4], 2), 2.0 * angle[:4])
+    assert calls == [5, 5, 4]
 
 
 class TestNull:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 
 import numpy as np
@@ -10,6 +11,10 @@ import pytest
 from swimid.effects import catalogue
 from swimid.effects.base import STAGES
 from swimid.errors import InputError
+from swimid.fitting.model import CruiseInput, Trial
+from swimid.propulsion.model import RecoilModel
+from tests import effect_cases
+from tests.conftest import ROOT
 from tests.toy_models import DECAY, Toy, decay
 
 #: Names that reports, files and other programs rely on.
@@ -108,3 +113,36 @@ def test_a_file_without_effects_is_an_error(tmp_path):
     (tmp_path / "own.txt").write_text("")
     with pytest.raises(InputError, match="no Python file"):
         catalogue.from_file(tmp_path / "own.txt")
+
+
+def test_typical_sizes_are_those_of_the_document():
+    """Of a fish, a falling weight and a cruise, by the table of docs/effects.md."""
+    fish, cruise = (
+        effect_cases.swimmer("tfish"),
+        RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4}),
+    )
+    inputs = {"frequency_hz": [2.0, 3.0], "amplitude_rad": [0.2, 0.3], "distance_m": [1.0, 1.0]}
+    runs = Trial(
+        "a", "fit", np.arange(2.0), {"mean_speed_m_s": np.array([0.1, 0.2])},
+        inputs={name: np.array(values) for name, values in inputs.items()},
+        cruise=CruiseInput(fin="a", inertia_kg_m2=1e-4, middle=(2.5, 0.25)),
+    )  # fmt: skip
+    found = {}
+    for kind, model, trials in (
+        ("", fish, [effect_cases.swim(fish)]),
+        (" of a rig", effect_cases.weight_model(), [effect_cases.weight_trial()]),
+        (" of a cruise", cruise, [runs]),
+    ):
+        for effect in catalogue.applicable(catalogue.catalogue(), model, trials):
+            for p in effect.parameters(model, trials):
+                found[effect.name + kind, p.name] = (p.scale, p.unit)
+                found.setdefault((effect.name, p.name), (p.scale, p.unit))
+    text = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8").split("### Typical sizes")[1]
+    stated, effect = 0, ""
+    for line in re.findall(r"^\|.*`.*$", text.split("\n## ")[0], re.M):
+        first, names, size, unit = (cell.strip() for cell in line.strip("|").split("|"))
+        effect = first.replace("`", "") or effect
+        for name in re.findall(r"`(\w+)`", names):
+            assert found[effect, name] == (pytest.approx(float(size)), unit), (effect, name)
+            stated += 1
+    assert stated == 19

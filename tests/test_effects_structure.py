@@ -130,7 +130,9 @@ def test_centre_of_mass_moves() -> None:
 
 def test_centre_of_mass_stays_within_its_link() -> None:
     """The head of the fish is 0.27 m long, and its centre of mass lies 0.192 m behind the front end."""
-    along, _ = ComOffset().parameters(swimmer("tfish"), [])
+    along, across = ComOffset().parameters(swimmer("tfish"), [])
+    assert (along.scale, across.scale) == pytest.approx((0.0027, 0.0027))
+    assert (across.lower, across.upper) == pytest.approx((-0.054, 0.054))
     assert (along.lower, along.upper) == (pytest.approx(0.192 - 0.27), pytest.approx(0.192))
 
 

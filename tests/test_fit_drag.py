@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -102,6 +103,20 @@ class TestModel:
         assert np.max(np.abs(x - xi)) < 1e-10
         assert np.max(np.abs(v - vi)) < 1e-10
 
+    def test_the_closed_form_is_exact_after_a_short_time_and_without_drag(self) -> None:
+        """With drag it is ln(1 + 2 sinh(phi / 2)^2) / a1, which cancels no digits; without, a2 t^2 / 2."""
+        time = np.geomspace(1e-6, 3e-4, 20)
+        quadratic, force = 2.4, 0.165
+        phi = time * math.sqrt(quadratic * force) / 1.9
+        assert phi.max() < 1e-4
+        x, v = equation.falling_weight_closed_form(0.5 + time, 0.5, 1.9, quadratic, force)
+        np.testing.assert_allclose(x, np.log1p(2 * np.sinh(phi / 2) ** 2) * 1.9 / quadratic, rtol=2e-10)
+        np.testing.assert_allclose(v, math.sqrt(force / quadratic) * np.tanh(phi), rtol=2e-10)
+        time = np.array([-1.0, 0.0, 0.5, 20.0])
+        x, v = equation.falling_weight_closed_form(time, 0.0, 1.9, 0.0, force)
+        np.testing.assert_allclose(x, 0.5 * force / 1.9 * np.maximum(time, 0.0) ** 2, rtol=1e-14)
+        np.testing.assert_allclose(v, force / 1.9 * np.maximum(time, 0.0), rtol=1e-14)
+
     def test_published_terminal_speeds_and_times(self) -> None:
         """The boxfish paper's parameters: 10 to 40 g reach 16.6 to 38.4 cm/s, 115 cm take 10.1 to 4.4 s."""
         for weight, speed, duration in (
@@ -147,6 +162,15 @@ class TestEncoder:
         assert record.kind == "sampled"
         gaps = np.diff(t)[np.searchsorted(t, record.time_s) - 1]
         np.testing.assert_allclose(record.time_sd_s, gaps / np.sqrt(12.0), rtol=1e-12)
+
+    @pytest.mark.parametrize("way", [1, -1])
+    def test_two_steps_within_an_interval_have_their_middle_in_its_middle(self, way: int) -> None:
+        counts = np.array([0, 0, 1, 1, 2, 2, 2, 3, 3, 5, 5, 6, 6, 9, 9, 10])
+        record = rig_trials.read_encoder(0.1 * np.arange(len(counts)), way * STEP * counts)
+        assert record.kind == "sampled"
+        np.testing.assert_allclose(record.position, way * STEP * np.array([1, 2, 3, 4.5, 6, 8, 10]))
+        np.testing.assert_allclose(record.time_s, [0.15, 0.35, 0.65, 0.85, 1.05, 1.25, 1.45])
+        np.testing.assert_allclose(record.time_sd_s, 0.1 / np.sqrt(12.0))
 
     @pytest.mark.parametrize("rounding", rig_trials.ROUNDINGS)
     def test_true_positions_from_rounded_counts(self, rounding: str) -> None:

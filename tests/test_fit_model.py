@@ -12,7 +12,7 @@ from swimid.files.provenance import Held
 from swimid.fitting.fit_common import fit_model
 from swimid.fitting.model import Trial
 from swimid.results.parameters import Fitted
-from tests.toy_models import DECAY, TRUTH, Toy, decay, trials
+from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
 
 NOISE = {"y": 0.01}
 
@@ -29,8 +29,8 @@ def swings(model: Toy, rng: np.random.Generator) -> list[Trial]:
 
 def test_a_fit_recovers_the_truth_with_its_evidence(model: Toy, swings: list[Trial]) -> None:
     fitted = fit_model(model, swings)
-    for parameter, truth in zip(DECAY, TRUTH, strict=True):
-        estimate = fitted[parameter.name]
+    for one, truth in zip(DECAY, TRUTH, strict=True):
+        estimate = fitted[one.name]
         assert estimate.stderr is not None
         assert estimate.value == pytest.approx(truth, abs=3.5 * estimate.stderr)
     checks = fitted.checks()
@@ -47,6 +47,19 @@ def test_choices_are_applied_and_recorded(model: Toy, swings: list[Trial]) -> No
     assert fitted.file.robot == "swing"
     settings = fitted.file.provenance["settings"]
     assert settings == {"fixed": {"rate": 0.3}, "freed": [], "bounds": {"size": [0.0, 2.0]}}
+
+
+def test_the_correlation_of_an_offset_and_a_slope(rng: np.random.Generator) -> None:
+    """Of samples at times t it is -mean(t) / rms(t); a single parameter has none."""
+    line = (parameter("offset", 0.0), parameter("slope", 0.0))
+    straight = Toy(lambda v, t: {"y": v[0] + v[1] * t}, line)
+    runs = trials(straight, [0.3, 0.2], {"y": 0.01}, rng, count=4, samples=400)
+    found = fit_model(straight, runs).correlation
+    time = np.concatenate([run.time_s for run in runs])
+    expected = -np.mean(time) / np.sqrt(np.mean(time**2))
+    assert list(found.index) == list(found.columns) == ["offset", "slope"]
+    np.testing.assert_allclose(found, [[1.0, expected], [expected, 1.0]], atol=0.05)
+    assert fit_model(straight, runs, fixed={"slope": 0.2}).correlation.empty
 
 
 def test_held_out_trials_are_scored_not_fitted(model: Toy, swings: list[Trial]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from swimid.errors import InputError
+from swimid.fitting import output_error
+from swimid.fitting.model import CruiseInput, Trial
 from swimid.logs import log
 from swimid.logs.beat import find_beat
 from swimid.propulsion import model as propulsion
@@ -95,6 +98,26 @@ class TestPublishedFigures:
         assert (min(found["axle"]), max(found["axle"])) == pytest.approx((0.77, 0.94), abs=0.01)
 
 
+@pytest.mark.parametrize(("noise", "status"), [(0.06, "estimated"), (0.09, "unidentifiable")])
+def test_an_offset_of_zero_is_known_to_a_degree(noise: float, status: str) -> None:
+    """An offset is not identifiable if its standard error exceeds half of its typical size, 2 degrees."""
+    model = propulsion.RecoilModel(drag_area_kg_m=2.4, moving_mass_kg=1.9, fins={"a": 1e-4})
+    inputs = {
+        "frequency_hz": np.tile([1.5, 2.0, 2.5, 3.0], 3),
+        "amplitude_rad": np.deg2rad(np.repeat([8.0, 12.0, 20.0], 4)),
+        "distance_m": np.ones(12),
+    }
+    cruise = CruiseInput(fin="a", inertia_kg_m2=1e-4, middle=(2.25, 0.25))
+    runs = Trial("a", "fit", np.arange(12.0), {}, inputs=inputs, cruise=cruise)
+    speed = model.simulate(np.array([0.3, 0.0, 3.0, 2.0]), runs)["mean_speed_m_s"]
+    # the error does not change with frequency or amplitude
+    errors = noise * np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, -1, 1])
+    found = output_error.fit(model, [replace(runs, measured={"mean_speed_m_s": speed * (1 + errors)})])
+    assert abs(found.value("amplitude_offset_deg")) < 0.1
+    assert found.status["amplitude_offset_deg"] == status
+    assert found.status["recoil_efficiency"] == "estimated"
+
+
 class TestCruise:
     def test_the_sample_gives_the_published_values(
         self, swimid: Callable[..., Ran], samples: Path, drag: Path, tmp_path: Path
@@ -176,6 +199,27 @@ class TestCruise:
         assert "SWM031" in ran.err
         free = ran.json["result"]["derived"]["free_frequency_exponent"]
         assert free["value"] == pytest.approx(2.4, abs=0.05)
+        assert free["status"] == "estimated"
+
+    def test_no_exponent_is_known_with_the_offset_at_its_bound(
+        self, swimid: Callable[..., Ran], drag: Path, tmp_path: Path, rng: np.random.Generator
+    ) -> None:
+        """The speed grows with (amplitude + 13 deg)^(2/3); the lowest offset that is allowed is -10 deg."""
+        rows = []
+        for fin, f, a in cruise.settings():
+            t = 12.0 * (f / 2.5) ** -1.0 * ((a + 13.0) / 29.0) ** (-2.0 / 3.0)
+            rows.append((fin, f, a, 1.15, t + rng.normal(0, 0.02)))
+        cruise.write_table(tmp_path / "speeds.csv", rows)
+        (tmp_path / "trials.yaml").write_text(
+            "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"
+        )
+        out = tmp_path / "p.yaml"
+        swimid("fit-propulsion", tmp_path / "trials.yaml", "--drag", drag, "--keep-departures", "-o", out)
+        file = parameters.read(out)
+        assert file.parameters["amplitude_offset_deg"].status == "at-bound"
+        assert file.derived["free_frequency_exponent"].status == "unidentifiable"
+        checks = {c.name: c for c in evidence.read(evidence.sidecar(out)).checks}
+        assert checks["frequency exponent"].value == "not identifiable"
 
     @pytest.mark.parametrize(
         "table, words",

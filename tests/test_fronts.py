@@ -225,7 +225,22 @@ def test_one_front_of_speed_and_turning_for_a_planar_fish(swimid: Run, tmp_path:
     )  # fmt: skip
     assert ran.status == 0, ran.err
     table = pd.read_csv(tmp_path / "p.front.csv")
-    assert [c.split("[")[0] for c in table.columns if "[" in c] == ["speed", "turning"]
+    scored = [c for c in table.columns if "[" in c]
+    assert [c.split("[")[0] for c in scored] == ["speed", "turning"]
+    shown = evidence.read(evidence.sidecar(out))
+    stages = next(t for t in shown.tables if t.id == "stages")
+    assert stages.columns == ["quantity", "of", "untuned", "chosen on the front"]
+    chosen = table.iloc[global_search.knee(table[scored].to_numpy())]
+    assert [row[0] for row in stages.rows[:2]] == ["DTW distance, speed", "DTW distance, turning"]
+    assert [row[3] for row in stages.rows[:2]] == pytest.approx(chosen[scored].tolist(), rel=1e-3)
+    assert all(row[2] > 0 for row in stages.rows[:2])
+    assert all("m/s" in text for text in stages.rows[2][2:])
+    methods = " ".join(shown.methods)
+    assert "NSGA-II" in methods
+    assert "population 6, 3 generations" in methods
+    assert "18 points in all" in methods
+    assert "rule knee" in methods
+    assert shown.facts["Front"].startswith(f"{len(table)} points, {chosen.name} chosen (knee")
 
 
 def test_options_of_a_front_need_its_method(swimid: Run, tmp_path: Path) -> None:

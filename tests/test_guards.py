@@ -21,7 +21,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
 
 
 @posix
-@pytest.mark.parametrize(("mode", "words"), [(0o700, ""), (0o757, "other users"), (0o755, "")])
+@pytest.mark.parametrize(("mode", "words"), [(0o700, ""), (0o757, "other users"), (0o755, ""), (0o1777, "")])
 def test_a_folder_of_kernels_that_others_write_is_not_used(mode: int, words: str, tmp_path: Path) -> None:
     folder = tmp_path / "cache"
     folder.mkdir()
@@ -35,6 +35,16 @@ def test_a_folder_of_kernels_that_others_write_is_not_used(mode: int, words: str
 def test_a_folder_of_another_user_holds_no_kernels(tmp_path: Path) -> None:
     os.chown(tmp_path, 65534, 65534)
     assert kernels.find_fault(tmp_path) == "belongs to another user"
+
+
+@posix
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
+@pytest.mark.parametrize(("mode", "allowed"), [(0o750, True), (0o770, False), (0o1770, True)])
+def test_a_group_of_several_users_writes_no_kernels(mode: int, allowed: bool, tmp_path: Path) -> None:
+    os.chown(tmp_path, -1, 54321)  # a group that has no name, and not that of root
+    tmp_path.chmod(mode)
+    assert (kernels.find_fault(tmp_path) == "") == allowed
+    assert ("users of its group" in kernels.find_fault(tmp_path)) != allowed
 
 
 @posix

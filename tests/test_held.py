@@ -49,6 +49,24 @@ def test_a_slow_sensor_is_distinguished_from_one_at_rest() -> None:
     assert not find_held(np.arange(600) / 100, rest).repeated.any()
 
 
+def test_three_samples_and_channels_with_levels_have_no_repeats() -> None:
+    few = np.array([[0.0, 0.0, 1.0]])
+    assert not find_held(np.arange(3.0), few).repeated.any()
+    levels = np.repeat([0.0, 1.0, 0.0, 1.0], 50)[None]
+    assert not find_held(np.arange(200) / 50, levels).repeated.any()
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-6])
+def test_every_picture_that_is_logged_twice_is_a_repeat(jitter: float) -> None:
+    """Also if the tracker measures the same picture with a small error each time."""
+    rng = np.random.default_rng(6)
+    pictures = np.cumsum(0.01 + 0.002 * rng.normal(size=(2, 200)), axis=1)
+    place = np.repeat(pictures, 2, axis=1) + jitter * rng.normal(size=(2, 400))
+    found = find_held(np.arange(400) / 60, place)
+    assert found.repeated.tolist() == [False, True] * 200
+    assert found.period_s == pytest.approx(1 / 30, rel=1e-6)
+
+
 def test_channels_at_rest_are_not_frozen() -> None:
     rng = np.random.default_rng(2)
     time = np.arange(2000) / 50

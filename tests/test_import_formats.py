@@ -298,13 +298,15 @@ def test_kinovea_csv(mark: str, decimal: str, imported: Imported, swimid: Run, t
     assert np.allclose(record["tail_tip_y_m"], Y_M, atol=6e-6)
 
 
-def test_kinovea_text(imported: Imported, tmp_path: Path) -> None:
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_kinovea_text(decimal: str, imported: Imported, tmp_path: Path) -> None:
     lines = ["#Kinovea Trajectory data export", "#T X Y", "", "# nose"]
-    lines += [f"{1000 * t:.2f} {x:.5f} {y:.5f}" for t, x, y in zip(T, X_M, Y_M, strict=True)]
-    lines += ["", "# tail"]
-    lines += [
+    rows = [f"{1000 * t:.2f} {x:.5f} {y:.5f}" for t, x, y in zip(T, X_M, Y_M, strict=True)]
+    rows += ["", "# tail"]
+    rows += [
         f"{1000 * t:.2f} {x - 0.08:.5f} {y:.5f}" for t, x, y in zip(T[5:], X_M[5:], Y_M[5:], strict=True)
     ]
+    lines += [row.replace(".", decimal) for row in rows]
     (tmp_path / "a.txt").write_text("\n".join([*lines, ""]) + "\n")
     (tmp_path / "map.yaml").write_text(
         "format: swimid-mapping/1\nas: kinovea\ntime: {source: Time, unit: ms}\nreader: {length_unit: m}\n"
@@ -460,11 +462,14 @@ def test_optitrack_bodies_and_a_cut_file(imported: Imported, swimid: Run, tmp_pa
     assert "ends within a line" in _refused(swimid, _cut(tmp_path / "a.csv", 0.8), "--select", "buoy")
 
 
-@pytest.mark.parametrize("headings", [True, False])
-def test_qualisys_markers(headings: bool, imported: Imported, swimid: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("headings", "rate"), [(True, 50), (False, 50), (False, 0.5)])
+def test_qualisys_markers(
+    headings: bool, rate: float, imported: Imported, swimid: Run, tmp_path: Path
+) -> None:
     lines = [
-        f"NO_OF_FRAMES\t{N}", "NO_OF_CAMERAS\t8", "NO_OF_MARKERS\t2", "FREQUENCY\t50", "NO_OF_ANALOG\t0",
-        "ANALOG_FREQUENCY\t0", "DESCRIPTION\t--", "TIME_STAMP\t2022-06-03, 10:47:36.627\t94247.45402301",
+        f"NO_OF_FRAMES\t{N}", "NO_OF_CAMERAS\t8", "NO_OF_MARKERS\t2", f"FREQUENCY\t{rate}",
+        "NO_OF_ANALOG\t0", "ANALOG_FREQUENCY\t0", "DESCRIPTION\t--",
+        "TIME_STAMP\t2022-06-03, 10:47:36.627\t94247.45402301",
         "DATA_INCLUDED\t3D", "MARKER_NAMES\tnose\ttail tip", "TRAJECTORY_TYPES\tMeasured\tMeasured",
     ]  # fmt: skip
     if headings:
@@ -481,7 +486,7 @@ def test_qualisys_markers(headings: bool, imported: Imported, swimid: Run, tmp_p
     (tmp_path / "a.tsv").write_text("\r\n".join(lines) + "\r\n")
     record, ran = imported(tmp_path / "a.tsv")
     assert ran.json["result"]["profile"] == "qualisys"
-    assert np.allclose(record.time_s, T)
+    assert np.allclose(record.time_s, T * 50 / rate)
     assert np.allclose(record["nose_z_m"], _hidden(Z_M), atol=1e-6, equal_nan=True)
     assert np.isnan(record["tail_tip_x_m"][50])
     assert np.allclose(np.delete(record["tail_tip_x_m"], 50), np.delete(X_M - 0.08, 50), atol=1e-6)

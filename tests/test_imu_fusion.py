@@ -12,7 +12,7 @@ from scipy import signal
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
-from swimid.inertial.alignment import clock_offset
+from swimid.inertial.alignment import clock_offset, without_slow
 from tests.conftest import Ran
 from tests.generators import imu
 from tests.test_imu import BAND, rms, save, table
@@ -54,6 +54,52 @@ def test_the_interval_has_its_stated_coverage() -> None:
         covered.append(found.low_s <= true <= found.high_s)
     # 57 of 60 expected; fewer than 51 has a chance of 1 in 100
     assert sum(covered) >= 51
+
+
+def test_the_standard_error_is_the_textbooks_in_coloured_noise(rng: np.random.Generator) -> None:
+    """Compare with the sandwich of one regression with Bartlett weights (Newey and West 1987)."""
+
+    def phase(time: np.ndarray) -> np.ndarray:
+        return 5 * time + 0.1 * time**2
+
+    t, seen_t = np.arange(0.0, 16.0, 0.005), np.arange(1.0, 15.0, 0.05)
+    noise = signal.lfilter([1.0], [1.0, -0.8], rng.normal(0, 0.1, len(seen_t) + 50))[50:]
+    seen = 0.7 * np.sin(phase(seen_t + 0.03)) + noise
+    found = clock_offset(t, np.sin(phase(t))[:, None], seen_t, seen[:, None], slow_s=5.0)
+    assert found is not None
+    assert found.value_s == pytest.approx(0.03, abs=4 * found.stderr_s)
+    at, duration = seen_t + found.value_s, np.ptp(seen_t)
+    drift = np.cos(np.pi * np.outer((seen_t - seen_t[0]) / duration, np.arange(int(2 * duration / 5.0) + 1)))
+    slope = found.factors[0, 0] * np.cos(phase(at)) * (5 + 0.2 * at)
+    x = np.column_stack([drift, np.sin(phase(at)), slope])
+    score = x * (seen - x @ np.linalg.lstsq(x, seen, rcond=None)[0])[:, None]
+    middle = score.T @ score
+    for lag in range(1, 21):  # up to 1 s
+        product = score[lag:].T @ score[:-lag]
+        middle += (1 - lag / 21) * (product + product.T)
+    bread = np.linalg.inv(x.T @ x)
+    # 0.5 %: the reference is interpolated
+    assert found.stderr_s == pytest.approx(np.sqrt((bread @ middle @ bread)[-1, -1]), rel=0.01)
+
+
+def test_a_mount_that_may_turn_as_the_clock_does_leaves_the_offset_unknown(rng: np.random.Generator) -> None:
+    """A circle turned about its centre is the same circle at another time."""
+    t, seen_t = np.arange(0.0, 16.0, 0.005), np.arange(1.0, 15.0, 0.05)
+    circle = np.column_stack([np.sin(5 * t), np.cos(5 * t)])
+    seen = np.sin(5 * seen_t) + rng.normal(0, 0.05, len(seen_t))
+    found = clock_offset(t, circle, seen_t, seen[:, None])
+    assert found is None or found.stderr_s > 2 * np.pi / 5
+
+
+def test_drift_is_removed_and_faster_motion_is_kept() -> None:
+    t = np.arange(0.0, 40.0, 0.02)
+
+    def kept(period_s: float) -> float:
+        wave = np.sin(2 * np.pi * t / period_s + 0.4)[:, None]
+        return float(np.std(without_slow(t, wave + 3.0, 5.0)) / np.std(wave))
+
+    assert [kept(period) < 0.1 for period in (40.0, 20.0, 10.0)] == [True] * 3
+    assert [kept(period) > 0.9 for period in (4.2, 3.8, 1.0)] == [True] * 3
 
 
 def test_no_offset_is_found_between_unrelated_signals(rng: np.random.Generator) -> None:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from swimid.effects.structure import ComOffset
 from swimid.errors import InputError
 from swimid.fitting import drives
-from swimid.fitting.model import SwimInput
+from swimid.fitting.model import SwimInput, Trial
 from swimid.robots import file as robot_format
 from swimid.robots.file import Fluid
 from swimid.robots.spatial import Multibody
@@ -351,6 +352,9 @@ def test_spheroid_and_plate_masses() -> None:
     np.testing.assert_allclose(
         np.diag(matrix)[:3], [2 + k1 * hull, 2 + k2 * hull, 2 + 1.5 * k2 * hull + plate]
     )
+    plain = one_body({"kind": "plate", "span_m": 0.3, "chord_m": 0.1})
+    flat = full(plain.tables(np.zeros(0))["inertia"][0])
+    np.testing.assert_allclose(np.diag(flat)[:3], [2, 2, 2 + plate / 0.8])
     # the plate's mass at (0.1, 0.2): its heave momentum turns about x and y
     assert matrix[2, 3] == pytest.approx(0.2 * plate)
     assert matrix[2, 4] == pytest.approx(-0.1 * plate)
@@ -440,3 +444,98 @@ def test_impossible_robots_are_refused(change: dict[str, Any], where: str) -> No
     with pytest.raises(InputError) as caught:
         assembly(body)
     assert where in str(caught.value.column)
+
+
+# ------------------------------------------------------------ what is measured
+
+
+def armed(base: str, at: list[float]) -> MultibodyModel:
+    """Return a block that beats an arm, as it is logged at a reference point."""
+    robot = {
+        "format": "swimid-robot/1",
+        "name": "arm",
+        "multibody": {
+            "base": base,
+            "reference": {"at_m": at},
+            "links": [
+                {"name": "block", "mass_kg": 0.5, "inertia_kg_m2": [0.01, 0.02, 0.02]},
+                {"name": "arm", "mass_kg": 0.2, "com_m": [-0.1, 0.02, 0.01], "inertia_kg_m2": [1e-4] * 3},
+            ],
+            "joints": [
+                {"name": "j", "parent": "block", "child": "arm", "at_m": [-0.05, 0.01, 0.0],
+                 "axis": [0.2, 1.0, 0.3], "driven": {}},
+            ],
+            "elements": [
+                {"kind": "hydrostatics", "link": "arm"},
+                {"kind": "drag", "link": "block", "area_m2": [0.01, 0.02, 0.03], "at_m": [0.05, 0.02, 0.03]},
+            ],
+        },
+    }  # fmt: skip
+    return MultibodyModel(robot_format.schema_of().model_validate(robot))
+
+
+def beaten(model: MultibodyModel, time: np.ndarray, **values: float) -> dict[str, np.ndarray]:
+    swim = SwimInput(drives.Beat("sine", 1.2, 0.4), pose=(0.3, -0.2, 0.1, 0.2, -0.3, 2.5))
+    known = np.array([values.get(p.name, p.start) for p in model.parameters])
+    return model.simulate(known, Trial("t", "fit", time, {}, swim=swim))
+
+
+def test_a_load_cell_measures_about_the_reference_point() -> None:
+    """At rest the cell has the weight of the arm; the torque about another point differs by r x F."""
+    time, at = np.arange(0.0, 1.5, 0.02), np.array([0.1, -0.05, 0.2])
+
+    def measured(reference: list[float]) -> tuple[np.ndarray, np.ndarray]:
+        found = beaten(armed("fixed", reference), time)
+        force, torque = ([found[f"{word}"] for word in words] for words in np.split(np.array(NAMES), 2))
+        return np.transpose(force), np.transpose(torque)
+
+    force, torque = measured([0.0, 0.0, 0.0])
+    moved_force, moved_torque = measured(at.tolist())
+    np.testing.assert_allclose(moved_force, force, atol=1e-12)
+    np.testing.assert_allclose(moved_torque, torque - np.cross(at, force), atol=1e-12)
+    np.testing.assert_allclose(force[0], [0.0, 0.0, -0.2 * G], atol=1e-9)
+    np.testing.assert_allclose(torque[0], np.cross([-0.15, 0.03, 0.01], force[0]), atol=1e-9)
+    assert np.ptp(force, axis=0).min() > 0.05
+
+
+NAMES = [f"{word}_{axis}_{unit}" for word, unit in (("force", "N"), ("torque", "N_m")) for axis in "xyz"]
+
+
+def test_velocities_and_rates_are_the_derivatives_of_the_pose() -> None:
+    """At the reference point, in the axes of the body; positive pitch raises the nose."""
+    time = np.arange(0.0, 1.0, 0.002)
+    begun = {"surge": 0.3, "sway": -0.1, "heave": 0.2, "roll_rate": 0.5, "pitch_rate": -0.4, "yaw_rate": 0.7}
+    values = {f"initial_{name}": value for name, value in begun.items()}
+    moved = {"start_x": 0.01, "start_y": -0.02, "start_z": 0.03, "start_yaw": 0.1}
+    found = beaten(armed("free", [0.1, -0.05, 0.2]), time, **values, **moved)
+    place, body, rates = (
+        np.column_stack([found[name] for name in names])
+        for names in (
+            ("x_m", "y_m", "z_m"),
+            ("u_m_s", "v_m_s", "w_m_s"),
+            ("roll_rate_rad_s", "pitch_rate_rad_s", "yaw_rate_rad_s"),
+        )
+    )
+    turn = Rotation.from_euler(
+        "ZYX", np.column_stack([found["yaw_rad"], -found["pitch_rad"], found["roll_rad"]])
+    )
+    np.testing.assert_allclose(place[0], [0.31, -0.22, 0.13], atol=1e-12)
+    np.testing.assert_allclose([*body[0], *rates[0]], list(begun.values()), atol=1e-12)
+    angles = [found[name][0] for name in ("roll_rad", "pitch_rad", "yaw_rad")]
+    np.testing.assert_allclose(angles, [0.2, -0.3, 2.6], atol=1e-12)
+    # central differences: the third derivative times the square of the step over 6
+    np.testing.assert_allclose(turn.apply(body)[1:-1], (place[2:] - place[:-2]) / 0.004, atol=1e-3)
+    spin = (turn[:-2].inv() * turn[2:]).as_rotvec() / 0.004
+    np.testing.assert_allclose(rates[1:-1] * [1, -1, 1], spin, atol=1e-2)
+    assert np.ptp(rates, axis=0).min() > 0.2
+
+
+def test_a_centre_of_mass_moves_by_a_share_of_the_extent_of_the_robot() -> None:
+    """Drag, hinge and centre of mass lie in a box of 150, 20 and 30 mm about the origin."""
+    offsets = ComOffset().parameters(armed("free", [0.0, 0.0, 0.0]), [])
+    size = 0.01 * math.hypot(0.15, 0.02, 0.03)
+    assert [p.scale for p in offsets] == pytest.approx([size] * 3)
+    assert [(p.lower, p.upper) for p in offsets] == [
+        (pytest.approx(-20 * size), pytest.approx(20 * size))
+    ] * 3
+    assert [p.name for p in offsets] == ["along_m", "across_m", "up_m"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -243,6 +244,27 @@ def reference() -> tuple[np.ndarray, np.ndarray]:
     states = oracle.swim(lagrange.sine(1.4, math.radians(30.0), 1.0), times, breaks=(1.0,), rtol=1e-12)
     on = np.isin(times, GRID)
     return states[on], states[~on]
+
+
+def test_velocities_are_the_derivatives_of_the_pose_of_any_reference_point() -> None:
+    robot = robot_format.read("tfish").model_copy(deep=True)
+    robot.multilink.reference.station_m, robot.multilink.reference.offset_m = 0.15, 0.06
+    model, time = MultilinkModel(robot), np.arange(0.0, 2.0, 0.005)
+    beat = SwimInput(drives.Beat("sine", 1.4, math.radians(30.0)), pose=(0.3, -0.2, 0.7))
+    begun = {"initial_surge": 0.2, "initial_sway": -0.1, "initial_yaw_rate": 0.5}
+    values = [begun.get(p.name, v) for p, v in zip(model.parameters, values_of(model), strict=True)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = model.simulate(np.array(values), Trial("run", "fit", time, {}, swim=beat))
+    path, heading = found["x_m"] + 1j * found["y_m"], found["yaw_rad"]
+    assert (path[0], heading[0]) == pytest.approx((0.3 - 0.2j, 0.7))
+    first = [found[name][0] for name in ("u_m_s", "v_m_s", "yaw_rate_rad_s")]
+    assert first == pytest.approx(list(begun.values()))
+    velocity = (found["u_m_s"] + 1j * found["v_m_s"]) * np.exp(1j * heading)
+    # central differences: the third derivative times the square of the step over 6
+    np.testing.assert_allclose(velocity[1:-1], (path[2:] - path[:-2]) / 0.01, atol=1e-3)
+    np.testing.assert_allclose(found["yaw_rate_rad_s"][1:-1], (heading[2:] - heading[:-2]) / 0.01, atol=1e-2)
+    assert np.abs(found["yaw_rate_rad_s"]).max() > 0.5
 
 
 class TestTendonFish:

@@ -215,6 +215,9 @@ def test_the_settings_of_a_front_are_recorded_where_there_is_one() -> None:
     settings = FitGrayboxOptions.of({"method": "nsga2", "population": 12}).settings()
     assert list(settings)[-3:] == ["population", "generations", "scales"]
     assert settings["population"] == 12
+    # by default those of the sea lion paper
+    usual = FitGrayboxOptions.of({"method": "nsga2"}).settings()
+    assert (usual["population"], usual["generations"]) == (80, 50)
 
 
 def test_only_what_was_asked_of_an_import_is_recorded() -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from swimid.results import numbers
+from swimid.results.parameters import Fitted
+from tests import report_cases
 
 
 @pytest.mark.parametrize(
@@ -143,3 +146,25 @@ def test_rounding_loses_less_than_a_tenth_of_the_standard_error(value: float, re
     power = 10.0 ** int((found[3] or "⁰").translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")))
     assert abs(_read(found[1]) * power - value) <= 0.051 * stderr
     assert abs(_read(found[2]) * power - stderr) <= 0.051 * stderr
+
+
+def test_the_table_of_parameters_has_their_intervals(tmp_path: Path) -> None:
+    """The interval is the value and 1.96 standard errors; other parameters than estimated have none."""
+    tables = Fitted.load(report_cases.drag(tmp_path, proof=False)).tables()
+    found = tables["parameters"].set_index("parameter")["95 % interval"]
+    assert found["added_mass"] == "0.612 … 0.758"
+    assert found["pulley_friction"] == "0.0288 … 0.0328"
+    assert found["pulley_inertia"] == "(4.28 … 4.75) × 10⁻⁵"
+    assert (found[["linear_drag", "string_stiffness", "water_density"]] == "").all()
+    assert tables["derived"]["95 % interval"].tolist() == ["0.1620 … 0.1702"]
+
+
+def test_texts_of_probabilities_and_percentages() -> None:
+    assert numbers.probability_text(0.1234) == "12 %"
+    assert numbers.probability_text(0.0012) == "0.12 %"
+    assert numbers.probability_text(0.00099) == "< 0.1 %"
+    assert numbers.probability_text(1.0) == "100 %"
+    assert numbers.probability_text(0.9999) == "> 99 %"
+    assert numbers.probability_text(None) == "–"
+    assert numbers.listed(["a"]) == "a"
+    assert numbers.listed(["a", "b", "c"], "or") == "a, b or c"

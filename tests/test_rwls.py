@@ -247,7 +247,10 @@ def test_an_unstable_model_is_reported(tmp_path):
     assert status == 0
     assert "SWM020" in codes(document)
     assert document["result"]["stable"] is False
-    assert evidence.read(evidence.sidecar(target)).verdict.level == "bad"
+    shown = evidence.read(evidence.sidecar(target))
+    assert shown.verdict.level == "bad"
+    assert "is unstable" in shown.verdict.text
+    assert {c.name: c.verdict for c in shown.checks}["Largest pole"] == "fail"
 
 
 def test_an_integrating_model_is_reported(tmp_path):
@@ -255,9 +258,13 @@ def test_an_integrating_model_is_reported(tmp_path):
     u = rng.normal(size=800)
     y = np.cumsum(np.concatenate(([0.0], 0.1 * u[:-1])) + 0.02 * rng.normal(size=800))
     log = write_log(tmp_path / "run.csv", {"t_s": np.arange(800) * 0.1, "cmd1_rad": u, "u_m_s": y})
-    document = run(log, *COLUMNS, "--na", 1, "--nb", 1, "--validate", 0.25)[1]
+    target = tmp_path / "a.yaml"
+    document = run(log, *COLUMNS, "--na", 1, "--nb", 1, "--validate", 0.25, "-o", target)[1]
     assert "SWM020" in codes(document)
     assert document["result"]["fit"]["integrating"] is True
+    shown = evidence.read(evidence.sidecar(target))
+    assert "the model integrates" in shown.verdict.text
+    assert {c.name: c.verdict for c in shown.checks}["Largest pole"] == "warn"
 
 
 USAGE = [

@@ -440,3 +440,15 @@ def test_ball_beam_is_an_integrator():
     found = estimate([first], Orders(4, 4))
     poles = difference.find_poles(found.theta[:4], found.covariance[:4, :4])
     assert poles[0].integrating or poles[0].state == "unstable"
+
+
+def test_the_search_with_weights_ends_where_the_weighted_gradient_vanishes():
+    data = regression([simulated(18, c=(0.6,))], Orders(2, 2, nc=1))
+    weights = np.random.default_rng(5).uniform(0.01, 1.0, len(data)) ** 2
+    found = arx.refine(np.append(TRUTH, 0.0), data, weights)
+    errors, gradient = arx.errors_and_gradient(found, data)
+    slopes = gradient.T @ (weights * errors)
+    root = np.sqrt(weights)
+    sizes = np.linalg.norm(gradient * root[:, None], axis=0) * np.linalg.norm(errors * root)
+    assert np.abs(slopes / sizes).max() < 1e-5
+    assert found[4] == pytest.approx(0.6, abs=0.15)

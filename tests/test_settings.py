@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from swimid.diagnosis import settings
+from swimid.diagnosis.settings import Quantity
 from swimid.fitting.drives import Beat, Cycle, Motion
 from swimid.fitting.model import Array, CruiseInput, RigInput, SurgeInput, SwimInput, Trial
 from swimid.robots.spatial import Stroke
@@ -102,6 +103,16 @@ def test_another_fin_at_the_same_beat_is_another_setting() -> None:
     fins = [Trial(f"r{k}", "fit", TIME[:1], {}, beat, cruise=CruiseInput(f)) for k, f in enumerate("AAB")]
     assert repeats(fins) == 1
     assert settings.count(fins) == 2
+
+
+def test_settings_of_different_kinds_are_never_equal() -> None:
+    """A beat of 2 Hz is neither the text nor another frequency beyond the tolerance of 5 %."""
+    beat = Quantity(2.0, "Hz")
+    assert beat == Quantity(2.09, "Hz")
+    assert beat != Quantity(2.12, "Hz")
+    assert beat != "2 Hz"
+    assert Quantity(0.0, "rad", against=0.3) == Quantity(0.01, "rad", against=0.3)
+    assert Quantity(0.0, "rad") != Quantity(0.01, "rad")
 
 
 def test_ballast_is_another_setting_and_a_towed_body_is_known_by_its_trial() -> None:

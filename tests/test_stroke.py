@@ -238,3 +238,31 @@ def test_a_single_stroke_has_no_rival(kind: str) -> None:
         found = beat.find_stroke(T, {"yaw_rad": values})
         assert found is not None
         assert not found.doubt
+
+
+def test_further_beats_are_no_multiples_of_the_first() -> None:
+    """A second motion is found beside the first; harmonics of the first are none."""
+    rng = np.random.default_rng(1)
+
+    def found(*parts: tuple[float, float]) -> list[float]:
+        channel = sum(size * np.sin(2 * np.pi * f * T + f) for f, size in parts)
+        return [b.frequency_hz for b in beat.find_beats(T, channel + 0.05 * rng.normal(size=len(T)))]
+
+    assert found((1.0, 1.0), (2.4, 0.6)) == pytest.approx([1.0, 2.4], rel=5e-3)
+    assert found((1.0, 1.0), (2.0, 0.6), (3.0, 0.4)) == pytest.approx([1.0], rel=5e-3)
+    assert found((1.0, 0.5), (2.0, 1.0)) == pytest.approx([1.0], rel=5e-3)
+
+
+@pytest.mark.parametrize(("cycles", "seeds"), [(4.6, 12), (12.0, 2)])
+def test_a_beat_does_not_depend_on_units(cycles: float, seeds: int) -> None:
+    """Records of few and of many cycles, in other units of length and time."""
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        t = np.arange(0.0, cycles, 1 / RATE)
+        values = np.cos(2 * np.pi * t + rng.uniform(0, 6)) + 0.4 * rng.normal(size=len(t))
+        plain = beat.find_beats(t, values)
+        for length, time in ((1e4, 1.0), (1e-4, 1.0), (1.0, 32.0)):
+            found = beat.find_beats(time * t, length * values)
+            assert [b.frequency_hz * time for b in found] == pytest.approx([b.frequency_hz for b in plain])
+            assert [b.amplitude / length for b in found] == pytest.approx([b.amplitude for b in plain])
+            assert [b.share for b in found] == pytest.approx([b.share for b in plain])

@@ -90,6 +90,26 @@ def test_a_given_window_with_a_changing_speed_is_not_steady():
     assert found.change.low > 0.03
 
 
+def test_the_amplitude_is_the_mean_over_the_strokes():
+    """The sway grows from a half to three halves of its mean, across a straight path."""
+
+    def path(t):
+        return [0.3 * t, SWAY * (0.5 + t / 16.0) * np.sin(2 * np.pi * BEAT * t)]
+
+    found = kinematics.measure(made(path), (0.0, 16.0))
+    assert found.amplitudes["sway"].value == pytest.approx(SWAY, rel=0.08)
+    assert found.frequency_hz.value == pytest.approx(BEAT, rel=0.005)
+
+
+def test_three_whole_strokes_are_enough_for_a_speed():
+    """The mean over a stroke takes half a stroke from either end of a track of 4.4 strokes."""
+    path, heading = swimmer(start=1e-6, bend=0.0)
+    found = kinematics.measure(made(path, heading, noise=1e-5, seconds=4.4 / BEAT))
+    assert found.frequency_hz.value == pytest.approx(BEAT, rel=0.01)
+    assert found.advance.value == pytest.approx(0.3, rel=0.01)
+    assert abs(found.acceleration.value) < 0.01
+
+
 @pytest.mark.parametrize("acceleration", [(30.0, -340.0), (0.0, 5.0)])
 def test_constant_acceleration_is_measured(acceleration):
     """A block on a ramp, px: nothing is steady, and both accelerations are told."""

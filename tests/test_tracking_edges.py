@@ -109,6 +109,36 @@ def test_equal_markers_that_enter_one_after_the_other_keep_their_names():
         assert np.nanmax(away[found]) < 0.3
 
 
+def test_equal_markers_are_told_apart_by_their_distances_from_another():
+    """Two red discs are hidden while their body turns by half a rotation, so that they exchange places."""
+
+    def turned(along, hidden=True):
+        def place(t):
+            angle = np.pi * np.clip((t - 1.5) / 0.5, 0.0, 1.0)
+            if hidden and 1.4 < t < 2.1:
+                return None
+            return 160 + along * np.cos(angle), 120 + along * np.sin(angle)
+
+        return place
+
+    discs = Disc(turned(30), 8), Disc(turned(-30), 8), Disc(turned(75, hidden=False), 8, YELLOW)
+    film = Film(discs, duration_s=2.6)
+    track = followed(
+        film,
+        RED_AND_YELLOW.replace("- name: red\n", "- name: red\n    number: 2\n").replace(
+            "head: red", "head: red1"
+        ),
+    )
+    names = [0, 1]
+    if errors(track, film, 0)[0] > 30:
+        names = [1, 0]  # the names are given by chance
+    for marker, disc in zip(names, (0, 1), strict=True):
+        found = track.found[marker]
+        away = np.hypot(*(np.array([track.x[marker], track.y[marker]]) - film.places(disc).T))
+        assert found[-10:].all()
+        assert np.nanmax(away[found]) < 0.5
+
+
 def test_the_marker_replaces_a_reflection_that_was_tracked_first():
     """A small bright thing is visible for six frames before the marker, which is four times larger."""
 

@@ -147,3 +147,20 @@ def test_a_measurement_of_large_variance_has_little_weight():
     without = module.smooth(times, values[None], np.ones(100), [(0, 100)])
     assert abs(doubted.position[0, 50] - without.position[0, 50]) < 1e-4
     assert abs(doubted.position[0, 50] - truth) < abs(trusted.position[0, 50] - truth) + 0.001
+
+
+@pytest.mark.parametrize("longer", [1.0, 1000.0])
+@pytest.mark.parametrize("slower", [1.0, 50.0])
+def test_a_smoothed_path_does_not_depend_on_units(longer, slower):
+    """Bursts of strokes between glides, with a gap in a burst, in m or mm and in s or frames."""
+    rng = np.random.default_rng(4)
+    times = np.arange(300) / 50
+    truth = np.where(times % 3 < 2, 0.0, np.sin(4 * np.pi * times))
+    values = truth + rng.normal(0, 0.01, (1, 300))
+    values[:, 100:104] = values[:, 250:270] = np.nan
+    plain = module.smooth(times, values, np.ones(300), [(0, 150), (150, 300)])
+    found = module.smooth(slower * times, longer * values, np.ones(300), [(0, 150), (150, 300)])
+    np.testing.assert_allclose(found.position, longer * plain.position, rtol=1e-5, atol=1e-6 * longer)
+    np.testing.assert_allclose(found.position_sd, longer * plain.position_sd, rtol=1e-4)
+    np.testing.assert_allclose(found.velocity_sd, longer / slower * plain.velocity_sd, rtol=1e-4)
+    assert found.measurement_sd == pytest.approx(longer * plain.measurement_sd, rel=1e-5)

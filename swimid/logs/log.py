@@ -642,7 +642,8 @@ def _doubt(name: str, time_s: Array, values: Array) -> str | None:
     largest = max(-low, high)
     if name.endswith("_rad"):
         tilted = name in ("roll_rad", "pitch_rad") and largest > 1.5 * np.pi
-        wrapped = max(_ends(np.diff(values))) > 2.2 * np.pi
+        fall, rise = _ends(np.diff(values))
+        wrapped = max(-fall, rise) > 2.2 * np.pi
         bent = name[:3] in ("joi", "cmd") and largest > 2 * np.pi
         if tilted or wrapped or bent:
             return "unusual for radians: state the unit if it is degrees (a factor of 57.3)"
