@@ -55,7 +55,7 @@ def test_films_become_a_setup_and_logs(project, swimid: Run) -> None:
     film, setup = folder.parent / "lab/swim 1.mp4", folder / "film-1.setup.yaml"
     refused = swimid("track", "video", film, "--setup", setup, "-o", folder / "run.csv")
     assert refused.status == 3
-    assert "film-1.setup.yaml, line 10, 'markers.at_m': is still ASK" in refused.err
+    assert re.search(r"film-1.setup.yaml, line \d+, 'markers.at_m': is still ASK", refused.err)
     answer(
         folder / "film-1.setup.yaml",
         ("metres_per_pixel: ASK", "metres_per_pixel: 0.002"),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swimid.errors import NoTrustworthyResult, UsageError
 from swimid.files.atomic import Checkpoint
@@ -151,7 +152,7 @@ def sobol(
     return Sobol(mean, sd, len(points), broken, left_out, *found, *ends)
 
 
-def _jackknife_error(outputs: Array, part: Array, groups: Sequence[Sequence[int]]) -> Array:
+def _jackknife_error(outputs: Array, part: NDArray[np.int64], groups: Sequence[Sequence[int]]) -> Array:
     """Return the standard errors of the indices, shape (2, s + g, d), from estimates without one part each.
 
     A bootstrap over the rows would give too wide intervals, because the rows of one Sobol sequence are not
