@@ -12,6 +12,7 @@ from typing import Any, NotRequired
 from pydantic import ConfigDict, TypeAdapter
 from typing_extensions import TypedDict
 
+from swimid.cli.main import found
 from swimid.results.result import FORMATS
 
 
@@ -132,7 +133,8 @@ class Sample(_Open):
     command: NotRequired[str]
 
 
-#: Type of the result of each command: a type of this module, the format of a result file, or any object.
+#: Type of the result of a command: a type of this module, or the format of a result file. The result of a
+#: command that is not listed is any object.
 RESULTS: dict[str, Any] = {
     **dict.fromkeys(("fit-drag", "fit-propulsion", "fit-graybox", "rwls"), "swimid-parameters/1"),
     "compare": "swimid-comparison/1",
@@ -153,8 +155,6 @@ RESULTS: dict[str, Any] = {
     "batch": BatchRun,
     "init": Project,
     "sample": Sample,
-    "doctor": dict[str, Any],
-    "schema": dict[str, Any],
 }
 
 
@@ -162,7 +162,8 @@ def answer_schema() -> dict[str, Any]:
     """Return the JSON Schema of the answer of any command to ``--json``."""
     definitions: dict[str, Any] = {}
     rules = []
-    for command, kind in RESULTS.items():
+    for command in found():
+        kind = RESULTS.get(command, dict[str, Any])
         name = kind if isinstance(kind, str) else command
         if isinstance(kind, str):
             module, _, attribute = FORMATS[kind].partition(":")
@@ -185,7 +186,7 @@ def answer_schema() -> dict[str, Any]:
         "properties": {
             "schema": {"const": 1},
             "ok": {"type": "boolean"},
-            "command": {"enum": list(RESULTS)},
+            "command": {"enum": list(found())},
             "result": {"type": "object"},
             "error": {
                 "type": "object",
