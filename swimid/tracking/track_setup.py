@@ -313,7 +313,9 @@ def _sheet(run: Run) -> NDArray[np.uint8]:
             x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
             radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
             cv2.circle(tile, (x, y), radius, frames.MEASURED, 2, cv2.LINE_AA)
-            frames.write_text(tile, track.names[i], (x + radius + 3, y + 4), 0.5)
+            # Names of neighbours are above and below them in turn, so that none covers another marker.
+            below = (-radius - 6, radius + 16)[i % 2]
+            frames.write_text(tile, track.names[i], (x - radius, y + below), 0.5)
         frames.write_text(tile, f"frame {index}", (8, tile.shape[0] - 8), 0.5)
         tiles.append(tile)
     return np.asarray(cv2.cvtColor(np.vstack(tiles), cv2.COLOR_BGR2RGB), dtype=np.uint8)
