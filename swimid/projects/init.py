@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from swimid.robots import file as robot_format
 
 #: Maximum number of questions and of files that the terminal shows. The README of the project has all.
 MAX_SHOWN = 12
+#: Maximum number of questions of one file that the terminal shows one by one.
+MAX_LINES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,15 +171,16 @@ def _told(project: Project, data: dict[str, Any]) -> str:
     ]
     columns = ["recordings", "number", "first", "content"]
     lines = [table_text(Table(id="found", title="Found", columns=columns, rows=rows))]
-    asked = list(data["missing"])
-    of_robot = [one for one in data["questions"] if one["file"] == "robot.yaml"]
-    asked += [
-        f"{one['file']}, line {one['line']}: {one['text']}"
-        for one in data["questions"]
-        if one not in of_robot
-    ]
-    if of_robot:
-        asked.append(f"robot.yaml: {len(of_robot)} lines, for a robot that is not built in")
+    asked, by_file = list(data["missing"]), Counter(one["file"] for one in data["questions"])
+    for name, count in by_file.items():
+        first = next(one for one in data["questions"] if one["file"] == name)
+        if name == "robot.yaml":
+            asked.append(f"{name}: {count} lines, for a robot that is not built in")
+        elif count > MAX_LINES:
+            asked.append(f"{name}: {count} lines, from line {first['line']} on: {first['text']}")
+        else:
+            lines_of = [one for one in data["questions"] if one["file"] == name]
+            asked += [f"{name}, line {one['line']}: {one['text']}" for one in lines_of]
     for title, entries in (("Other files", data["others"]), ("To answer", asked)):
         if entries:
             lines += ["", f"{title} ({len(entries)}):", *(f"  {entry}" for entry in entries[:MAX_SHOWN])]

@@ -25,6 +25,8 @@ TABLES = (".tsv", ".tdms", ".c3d", ".lvm", ".nc", ".json", ".trc", ".mot", ".sto
 BESIDE = re.compile(r".*(\.evidence\.json|\.partial|\.lock|\.markers\.png|~)|\..*|__pycache__")
 #: Minimum number of pictures with numbers in their names that count as a film.
 MIN_PICTURES = 10
+#: Minimum number of rows of a table that counts as a recording.
+MIN_ROWS = 10
 #: Columns of a cruise table. Mean speed may take the place of the time.
 CRUISE = {"fin", "frequency_hz", "amplitude_deg", "distance_m"}
 
@@ -47,6 +49,8 @@ class Recording:
         Names of the columns of a table.
     rate_hz : float
         Frame rate that a film states; 0 if it states none.
+    rows : int
+        Number of rows of a table.
     has_times : bool
         Whether the rows of a table have times.
     profile : str
@@ -59,6 +63,7 @@ class Recording:
     alike: tuple[Any, ...] = ()
     columns: tuple[str, ...] = ()
     rate_hz: float = 0.0
+    rows: int = 0
     has_times: bool = False
     profile: str = ""
     metadata: dict[str, Any] = field(default_factory=dict, compare=False)
@@ -91,7 +96,7 @@ def survey(folder: Path, left_out: Path | None = None, progress: Progress = sile
             found.append(recognised(path))
             step()
     names = {name for one in found for name in (one.path.name, one.path.stem) if one.kind != "notes"}
-    return [_with_notes(one, names) for one in found]
+    return [_with_role(one, names) for one in found]
 
 
 def _paths(folder: Path, left_out: Path | None) -> Iterator[Path]:
@@ -122,8 +127,11 @@ def recognised(path: Path) -> Recording:
         elif ending in readable:
             return _table(path)
     except InputError as error:
-        kind = "choice" if several(error) else "damaged"
-        return Recording(path, kind, ". ".join(filter(None, [error.message, error.hint])))
+        if several(error):
+            return Recording(path, "choice", f"{error.reason}. {error.hint}")
+        # A text without rows of numbers, such as a licence, is no damaged recording.
+        kind = "other" if ending in (".txt", "") else "damaged"
+        return Recording(path, kind, error.reason)
     return Recording(path, "other", "no recording")
 
 
@@ -148,7 +156,8 @@ def _table(path: Path) -> Recording:
     columns = tuple(table.columns)
     points = tracked_points(table.columns)
     title = formats()[table.profile].title if table.profile else "table"
-    about = f"{title}, {max(map(len, table.columns.values()))} rows"
+    rows = max(map(len, table.columns.values()))
+    about = f"{title}, {rows} rows"
     if table.profile == "swimid":
         kind = "log"
     elif points and table.profile:
@@ -163,15 +172,20 @@ def _table(path: Path) -> Recording:
         cells = {name: [str(cell) for cell in values[:10_000]] for name, values in table.columns.items()}
     alike = (kind, table.profile, columns, tuple(table.units.items()), metadata.get("experiment"))
     return Recording(
-        path, kind, about, alike, columns, has_times=log.TIME in columns, profile=table.profile,
+        path, kind, about, alike, columns, rows=rows, has_times=log.TIME in columns, profile=table.profile,
         metadata=metadata, cells=cells,
     )  # fmt: skip
 
 
-def _with_notes(one: Recording, names: set[str]) -> Recording:
-    """Return a table as ``notes`` if all cells of one of its columns name recordings of the folder."""
+def _with_role(one: Recording, names: set[str]) -> Recording:
+    """Return a table as ``notes`` if all cells of one of its columns name recordings of the folder.
+
+    Another table with few rows is no recording.
+    """
     for name, cells in one.cells.items():
         if cells and all(cell in names for cell in cells):
             about = f"table of {len(cells)} recordings, named in its column '{name}'"
             return Recording(one.path, "notes", about, columns=(name, *one.columns), cells=one.cells)
+    if one.kind == "table" and one.rows < MIN_ROWS:
+        return Recording(one.path, "other", f"{one.about}, too few for a recording")
     return one
