@@ -222,7 +222,11 @@ def test_two_windows_do_not_disturb_each_other(page: Served) -> None:
 def test_done_writes_a_setup_that_track_video_takes(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     output = tmp_path / "setup.yaml"
     with served(POOL, "--no-browser", "-o", output, "--json") as run:
-        choice = {"picks": PICKS, "scale": FLOOR, "ignore_px": [[0, 0, 30, 20]], "plane": "horizontal"}
+        places = ([0.03, 0.0], [-0.15, 0.0])
+        picks = [{**pick, "at_m": at} for pick, at in zip(PICKS, places, strict=True)]
+        choice = {"picks": picks, "scale": FLOOR, "ignore_px": [[0, 0, 30, 20]], "plane": "horizontal"}
+        refused = run.post("done", {**choice, "picks": [picks[0], PICKS[1]]}, 422)
+        assert "needs at_m, too" in str(refused)
         run.post("done", {**choice, "picks": []}, 422)
         assert not output.exists()
         shown = run.post("done", choice)
@@ -241,6 +245,7 @@ def test_done_writes_a_setup_that_track_video_takes(swimid: Callable[..., Ran], 
     assert rules.scale is not None
     assert rules.scale.points_m == tuple(map(tuple, FLOOR_M))
     assert rules.ignore_px == [(0, 0, 30, 20)]
+    assert [list(marker.at_m or ()) for marker in rules.markers] == list(places)
     assert swimid("track", "video", POOL, "--setup", output, "-o", tmp_path / "run.csv").status == 0
     log = pd.read_csv(tmp_path / "run.csv", comment="#")
     truth = pd.read_csv(SAMPLES / "pool" / "pool_truth.csv", comment="#")

@@ -45,7 +45,7 @@ def test_markers_scale_and_region_are_picked_by_mouse(tmp_path: Path) -> None:
         page.until("proposal.scale")
         assert page.value("proposal.scale.metres_per_pixel") == pytest.approx(1.8 / 512.1, rel=2e-3)
 
-        page.click("summary")
+        page.click("details:has([data-tool=ignore]) > summary")
         page.click("[data-tool=ignore]")
         click(page, 600, 400)
         click(page, 639, 479)
@@ -55,6 +55,12 @@ def test_markers_scale_and_region_are_picked_by_mouse(tmp_path: Path) -> None:
         assert "ignored 2" in page.text("#boxes")
         page.click("#undo")
         assert "ignored 2" not in page.text("#boxes")
+
+        for label, place in (("nose", ("-0.02", "0")), ("rear", ("-0.2", "0.001"))):
+            place_of = f"document.querySelector(`[aria-label='forward of {label}, m']`)"
+            page.value(f"{place_of}.closest('details').open = true")
+            for word, value in zip(("forward", "to port"), place, strict=True):
+                page.fill(f"[aria-label='{word} of {label}, m']", value)
 
         page.fill("#count", "40")
         page.click("#try")
@@ -72,6 +78,7 @@ def test_markers_scale_and_region_are_picked_by_mouse(tmp_path: Path) -> None:
         assert all(one.startswith((run.address, "blob:", "data:")) for one in loaded)
     rules = setup_format.read(output)
     assert (rules.head, rules.tail) == ("nose", "rear")
+    assert [marker.at_m for marker in rules.markers] == [(-0.02, 0.0), (-0.2, 0.001)]
     assert rules.scale is not None
     assert rules.scale.distance_m == 1.8
     assert len(rules.ignore_px) == 1

@@ -61,11 +61,12 @@ class Finish(Protocol):
 
 
 class Click(yamlio.Document):
-    """Name of a marker, and the pixel on which the user clicked."""
+    """Name of a marker, the pixel on which the user clicked, and the place of the marker on the robot, m."""
 
     name: str
     x: float
     y: float
+    at_m: tuple[float, float] | None = None
 
 
 class Choice(yamlio.Document):
@@ -291,7 +292,9 @@ class Session:
         if index != choice.frame:
             raise InputError(f"has no frame {choice.frame}", file=self.video)
         picks = [Pick(one.name, one.x, one.y) for one in choice.picks]
-        return pick_markers(frame, kinds_of(picks), path=self.video, index=index)
+        places = {one.name: one.at_m for one in reversed(choice.picks)}
+        markers = pick_markers(frame, kinds_of(picks), path=self.video, index=index)
+        return [marker.model_copy(update={"at_m": places[marker.name]}) for marker in markers]
 
     def _chosen(self, choice: Choice) -> tuple[list[Marker], dict[str, Any]]:
         """Return markers and other keys of the setup; raise the first error of the choice."""
