@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -193,3 +194,16 @@ def test_late_releases_do_not_hide_an_omitted_drag(swimid: Run, tmp_path: Path) 
     assert "SWM017" in ran.err
     assert "SWM024" in ran.err
     assert _verdict(ran) == "BAD"
+
+
+def test_the_measured_values_of_a_tracked_film_are_fitted(swimid: Run, tmp_path: Path) -> None:
+    """A log of a film has smoothed positions, and the measured ones beside them."""
+    trials = generator.write_falls(tmp_path, np.random.default_rng(3), noise_m=5e-4, held_out=(20,))
+    plain = swimid("fit-drag", trials, "--json").json["result"]
+    for path in tmp_path.glob("*.csv"):
+        log = pd.read_csv(path)
+        log["x_raw_m"] = log["x_m"]
+        log["x_m"] = log["x_m"].rolling(9, center=True, min_periods=1).mean()
+        log.to_csv(path, index=False, float_format="%.7f")
+    tracked = swimid("fit-drag", trials, "--json").json["result"]
+    assert tracked["parameters"] == plain["parameters"]
