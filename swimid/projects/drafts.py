@@ -151,12 +151,11 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
     found: dict[Any, list[Recording]] = {}
     order = ("cruise", "log", "points", "table", "choice", "film")
     usable = [one for one in recordings if one.kind in order]
-    films = {one.path.stem: one for one in usable if one.kind == "film"}
     rates: dict[Path, float] = {}
     tracked: set[Path] = set()
     for one in usable:
-        film = next((film for stem, film in films.items() if one.path.stem.startswith(stem)), None)
-        if one.kind == "points" and film is not None:
+        film = _film_of(one, usable)
+        if film is not None:
             tracked.add(film.path)
             rates[one.path] = film.rate_hz
     for one in sorted(usable, key=lambda one: order.index(one.kind)):
@@ -170,6 +169,20 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
         known = {one.path: rates[one.path] for one in members if rates.get(one.path)}
         groups.append(Group(f"{kind}-{number}", members, rates_hz=known))
     return groups
+
+
+def _film_of(table: Recording, recordings: Iterable[Recording]) -> Recording | None:
+    """Return the film with whose name a tracker's table begins, from the same folder if there are several."""
+    found = [
+        (one.path.parent == table.path.parent, len(one.path.stem), one)
+        for one in recordings
+        if one.kind == "film"
+        and table.path.stem.startswith(one.path.stem)
+        and not table.path.stem[len(one.path.stem) :][:1].isdigit()
+    ]
+    if table.kind != "points" or not found:
+        return None
+    return max(found, key=lambda entry: entry[:2])[2]
 
 
 def draft(project: Project, groups: list[Group], notes: list[Recording], progress: Progress = silent) -> None:
