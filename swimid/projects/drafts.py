@@ -153,8 +153,9 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
     usable = [one for one in recordings if one.kind in order]
     rates: dict[Path, float] = {}
     tracked: set[Path] = set()
-    for one in usable:
-        film = _film_of(one, usable)
+    films = [one for one in usable if one.kind == "film"]
+    for one in (one for one in usable if one.kind == "points"):
+        film = _film_of(one, films)
         if film is not None:
             tracked.add(film.path)
             rates[one.path] = film.rate_hz
@@ -171,18 +172,14 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
     return groups
 
 
-def _film_of(table: Recording, recordings: Iterable[Recording]) -> Recording | None:
+def _film_of(table: Recording, films: Iterable[Recording]) -> Recording | None:
     """Return the film with whose name a tracker's table begins, from the same folder if there are several."""
-    found = [
-        (one.path.parent == table.path.parent, len(one.path.stem), one)
-        for one in recordings
-        if one.kind == "film"
-        and table.path.stem.startswith(one.path.stem)
-        and not table.path.stem[len(one.path.stem) :][:1].isdigit()
-    ]
-    if table.kind != "points" or not found:
-        return None
-    return max(found, key=lambda entry: entry[:2])[2]
+    name, found = table.path.stem, []
+    for film in films:
+        stem = film.path.stem
+        if name.startswith(stem) and not name[len(stem) :][:1].isdigit():
+            found.append((film.path.parent == table.path.parent, len(stem), film))
+    return max(found, key=lambda entry: entry[:2])[2] if found else None
 
 
 def draft(project: Project, groups: list[Group], notes: list[Recording], progress: Progress = silent) -> None:
