@@ -88,7 +88,7 @@ def remove_cache() -> int:
     files += _PACKAGE.rglob("__pycache__/lanes/*.py")
     files += (path for path in own_cache().rglob("*") if path.is_file())
     freed = 0
-    for path in files:
+    for path in set(files):
         freed += path.stat().st_size
         path.unlink()
     for folder in (*_PACKAGE.rglob("__pycache__/lanes"), own_cache()):

@@ -40,6 +40,8 @@ class Experiment:
     """Experiment of a trials file: the columns of its logs, the keys of a trial, and the command for it."""
 
     command: str
+    #: Description, with the keys that a trial needs.
+    about: str
     #: Patterns of columns; a log must have a column for each.
     columns: tuple[str, ...]
     #: Keys of a trial that only the user knows.
@@ -49,13 +51,33 @@ class Experiment:
 
 _DRIVE = {"drive": {"frequency_hz": ASK, "amplitude_deg": ASK}}
 EXPERIMENTS = {
-    "falling-weight": Experiment("fit-drag", ("x_m",), {"pulling_mass_kg": ASK}),
-    "towed": Experiment("fit-drag", ("force_N", "x_m|u_m_s")),
-    "free-decay": Experiment("fit-drag", ("x_m|z_m|roll_rad|pitch_rad|yaw_rad",)),
-    "free-swim": Experiment("fit-graybox", ("x_m", "y_m", "yaw_rad"), _DRIVE, linked=True),
-    "multibody": Experiment("fit-graybox", (r"joint\w*_rad|(x|y|z)_m|(roll|pitch|yaw)_rad",), linked=True),
-    "arma": Experiment("rwls", (".*", ".*")),
-    "cruise": Experiment("fit-propulsion", tuple(sorted(CRUISE))),
+    "falling-weight": Experiment(
+        "fit-drag",
+        "a weight pulls the robot; add pulling_mass_kg to each trial",
+        ("x_m",),
+        {"pulling_mass_kg": ASK},
+    ),
+    "towed": Experiment("fit-drag", "the robot is towed by a measured force", ("force_N", "x_m|u_m_s")),
+    "free-decay": Experiment(
+        "fit-drag", "the robot is displaced and released", ("x_m|z_m|roll_rad|pitch_rad|yaw_rad",)
+    ),
+    "free-swim": Experiment(
+        "fit-graybox",
+        "it swims in a plane; add drive: {frequency_hz: 1, amplitude_deg: 20}, or log the joint angles",
+        ("x_m", "y_m", "yaw_rad"),
+        _DRIVE,
+        linked=True,
+    ),
+    "multibody": Experiment(
+        "fit-graybox",
+        "any motion of a robot with links or of a vehicle",
+        (r"joint\w*_rad|(x|y|z)_m|(roll|pitch|yaw)_rad",),
+        linked=True,
+    ),
+    "arma": Experiment(
+        "rwls", "a black-box model from one column to another; add input and output", (".*", ".*")
+    ),
+    "cruise": Experiment("fit-propulsion", "a table of cruising speeds", tuple(sorted(CRUISE))),
 }
 
 
@@ -213,6 +235,12 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
         except (NoTrustworthyResult, InputError):
             continue
         project.pictures[name] = made
+        if made.setup.tail is None:
+            group.columns = ("x_m", "y_m")
+            project.missing.append(
+                f"{name}: one marker was found, so that the logs have no heading. A fit of free swimming "
+                "needs a second marker behind it"
+            )
         pick = f"swimid track setup {shlex.quote(project.relative(film.path))} --pick -o {name} --force"
         text = made.document.replace(
             "# scale: {metres_per_pixel: 0.0015}",
@@ -236,7 +264,7 @@ def _of_points(project: Project, group: Group, progress: Progress) -> None:
     points = list(tracked_points({name: np.empty(0) for name in group.first.columns}))
     options: dict[str, Any] = {"points": name}
     lines = [
-        f"# Points of {group.first.path.name}. Answer every {ASK}. All keys: docs/points.md",
+        f"# Points of {group.first.path.name}. Answer every {ASK}. All keys: swimid schema points",
         "format: swimid-points/1",
     ]
     if project.robot is not None:
@@ -322,7 +350,7 @@ def _add_plan(project: Project) -> None:
     plan: dict[str, Any] = {"format": "swimid-plan/1", "items": items}
     if overrides:
         plan["overrides"] = overrides
-    head = f"# Makes a log of each recording: swimid batch plan.yaml -o {RUN}. All keys: docs/batch.md\n"
+    head = f"# Makes a log of each recording: swimid batch plan.yaml -o {RUN}. A step is a command.\n"
     project.files["plan.yaml"] = head + yamlio.dumps(plan)
 
 
@@ -377,7 +405,7 @@ def _add_trials(project: Project, group: Group, notes: list[Recording]) -> None:
     group.robot = robot
     lines = [
         f"# Trials of {len(group.recordings)} recordings of {group.first.path.parent.name}. "
-        f"Answer every {ASK}, or delete its line. All keys: docs/formats.md",
+        f"Answer every {ASK}, or delete its line. All keys: swimid schema trials",
         f"format: {TRIALS}",
         f"experiment: {experiment}" + f"   # {', '.join(fitting)}" * (experiment == ASK),
         f"robot: {robot}" + f"   # {', '.join(built_in())}, or robot.yaml" * (robot == ASK),
@@ -392,11 +420,7 @@ def _add_trials(project: Project, group: Group, notes: list[Recording]) -> None:
         ]
         asked = EXPERIMENTS[experiment].asked if experiment != ASK else {}
         if experiment == ASK:
-            lines[-1:] = [
-                "# falling-weight: add pulling_mass_kg to each trial. free-swim: add",
-                "# drive: {frequency_hz: 1.0, amplitude_deg: 20}, unless the log has the joint angles.",
-                "trials:",
-            ]
+            lines[-1:] = [f"#   {name}: {EXPERIMENTS[name].about}" for name in fitting] + ["trials:"]
         for one, log, ident in zip(group.recordings, logs_of(project, group), _idents(group), strict=True):
             entry = {"id": ident, "log": log, **asked, **_keys_of(one, notes, experiment)}
             lines.append(f"  - {_flow(entry)}")

@@ -151,9 +151,10 @@ def _commands(project: Project) -> list[str]:
         trials = f"{group.name}.trials.yaml"
         experiment = re.search(r"(?m)^experiment: ([\w-]+)", project.files[trials])
         assert experiment is not None
-        fit = "FIT"
-        if experiment[1] != ASK:
-            fit = EXPERIMENTS[experiment[1]].command
+        if experiment[1] == ASK:
+            fits = dict.fromkeys(EXPERIMENTS[name].command for name in group.fitting)
+            commands.append(f"# state the experiment in {trials}, then take its command: {', '.join(fits)}")
+        fit = EXPERIMENTS[(group.fitting if experiment[1] == ASK else [experiment[1]])[0]].command
         model, results = f"{group.name}.yaml", f"{group.name}.yaml {group.name}.comparison.yaml"
         commands += [
             f"swimid {fit} {trials} -o {model}",

@@ -42,7 +42,7 @@ MAX_TRIALS = 4
 N_TILES, TILE_WIDTH = 4, 640
 #: Minimum score of a second proposed marker, relative to the score of the first.
 SECOND_SHARE = 0.25
-_HEAD = "# Drafted by swimid track setup from {}; correct it if needed. All keys: docs/tracking.md\n"
+_HEAD = "# Drafted by swimid track setup from {}; correct it if needed. All keys: swimid schema setup\n"
 #: Comment at the end of a drafted setup, on the keys that the draft does not have.
 _MORE = """\
 # Without scale positions are in pixels. One of:

@@ -505,7 +505,7 @@ def _motion(track: RawTrack, setup: Setup) -> ev.Check:
     reason = f"marker '{name}' stays within {extent}"
     if still:
         reason += ", which is its noise"
-    reason += ": is it the marker, or a motionless object of its colour?"
+    reason += ": it may be a motionless object of the colour of the marker"
     value, limit = f"{radii:.2g} radii", f">= {frames.MIN_RADII:g} radius and {noise:.2g} px of noise"
     passed = radii >= frames.MIN_RADII and not still
     return _judged("SWM067", "Motion", value, limit, passed, reason, fails=still)
