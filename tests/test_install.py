@@ -70,3 +70,21 @@ def test_recipe_and_citation_state_what_the_project_states() -> None:
     assert {one for one in stated if not one.startswith("python ")} == wanted
     assert recipe["context"]["version"] == __version__
     assert f"version: {__version__}" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_compiled_kernels_are_removed(tmp_path: Path) -> None:
+    """Also those of generated kernels, which lie in a cache folder within a cache folder."""
+    package = tmp_path / "swimid"
+    shutil.copytree(ROOT / "swimid", package, ignore=shutil.ignore_patterns("__pycache__"))
+    nested = package / "swimmer/planar/__pycache__/lanes/__pycache__"
+    nested.mkdir(parents=True)
+    for path in (nested / "lanes_1.nbi", nested.parent / "lanes_1.py", package / "rig/__pycache__/model.nbc"):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"12345")
+    run_it = "from swimid.files import kernels; print(kernels.remove_cache())"
+    env = {**os.environ, "PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    ran = subprocess.run(
+        [sys.executable, "-c", run_it], cwd=tmp_path, env=env, capture_output=True, text=True
+    )
+    assert ran.stdout.split() == ["15"], ran.stderr
+    assert not nested.parent.exists()
