@@ -194,7 +194,7 @@ def answer_schema() -> dict[str, Any]:
                 "properties": {"type": text, "message": text, "exit_status": {"type": "integer"}},
             },
             "verdict": {
-                "description": "null for a result without evidence",
+                "description": "null if nothing was checked",
                 "anyOf": [{"type": "null"}, {
                     "type": "object",
                     "required": ["level", "text", "reasons"],

@@ -227,8 +227,8 @@ class Run:
 
 
 def _verdict(outcome: Result | None) -> dict[str, Any] | None:
-    """Return level, text and reasons of the verdict on a result; None without evidence."""
-    if outcome is None or outcome.evidence is None:
+    """Return level, text and reasons of the verdict on a result; None if nothing was checked."""
+    if outcome is None or outcome.evidence is None or not outcome.evidence.checks:
         return None
     found = outcome.evidence
     reasons = [check.reason or check.name for check in found.checks if check.verdict in ("warn", "fail")]

@@ -115,7 +115,8 @@ def plot(
         notices=ev.notices(notices),
     )
     data = {"logs": [str(record.path) for record in records], "figures": [figure.id for figure in figures]}
-    drawn = Drawn("plot", "", data, evidence=proof, document=records)
+    told = "\n".join(f"{record.name}: {len(record)} samples, drawn as logged" for record in records)
+    drawn = Drawn("plot", told, data, evidence=proof, document=records)
     return drawn.saved(output)
 
 
