@@ -648,8 +648,12 @@ def prepare(
     return chosen(parameters or experiment.model.parameters, **choices)
 
 
-def checks(result: FitResult) -> list[ev.Check]:
-    """Return the checks of a fit against their limits; warn of each check that does not pass."""
+def checks(result: FitResult, *, held_out: bool = True) -> list[ev.Check]:
+    """Return the checks of a fit against their limits; warn of each check that does not pass.
+
+    With ``held_out`` a fit without held-out trials does not pass. The caller sets it to False if it holds out
+    parts of the data itself.
+    """
     done, message = result.converged, result.message
     reason = f"the fit did not converge: {message}"
     value = numbers.number(done)
@@ -692,11 +696,12 @@ def checks(result: FitResult) -> list[ev.Check]:
         reason = f"halving the integration step changes samples by {size} of their noise"
         found.append(warned_check("SWM016", "integration step", size, passed, limit, text, reason))
     number = sum(t.role == "validate" for t in result.trials)
-    text = "trials with role: validate are predicted, not fitted"
-    shown = ("held-out trials", str(number), number > 0, "1 or more", text)
-    found.append(ev.check(*shown, reason="no trial was held out (role: validate)"))
-    held_out = [c for c in result.model.channels if result.series_of(c.name, "validate")]
-    return found + [_validation(result, c) for c in held_out if c.name in result.noise]
+    if held_out:
+        text = "trials with role: validate are predicted, not fitted"
+        shown = ("held-out trials", str(number), number > 0, "1 or more", text)
+        found.append(ev.check(*shown, reason="no trial was held out (role: validate)"))
+    channels = [c for c in result.model.channels if result.series_of(c.name, "validate")]
+    return found + [_validation(result, c) for c in channels if c.name in result.noise]
 
 
 def warned_check(code: str, *shown: Any, failed: bool = False) -> ev.Check:

@@ -285,7 +285,38 @@ def _fit_recoil_law(
         "figures": [_speed_figure(experiment, result, points, left_out), _residual_figure(result)],
         "methods": methods,
     }
-    return file, [*fit_common.checks(result), departed, *exponent_checks], shown
+    checks = [*fit_common.checks(result, held_out=False), _held_out_fins(model, result, kept, choices)]
+    return file, [*checks, departed, *exponent_checks], shown
+
+
+def _held_out_fins(
+    model: RecoilModel, result: FitResult, trials: Sequence[Trial], choices: tuple[Parameter, ...]
+) -> ev.Check:
+    """Return a check of the speeds of each fin, predicted by a fit to the other fins.
+
+    Only a fin with a known inertia can be predicted. The check does not pass with fewer than two of them.
+    """
+    errors, known = [], [trial for trial in trials if model.fins[trial.id] is not None]
+    if len(known) > 1:
+        for left_out in known:
+            roles = [replace(t, role="validate" if t is left_out else "fit") for t in trials]
+            without = output_error.fit(model, roles, parameters=choices)
+            errors += [s.residual / s.measured for s in without.series_of(SPEED, "validate")]
+    fitted = [s.residual / s.measured for s in result.series_of(SPEED, "fit")]
+    error, usual = (100 * _rms(parts) if parts else math.nan for parts in (errors, fitted))
+    limit = fit_common.VALIDATION_RATIO * usual
+    reason = f"the speeds of a fin that was not fitted are predicted with an error of {error:.2g} %"
+    if not errors:
+        reason = "no fin can be held out: two fins with known inertia are needed"
+    text = "root-mean-square error of the speeds of each fin, predicted by a fit to the others"
+    shown = ("fins held out in turn", f"{error:.2g} %", error <= limit, f"≤ {limit:.2g} %", text)
+    return ev.check(*shown, reason=reason)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    """Return the root mean square of the finite samples of several series."""
+    values = np.concatenate(parts)
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 # ------------------------------------------------------------ checks of the law
