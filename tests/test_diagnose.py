@@ -419,7 +419,7 @@ def test_trials_without_a_fitted_trial_are_refused(
 ) -> None:
     for path in rig[0].parent.glob("*.csv"):
         shutil.copy(path, tmp_path)
-    text = rig[0].read_text().replace("- {log:", "- {role: validate, log:")
+    text = rig[0].read_text().replace(", role: validate", "").replace("- {log:", "- {role: validate, log:")
     assert text.count("role: validate") == len(list(tmp_path.glob("*.csv")))
     (tmp_path / "trials.yaml").write_text(text)
     ran = swimid("diagnose", tmp_path / "trials.yaml", "--params", rig[1], "--json")
