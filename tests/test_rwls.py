@@ -7,10 +7,13 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
+import swimid
 from swimid.blackbox import model as arma
 from swimid.cli.main import main
 from swimid.fitting.model import Trial
@@ -446,3 +449,20 @@ def test_ball_beam(tmp_path):
     assert (
         document["result"]["fit"]["validation"]["y"]["data"]["held-out part"]["free_run"]["diverged"] is True
     )
+
+
+def test_modes_are_those_of_the_oscillator() -> None:
+    """Samples of an oscillator of 1.5 Hz with the damping ratio 0.2, whose force is held for a sample."""
+    frequency, ratio, step = 2 * np.pi * 1.5, 0.2, 0.04
+    matrix = np.array([[0.0, 1.0], [-(frequency**2), -2 * ratio * frequency]])
+    whole = expm(np.block([[matrix * step, np.array([[0.0], [frequency**2 * step]])], [np.zeros((1, 3))]]))
+    state, rng = np.zeros(2), np.random.default_rng(5)
+    force, seen = rng.normal(size=600), []
+    for value in force:
+        seen.append(state[0])
+        state = whole[:2, :2] @ state + whole[:2, 2] * value
+    table = pd.DataFrame({"t_s": step * np.arange(600), "force_N": force, "x_m": seen})
+    fit = swimid.rwls([table], input_column="force_N", output_column="x_m", na=2, nb=2, held_out=[0.25])
+    modes = fit.tables()["modes"]
+    assert modes["natural frequency (Hz)"].astype(float).tolist() == pytest.approx([1.5, 1.5], rel=1e-3)
+    assert modes["damping ratio"].astype(float).tolist() == pytest.approx([0.2, 0.2], rel=1e-3)
