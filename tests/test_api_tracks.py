@@ -357,7 +357,7 @@ def test_two_sensors_over_each_other(vehicle: tuple[pd.DataFrame, pd.DataFrame])
     readings, seen = vehicle
     drawn = plot([Log.from_frame(readings, name="imu"), Log.from_frame(seen, name="camera")])
     assert drawn.data["logs"] == ["imu", "camera"]
-    assert drawn.summary().startswith("imu and camera\n")
+    assert drawn.summary().startswith("imu: ")
 
 
 # ---------------------------------------------------------------- tables

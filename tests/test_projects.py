@@ -49,6 +49,7 @@ def done(swimid: Run, folder: Path, names: set[str]) -> None:
     assert {path.stem for path in (folder / "run/items").glob("*/*.csv")} == names
 
 
+@pytest.mark.slow
 def test_films_become_a_setup_and_logs(project, swimid: Run) -> None:
     folder, found = project(lab_folders.films)
     assert [one["kind"] for one in found["recordings"]] == ["film"] * 2 + ["other"]
@@ -116,6 +117,7 @@ def test_rig_logs_with_a_table_of_masses_are_fitted(project, swimid: Run) -> Non
     assert "validate" in (folder / "table-1.trials.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_bag_of_a_vehicle(project, swimid: Run, rng) -> None:
     def write(lab: Path) -> None:
         lab.mkdir()
@@ -146,6 +148,7 @@ def test_bag_with_two_unknown_topics_asks_for_one(project, swimid: Run) -> None:
     done(swimid, folder, {"bag"})
 
 
+@pytest.mark.slow
 def test_mixture(project, swimid: Run) -> None:
     folder, found = project(lab_folders.mixture)
     kinds = {one["file"].rpartition("/")[2]: one["kind"] for one in found["recordings"]}

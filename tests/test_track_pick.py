@@ -253,6 +253,7 @@ def test_done_writes_a_setup_that_track_video_takes(swimid: Callable[..., Ran], 
     assert np.nanmax(np.abs(turned - np.nanmedian(turned))) < 0.1
 
 
+@pytest.mark.slow
 def test_the_file_is_that_of_the_command_line(swimid: Callable[..., Ran], tmp_path: Path) -> None:
     """The same picks and scale give the same text, byte for byte."""
     marks = [word for pick in PICKS for word in ("--marker", f"{pick['name']}@{pick['x']},{pick['y']}")]
@@ -267,6 +268,7 @@ def test_the_file_is_that_of_the_command_line(swimid: Callable[..., Ran], tmp_pa
     assert (tmp_path / "picked.yaml").read_bytes() == (tmp_path / "typed.yaml").read_bytes()
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     with served(POOL, "--no-browser", "-o", tmp_path / "setup.yaml") as run:
         port = int(run.address.split(":")[2].split("/")[0])
@@ -280,6 +282,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
 
 
+@pytest.mark.slow
 def test_numbered_pictures_need_a_frame_rate(tmp_path: Path) -> None:
     fish = clutter.straight(60, 118, 60, 0)
     discs = (clutter.disc(fish, 7, RED, ahead=24), clutter.disc(fish, 7, RED, ahead=-24))
@@ -305,6 +308,7 @@ def test_numbered_pictures_need_a_frame_rate(tmp_path: Path) -> None:
     assert (rules.markers[0].number, rules.head, rules.tail, rules.frame_rate_hz) == (2, "red1", "red2", 30)
 
 
+@pytest.mark.slow
 def test_the_whole_body_can_be_followed(tmp_path: Path) -> None:
     video = clutter.write(tmp_path / "fish.mp4", Pool((clutter.fish(clutter.straight(20, 118, 93, 0)),)))
     with served(video, "--no-browser", "-o", tmp_path / "setup.yaml") as run:
@@ -314,6 +318,7 @@ def test_the_whole_body_can_be_followed(tmp_path: Path) -> None:
     assert setup_format.read(tmp_path / "setup.yaml").markers[0].method == "background"
 
 
+@pytest.mark.slow
 def test_the_browser_is_opened_at_the_address(tmp_path: Path) -> None:
     seen = tmp_path / "seen.txt"
     browser = tmp_path / "browser.sh"

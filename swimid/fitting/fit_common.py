@@ -944,7 +944,7 @@ def fit_model(
     >>> way = np.log1p(0.5 * t) / 0.5 + 0.002 * np.random.default_rng(1).normal(size=200)
     >>> fit = fit_model(Coasting(), [Trial("run 1", "fit", time_s=t, measured={"x_m": way})])
     >>> round(fit["drag_per_m"].value, 2), fit.verdict
-    (0.5, 'good')
+    (0.5, 'caution')
     """
     if not any(trial.role == "fit" for trial in trials):
         raise UsageError("there is no trial to fit")
