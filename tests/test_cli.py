@@ -146,7 +146,7 @@ def test_schemas_are_json_schema(swimid: Run, name: str) -> None:
         ("fit-drag", "rig/trials.yaml"),
         ("rwls", "longfin/longfin_marching.csv", "--input=cmd1_rad", "--output=u_m_s", "--na=2", "--nb=1"),
         ("import", "camera/polled.csv", "--guess"),
-        ("compare", "gap/trials.yaml", "--params=gap/params.yaml"),
+        pytest.param(("compare", "gap/trials.yaml", "--params=gap/params.yaml"), marks=pytest.mark.slow),
         ("simulate", "--params=gap/params.yaml", "--frequency-hz=1", "--amplitude-deg=20", "--duration-s=2"),
         ("export", "gap/params.yaml", "--to=mjcf"),
         ("report", "gap/params.yaml"),

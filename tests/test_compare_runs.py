@@ -88,6 +88,7 @@ def test_wrong_use(tmp_path: Path, swimid: Run) -> None:
     assert "absent.yaml" in ran.err
 
 
+@pytest.mark.slow
 def test_runs_that_differ_in_inputs_and_steps(tmp_path: Path, swimid: Run) -> None:
     (tmp_path / "logs").mkdir()
     archive.write_log(tmp_path / "logs/a.csv", 1)
