@@ -92,6 +92,19 @@ def test_tables_of_a_tracker_become_pose_and_joints(project, swimid: Run, films:
     assert "joint4_rad" in log.read(folder / path[1])
 
 
+def test_rate_of_a_film_with_another_number_of_frames_is_not_taken(project) -> None:
+    """A tracker may have seen every sixth frame: its table has fewer rows, and another rate."""
+
+    def write(lab: Path) -> None:
+        lab_folders.tracked(lab, films=True)
+        for table in lab.glob("*.csv"):
+            lines = table.read_text().splitlines(keepends=True)
+            table.write_text("".join(lines[:3] + lines[3::6]))
+
+    _, found = project(write, "--robot", "tfish")
+    assert "plan.yaml" in [one["file"] for one in found["questions"]]
+
+
 @pytest.mark.slow
 def test_chain_of_a_body_without_a_robot(project, swimid: Run) -> None:
     folder, _ = project(lab_folders.tracked)

@@ -204,6 +204,18 @@ def test_the_measured_values_of_a_tracked_film_are_fitted(swimid: Run, tmp_path:
         log = pd.read_csv(path)
         log["x_raw_m"] = log["x_m"]
         log["x_m"] = log["x_m"].rolling(9, center=True, min_periods=1).mean()
-        log.to_csv(path, index=False, float_format="%.7f")
+        text = log.to_csv(index=False, float_format="%.7f")
+        path.write_text(f"# made_by: swimid track video\n{text}")
     tracked = swimid("fit-drag", trials, "--json").json["result"]
     assert tracked["parameters"] == plain["parameters"]
+
+
+def test_a_column_of_the_same_name_in_another_log_is_not_fitted(swimid: Run, tmp_path: Path) -> None:
+    """A raw reading in millimetres that a laboratory keeps beside its positions."""
+    trials = generator.write_falls(tmp_path, np.random.default_rng(3), noise_m=5e-4, held_out=(20,))
+    plain = swimid("fit-drag", trials, "--json").json["result"]
+    for path in tmp_path.glob("*.csv"):
+        log = pd.read_csv(path)
+        log["x_raw_m"] = 1000 * log["x_m"]
+        log.to_csv(path, index=False, float_format="%.7f")
+    assert swimid("fit-drag", trials, "--json").json["result"]["parameters"] == plain["parameters"]

@@ -92,8 +92,8 @@ def read_log(
 ) -> Log:
     """Read the log of a trial, cut it to the interval in the trials file, and blank repeated positions.
 
-    Positions and angles of a tracked film are those measured in the frames, not the smoothed ones. The errors
-    of smoothed values are smaller and extend over many frames, which no noise model of a fit describes.
+    Positions and angles of a log of ``track video`` are those measured in the frames, not the smoothed ones.
+    The errors of smoothed values extend over many frames, which no noise model of a fit describes.
     """
     pose = [name for name in (*required, *optional) if name in (*POSITIONS, *ANGLES)]
     measured = {name: re.sub(r"_(m|rad)$", r"_raw_\1", name) for name in pose}
@@ -103,7 +103,9 @@ def read_log(
     else:
         log = log_format.read(folder / entry.log, required=required, optional=optional)
     columns = {name: values for name, values in log.columns.items() if name not in measured.values()}
-    columns |= {name: log[raw] for name, raw in measured.items() if raw in log}
+    if log_format.written_by(log.metadata, "swimid track video"):
+        # In a log of another program a column of this name may have any meaning.
+        columns |= {name: log[raw] for name, raw in measured.items() if raw in log}
     log = _measured_anew(replace(log, columns=columns))
     if entry.start_s is None and entry.end_s is None:
         return log

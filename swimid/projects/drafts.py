@@ -33,6 +33,9 @@ from swimid.tracking.track_setup import SetupDraft, track_setup
 
 #: Folder of the run of the plan, in the project.
 RUN = "run"
+#: Maximum difference between the rows of a tracker's table and the frames of its film. Some containers state
+#: one or two frames more than they contain (:class:`swimid.tracking.frames.Video`).
+MAX_FRAME_DIFFERENCE = 2
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,8 @@ class Group:
         Frame rates of the films of which the recordings are tables.
     fitting : list of str
         Experiments that the trials file may state.
-    robot : str
-        Robot of the trials file, or ``ASK``.
+    experiment, robot : str
+        Experiment and robot of the trials file, or ``ASK``.
     """
 
     name: str
@@ -108,7 +111,8 @@ class Group:
     step: dict[str, Any] = field(default_factory=dict)
     rates_hz: dict[Path, float] = field(default_factory=dict)
     fitting: list[str] = field(default_factory=list)
-    robot: str = ""
+    experiment: str = ASK
+    robot: str = ASK
 
     @property
     def first(self) -> Recording:
@@ -180,7 +184,9 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
         film = _film_of(one, films)
         if film is not None:
             tracked.add(film.path)
-            rates[one.path] = film.rate_hz
+            # A table of a thinned copy of the film has another number of rows, and another rate.
+            if abs(one.rows - film.rows) <= MAX_FRAME_DIFFERENCE:
+                rates[one.path] = film.rate_hz
     for one in sorted(usable, key=lambda one: order.index(one.kind)):
         if one.path not in tracked:
             alone = one.path if one.kind in ("cruise", "choice") else None
@@ -210,8 +216,9 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
     for group in groups:
         DRAFTS[group.first.kind](project, group, progress)
     _add_plan(project)
+    logs = _logs_of(project)
     for group in groups:
-        _add_trials(project, group, notes)
+        _add_trials(project, group, [logs[one.path] for one in group.recordings], notes)
     fitting = {name for group in groups if group.robot == ASK for name in group.fitting} - {"arma"}
     if fitting:
         linked = [EXPERIMENTS[name].linked for name in fitting]
@@ -367,16 +374,17 @@ def _patterns(project: Project, group: Group) -> list[str]:
     return list(patterns)
 
 
-def logs_of(project: Project, group: Group) -> list[str]:
-    """Return the path of the log of each recording of a group, relative to the project."""
-    if not group.step:
-        return [project.relative(one.path) for one in group.recordings]
+def _logs_of(project: Project) -> dict[Path, str]:
+    """Return the path of the log of each recording, relative to the project."""
+    own = {one.path: project.relative(one.path) for group in project.groups for one in group.recordings}
     # Names of outputs do not depend on the command that makes a log, and no drafted file exists yet.
     items = [
         {"name": one.name, "files": _patterns(project, one), "steps": ["import"]}
         for one in project.groups
         if one.step
     ]
+    if not items:
+        return own
     content = {"format": "swimid-plan/1", "items": items}
     plan = resolve(project.folder / "plan.yaml", project.folder / RUN, content)
     made = {
@@ -384,15 +392,15 @@ def logs_of(project: Project, group: Group) -> list[str]:
         for item in plan.items
         for file in item.files
     }
-    return [made[project.relative(one.path)] for one in group.recordings]
+    return {path: made.get(name, name) for path, name in own.items()}
 
 
-def _add_trials(project: Project, group: Group, notes: list[Recording]) -> None:
-    """Add the trials file of a group."""
+def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Recording]) -> None:
+    """Add the trials file of a group, whose recordings have these logs."""
     fitting = group.experiments()
     metadata = [one.metadata for one in group.recordings]
     stated = {one.get("experiment") for one in metadata} - {None}
-    experiment: str = ASK
+    experiment = ASK
     if len(stated) == 1 and stated <= {*fitting}:
         experiment = str(stated.pop())
     elif project.experiment in fitting:
@@ -400,6 +408,7 @@ def _add_trials(project: Project, group: Group, notes: list[Recording]) -> None:
     elif fitting == ["cruise"]:
         experiment = "cruise"
     group.fitting = fitting if experiment == ASK else [experiment]
+    group.experiment = experiment
     robots = {one.get("robot") for one in metadata} - {None}
     robot = project.robot or (str(robots.pop()) if len(robots) == 1 else ASK)
     group.robot = robot
@@ -421,7 +430,7 @@ def _add_trials(project: Project, group: Group, notes: list[Recording]) -> None:
         asked = EXPERIMENTS[experiment].asked if experiment != ASK else {}
         if experiment == ASK:
             lines[-1:] = [f"#   {name}: {EXPERIMENTS[name].about}" for name in fitting] + ["trials:"]
-        for one, log, ident in zip(group.recordings, logs_of(project, group), _idents(group), strict=True):
+        for one, log, ident in zip(group.recordings, logs, _idents(group), strict=True):
             entry = {"id": ident, "log": log, **asked, **_keys_of(one, notes, experiment)}
             lines.append(f"  - {_flow(entry)}")
     project.files[f"{group.name}.trials.yaml"] = "\n".join(lines) + "\n"

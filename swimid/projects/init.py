@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections import Counter
 from dataclasses import dataclass
@@ -149,12 +148,10 @@ def _commands(project: Project) -> list[str]:
         commands.append(f"swimid batch plan.yaml -o {RUN}")
     for group in project.groups:
         trials = f"{group.name}.trials.yaml"
-        experiment = re.search(r"(?m)^experiment: ([\w-]+)", project.files[trials])
-        assert experiment is not None
-        if experiment[1] == ASK:
+        if group.experiment == ASK:
             fits = dict.fromkeys(EXPERIMENTS[name].command for name in group.fitting)
             commands.append(f"# state the experiment in {trials}, then take its command: {', '.join(fits)}")
-        fit = EXPERIMENTS[(group.fitting if experiment[1] == ASK else [experiment[1]])[0]].command
+        fit = EXPERIMENTS[group.fitting[0]].command
         model, results = f"{group.name}.yaml", f"{group.name}.yaml {group.name}.comparison.yaml"
         commands += [
             f"swimid {fit} {trials} -o {model}",

@@ -50,7 +50,7 @@ class Recording:
     rate_hz : float
         Frame rate that a film states; 0 if it states none.
     rows : int
-        Number of rows of a table.
+        Number of rows of a table, or of frames that a film states.
     has_times : bool
         Whether the rows of a table have times.
     profile : str
@@ -147,7 +147,7 @@ def _film(path: Path) -> Recording:
     about = f"{size}, {video.claimed} frames"
     if rate:
         about += f" at {rate:g} Hz"
-    return Recording(path, "film", about, ("film", size, rate), rate_hz=rate)
+    return Recording(path, "film", about, ("film", size, rate), rate_hz=rate, rows=video.claimed)
 
 
 def _table(path: Path) -> Recording:

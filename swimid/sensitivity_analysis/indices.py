@@ -146,7 +146,8 @@ def sobol(
     outputs = outputs - mean[:, None]
     part = np.repeat(np.arange(number), samples // number)[sound]
     found = _indices(outputs, groups)
-    half = stats.t.ppf(0.975, number - 1) * _jackknife_error(outputs, part, groups)
+    left = len(np.unique(part))
+    half = stats.t.ppf(0.975, left - 1) * _jackknife_error(outputs, part, groups)
     ends = np.stack([found - half, found + half], axis=1)
     left_out = samples - outputs.shape[-1]
     return Sobol(mean, sd, len(points), broken, left_out, *found, *ends)

@@ -27,7 +27,7 @@ def tracked(folder: Path, *, films: bool = False) -> None:
     """Write two tables of DeepLabCut of a fish, with or without their films."""
     folder.mkdir(parents=True)
     for seed in (1, 2):
-        made = point_films.film(seed=seed, frames=360)
+        made = point_films.film(seed=seed, frames=60 if films else 360)
         point_films.write_deeplabcut(made, folder / f"fish{seed}DLC_resnet50.csv")
         if films:
             archive.write_film(folder / f"fish{seed}.mp4", seed)
