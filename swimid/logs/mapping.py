@@ -30,12 +30,14 @@ from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
     KNOWN,
     UNITS,
+    UNSIGNED,
     Options,
     Table,
     canonical,
     is_text,
     open_table,
     quantity_of,
+    signed,
     states_quantity,
     unit_factor,
 )
@@ -55,7 +57,7 @@ MAX_INSTANCES = 16
 #: number instances (sensors, animals, tags).
 OF_TIME = re.compile(r".*(time|stamp|date|n?sec(ond)?s?|nanosec)", re.I)
 _INSTANCE = re.compile(
-    r"(.*[ _.])?(i|id|instance|instances|tag|track|individual|animal|sensor|marker|device)"
+    r"(.*[ _.])?(i|id|instances?|tag|track|individual|animal|sensor|marker|device|servo|motor|frame_id)"
 )
 #: Minimum likelihood of a tracked point. The coordinates of a point with a lower likelihood are left empty.
 #: The value is the default ``pcutoff`` of DeepLabCut.
@@ -98,14 +100,20 @@ class Time(yamlio.Document):
     #: Origin of the time: ``keep`` leaves the times as in the file, ``first`` counts the time from the first
     #: sample.
     origin: Literal["keep", "first"] = "keep"
+    #: Time that is added to the times of the file, s. With it alone, the file must state its times.
+    offset_s: float = 0.0
 
     @model_validator(mode="after")
     def _one_way(self) -> Time:
         if self.frame is None and self.rate_hz is not None and isinstance(self.source, str | int):
             self.frame, self.source = self.source, None
         given = (self.source is not None, self.frame is not None, self.rate_hz is not None)
-        if given not in ((True, False, False), (False, False, True), (False, True, True)):
-            raise ValueError("give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz'")
+        of_file = not any(given) and "offset_s" in self.model_fields_set
+        if given not in ((True, False, False), (False, False, True), (False, True, True)) and not of_file:
+            raise ValueError(
+                "give 'source' (a column), or 'rate_hz', or 'frame' and 'rate_hz', or, if the file states "
+                "its times, 'offset_s' alone"
+            )
         if isinstance(self.unit, list) and len(self.unit) != len(self.sources):
             raise ValueError(f"{len(self.unit)} units stand beside {len(self.sources)} sources")
         for unit in self.units_of_sources or [str(self.unit)]:
@@ -409,6 +417,10 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
     metadata = metadata_of(table.comments, path, strict=False)
     metadata |= {key: _short(value) for key, value in table.metadata.items()} | mapping.metadata
     columns = mapping.columns or _identity(table, path, metadata)
+    if mapping.profile is not None and TIME in table.columns:
+        mapping, columns = _with_own_times(mapping, columns, table, path)
+    if table.keys:
+        table = replace(table, columns=table.columns | table.keys)
     keys: list[str | int] = [column.source for column in columns]
     if mapping.time is not None:
         keys += mapping.time.sources
@@ -472,26 +484,25 @@ def _mapped(
 ) -> MappedLog:
     notes = list(table.notes)
     sources = {column.target: table.column(column.source, path) for column in columns}
-    columns = [_with_unit(column, table.units.get(sources[column.target]), notes) for column in columns]
+    columns = [_with_unit(column, table.units.get(sources[column.target]), path) for column in columns]
     time = _time(mapping, table, sources, path)
-    used: list[str] = []
+    used = [table.column(key, path) for key in mapping.where]
     if time is not None:
-        used = [table.column(key, path) for key in (*time.sources, *mapping.where)]
+        used += [table.column(key, path) for key in time.sources]
     rows = _same_length([*sources.values(), *used], table, path)
     found: dict[str, Array] = {}
     if time is not None:
         found[TIME] = seconds(table, time, rows, path, metadata, clock)
     for column in sorted(columns, key=lambda column: column.target != TIME):
-        values = _numbers(table, sources[column.target], mapping.reader.missing, path)
-        if values is None:
-            kind = "text" if is_text(table.columns[sources[column.target]]) else "dates"
-            raise InputError(f"holds {kind}, not numbers", file=path, column=sources[column.target])
-        found.setdefault(column.target, values * column.scale + column.offset)
+        values = _values(column, table, sources[column.target], mapping.reader.missing, path, notes)
+        found.setdefault(column.target, values)
     chosen = _chosen(table, mapping.where, rows, path)
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
     if there:
         text = f"its rows are those of {len(there)} instances in turn: {', '.join(there)}"
-        hint = f"choose one in the mapping: where: {{{by}: {there[0]}}}"
+        hint = f"choose one in the mapping: where: {{{by}: {there[0]}}}; 'join:' adds the columns of another"
+        if not mapping.columns:
+            hint = f"write a mapping with the lines 'as: {table.profile}' and {hint.partition(': ')[2]}"
         raise InputError(text, file=path, column=by, hint=hint)
     if not chosen.all():
         found = {name: values[chosen] for name, values in found.items()}
@@ -524,18 +535,45 @@ def _mapped(
     )
 
 
-def _with_unit(column: Column, stated: str | None, notes: list[str]) -> Column:
-    """Complete the mapping of a column by the unit that the file states, unless the mapping states one."""
+def _with_unit(column: Column, stated: str | None, path: Path) -> Column:
+    """Complete the mapping of a column by the unit that the file states; raise an error if they differ."""
     unit = canonical(stated or "")
     if unit not in UNITS.get(quantity_of(column.target) or "", {}):
         return column
     of_file = column.model_copy(update={"unit": unit})
-    if column.unit is None:
-        return of_file
-    if column.scale != of_file.scale:
-        text = f"the file states {unit} for '{column.source}', the mapping states {column.unit}"
-        notes.append(f"{text}: the mapping is believed")
-    return column
+    if column.unit is not None and column.scale != of_file.scale:
+        text = f"the file states {unit}, the mapping states {column.unit}"
+        hint = "leave 'unit' out, or, if the file is wrong, give a 'factor' in place of the unit"
+        raise InputError(text, file=path, column=str(column.source), hint=hint)
+    return of_file
+
+
+#: Maximum relative difference between a stated sample rate and that of the times in a file.
+RATE_RTOL = 0.01
+
+
+def _with_own_times(
+    mapping: Mapping, columns: list[Column], table: Table, path: Path
+) -> tuple[Mapping, list[Column]]:
+    """Return a mapping and its columns with the times that the file states, unless the mapping names others.
+
+    Raises
+    ------
+    InputError
+        The mapping states a rate that contradicts the times of the file.
+    """
+    time = mapping.time
+    if TIME in [c.target for c in mapping.columns] or (time is not None and time.sources):
+        return mapping, columns
+    rest = [column for column in columns if column.target != TIME]
+    if time is None:
+        return mapping, [Column(source=TIME, target=TIME), *rest]
+    rate, hz = table.scalars.get(str(time.rate_hz), time.rate_hz), 1 / usual_step(table.columns[TIME])
+    if rate is not None and not (isinstance(rate, float) and abs(rate / hz - 1) <= RATE_RTOL):
+        text = f"states its times, at {hz:.6g} Hz: a rate of {rate} Hz contradicts them"
+        raise InputError(text, file=path, hint="leave the rate out")
+    own = time.model_copy(update={"source": TIME, "rate_hz": None})
+    return mapping.model_copy(update={"time": own}), rest
 
 
 def _short(value: Any) -> Any:
@@ -577,11 +615,26 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
             text = f"states its times in {sources[TIME]}: a sample rate contradicts them"
             raise InputError(text, file=path, hint="leave the rate out")
         return None
-    if time is None:
+    if time is None or not (time.sources or time.rate_hz):
         hint = "add --rate-hz with the frames per second of the film, as in --rate-hz 30"
+        stamps = [name for name in table.columns if OF_TIME.fullmatch(name.strip())]
+        if stamps and not has_frames:
+            hint = (
+                f"name the column of the times in the mapping, as in time: {{source: {stamps[0]}, unit: ms}}"
+            )
         raise InputError("states neither times nor a frame rate", file=path, hint=hint)
     if has_frames and not time.sources:
-        time = time.model_copy(update={"frame": "frame"})
+        return time.model_copy(update={"frame": "frame"})
+    stated = [canonical(table.units.get(table.column(key, path), "")) for key in time.sources]
+    known = all(unit in UNITS["time"] for unit in stated) and time.frame is None and bool(stated)
+    if known and "unit" not in time.model_fields_set:
+        return time.model_copy(update={"unit": stated})
+    if known and [unit_factor(unit, TIME) for unit in time.units_of_sources] != [
+        UNITS["time"][u] for u in stated
+    ]:
+        text = f"the file states {', '.join(stated)} for the times, the mapping states {time.unit}"
+        hint = "leave 'unit' out of 'time:'"
+        raise InputError(text, file=path, column=str(time.sources[0]), hint=hint)
     return time
 
 
@@ -611,6 +664,21 @@ def _numbers(table: Table, name: str, missing: Sequence[float | str], path: Path
     numbers = values.astype(float, copy=False)
     marks = [mark for mark in missing if isinstance(mark, int | float)]
     return np.where(np.isin(numbers, marks), np.nan, numbers) if marks else numbers
+
+
+def _values(
+    column: Column, table: Table, name: str, missing: Sequence[float | str], path: Path, notes: list[str]
+) -> Array:
+    """Return the values of a target column, in SI units; raise an error for a column of text or dates."""
+    values = _numbers(table, name, missing, path)
+    if values is None:
+        kind = "text" if is_text(table.columns[name]) else "dates"
+        raise InputError(f"holds {kind}, not numbers", file=path, column=name)
+    if column.target != TIME:
+        values, bits = signed(values)
+        if bits:
+            notes.append(f"{UNSIGNED.format(bits)} in '{name}'")
+    return values * column.scale + column.offset
 
 
 def _contradicted(table: Table, name: str) -> list[str]:
@@ -813,7 +881,7 @@ def seconds(
         total += values * factor
     if time.origin == "first":
         metadata.setdefault("first_stamp_s", first)
-    return np.where(known, total, np.nan)
+    return np.where(known, total + time.offset_s, np.nan)
 
 
 def _frames(table: Table, name: str, path: Path) -> Array:

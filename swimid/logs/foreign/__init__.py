@@ -224,6 +224,8 @@ class Table:
         Line number of each row in the file, from 1; None for a file without lines.
     profile : str
         Name of the profile that read the file; empty without a profile.
+    keys : dict of str to ndarray, each shape (n,)
+        Columns that are no part of the log, by which ``where:`` of a mapping chooses rows.
     names : list of str
         Names of all columns in the file; empty if they are those of ``columns``.
     before : int
@@ -243,6 +245,7 @@ class Table:
     comments: list[str] = field(default_factory=list)
     lines: NDArray[np.int64] | None = None
     profile: str = ""
+    keys: dict[str, NDArray[Any]] = field(default_factory=dict)
     names: list[str] = field(default_factory=list)
     before: int = 0
     after: int = 0
@@ -268,7 +271,7 @@ class Table:
         InputError
             There is no such column. The message suggests the most similar name.
         """
-        names = self.names or list(self.columns)
+        names = [*(self.names or self.columns), *self.keys]
         if isinstance(key, str) and key in names:
             return key
         if isinstance(key, int) or key.isdecimal():
@@ -471,6 +474,36 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
         else:
             table.columns |= {f"{name}[{k}]": part for k, part in enumerate(matrix.T, start=1)}
     return table
+
+
+#: Text of a note on negative numbers that were written without a sign, by the number of bits.
+UNSIGNED = "unsigned integers of {} bits are read as negative numbers (two's complement)"
+
+
+def signed(values: Array) -> tuple[Array, int]:
+    """Return whole numbers with their sign, if they are negative numbers written as unsigned integers.
+
+    The second result is the number of bits, 16, 24 or 32, or 0 for any other column. In two's complement,
+    small negative numbers are just below a power of two, and no number is near half of it. To distinguish
+    them from single wrong values, the steps through zero must not exceed twice the steps elsewhere, or twice
+    the range on the side of zero with the smaller range.
+
+    >>> signed(np.array([4.0, 1.0, 65534.0, 65531.0]))
+    (array([ 4.,  1., -2., -5.]), 16)
+    >>> signed(np.array([50000.0, 51000.0, 0.0, 52000.0]))[1]
+    0
+    """
+    top = np.max(values, initial=0.0, where=np.isfinite(values))
+    bits = next((n for n in (16, 24, 32) if 0.75 * 2**n <= top < 2**n), 0)
+    found = np.where(values >= 2.0 ** (bits - 1), values - 2.0**bits, values)
+    known = found[np.isfinite(found)]
+    if not bits or np.nanmin(values) < 0 or np.any(known % 1) or np.abs(known).max() >= 2.0 ** (bits - 2):
+        return values, 0
+    low, steps, crosses = known.min(), np.abs(np.diff(known)), np.diff(known < 0)
+    usual = max(steps.max(initial=0.0, where=~crosses), min(known.max(), -low))
+    if low == -1 or not crosses.any() or steps[crosses].max() > 2 * usual:
+        return values, 0
+    return found, bits
 
 
 # ---------------------------------------------------------------- help for profiles
