@@ -26,7 +26,10 @@ from swimid.files import tabular
 
 
 def sha256(path: str | Path) -> str:
-    """Return the SHA-256 of the content of a file in hexadecimal digits."""
+    """Return the SHA-256 of the content of a file, or of the files in a folder, in hexadecimal digits."""
+    if Path(path).is_dir():
+        files = sorted(file for file in Path(path).iterdir() if file.is_file())
+        return next(iter(digest_together(path, files).values()))
     with file_errors(path), Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

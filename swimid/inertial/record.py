@@ -23,6 +23,8 @@ from swimid.files.provenance import path_of
 from swimid.files.tabular import missing_column
 from swimid.inertial.options import TrackImuOptions
 from swimid.logs import log, mapping, tracks
+from swimid.logs.clocks import BAND as BAND
+from swimid.logs.clocks import resampled as resampled
 from swimid.logs.kinematics import angles, from_angles, with_angles
 from swimid.logs.log import Log, runs
 from swimid.logs.sampling import usual_step
@@ -104,11 +106,6 @@ class Finding:
     text: str
     #: Number of affected samples; 0 if the fault does not concern single samples.
     count: int = 0
-
-
-def resampled(at_s: Array, time_s: Array, values: Array) -> Array:
-    """Return columns, shape (n, k), interpolated linearly from times ``time_s`` to ``at_s``, shape (m, k)."""
-    return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 
 def rotations(quaternion: Array) -> Rotation:
@@ -302,8 +299,6 @@ def integral(time_s: Array, values: Array, start: Any = 0.0) -> Array:
 #: Conversion factors of units: 1 mg (milli-g) in m/s^2, and 1 degree in rad.
 MILLI_G = 1e-3 * GRAVITY_M_S2
 DEG = np.pi / 180
-#: Half-width of a 95 % interval, in standard deviations.
-BAND = 1.96
 
 
 @dataclass(frozen=True)

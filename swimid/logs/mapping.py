@@ -30,7 +30,6 @@ from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
     KNOWN,
     UNITS,
-    UNSIGNED,
     Options,
     Table,
     canonical,
@@ -675,9 +674,7 @@ def _values(
         kind = "text" if is_text(table.columns[name]) else "dates"
         raise InputError(f"holds {kind}, not numbers", file=path, column=name)
     if column.target != TIME:
-        values, bits = signed(values)
-        if bits:
-            notes.append(f"{UNSIGNED.format(bits)} in '{name}'")
+        values = signed(values, name, notes)
     return values * column.scale + column.offset
 
 

@@ -178,6 +178,8 @@ def unit_factor(unit: str, column: str) -> float:
 
 # ---------------------------------------------------------------- tables
 
+#: Name of the file that describes a bag of ROS 2, in the folder of the bag.
+BAG_INFORMATION = "metadata.yaml"
 #: Maximum length of a list in a record whose elements become columns of a table. Longer lists are left out.
 MAX_ELEMENTS = 100
 
@@ -303,9 +305,16 @@ class Peek:
         Raises
         ------
         InputError
-            The file cannot be read.
+            The file cannot be read, or is a folder that is no bag of ROS 2.
         """
-        with file_errors(path), path.open("rb") as stream:
+        file = path
+        if path.is_dir():
+            file = path / BAG_INFORMATION
+            if not file.is_file():
+                names = ", ".join(sorted(one.name for one in path.iterdir())[:8])
+                hint = f"name a file in it: {names or 'it is empty'}"
+                raise InputError("is a folder, and no bag of ROS 2", file=path, hint=hint)
+        with file_errors(path), file.open("rb") as stream:
             return cls(path, stream.read(1 << 14))
 
     @cached_property
@@ -476,34 +485,31 @@ def of_tree(content: Any, select: str | None, path: Path, parts: Callable[[Any],
     return table
 
 
-#: Text of a note on negative numbers that were written without a sign, by the number of bits.
-UNSIGNED = "unsigned integers of {} bits are read as negative numbers (two's complement)"
-
-
-def signed(values: Array) -> tuple[Array, int]:
+def signed(values: Array, name: str, notes: list[str]) -> Array:
     """Return whole numbers with their sign, if they are negative numbers written as unsigned integers.
 
-    The second result is the number of bits, 16, 24 or 32, or 0 for any other column. In two's complement,
-    small negative numbers are just below a power of two, and no number is near half of it. To distinguish
-    them from single wrong values, the steps through zero must not exceed twice the steps elsewhere, or twice
-    the range on the side of zero with the smaller range.
+    A note on the column ``name`` is appended to ``notes``; any other column is returned unchanged. In two's
+    complement of 16, 24 or 32 bits, small negative numbers are just below a power of two, and no number is
+    near half of it. To distinguish them from single wrong values, the steps through zero must not exceed
+    twice the steps elsewhere, or twice the range on the side of zero with the smaller range.
 
-    >>> signed(np.array([4.0, 1.0, 65534.0, 65531.0]))
-    (array([ 4.,  1., -2., -5.]), 16)
-    >>> signed(np.array([50000.0, 51000.0, 0.0, 52000.0]))[1]
-    0
+    >>> signed(np.array([4.0, 1.0, 65534.0, 65531.0]), "speed", [])
+    array([ 4.,  1., -2., -5.])
+    >>> signed(np.array([50000.0, 51000.0, 0.0, 52000.0]), "pressure", [])
+    array([50000., 51000.,     0., 52000.])
     """
     top = np.max(values, initial=0.0, where=np.isfinite(values))
     bits = next((n for n in (16, 24, 32) if 0.75 * 2**n <= top < 2**n), 0)
     found = np.where(values >= 2.0 ** (bits - 1), values - 2.0**bits, values)
     known = found[np.isfinite(found)]
     if not bits or np.nanmin(values) < 0 or np.any(known % 1) or np.abs(known).max() >= 2.0 ** (bits - 2):
-        return values, 0
+        return values
     low, steps, crosses = known.min(), np.abs(np.diff(known)), np.diff(known < 0)
     usual = max(steps.max(initial=0.0, where=~crosses), min(known.max(), -low))
     if low == -1 or not crosses.any() or steps[crosses].max() > 2 * usual:
-        return values, 0
-    return found, bits
+        return values
+    notes.append(f"unsigned integers of {bits} bits in '{name}' are read as negative (two's complement)")
+    return found
 
 
 # ---------------------------------------------------------------- help for profiles
@@ -697,7 +703,10 @@ def find_format(path: Path, name: str | None) -> Format:
         fits = one in begins or not one.magic
         if name is not None and one.recognises is not None and fits and one.recognises(peek):
             return one
-    plain = [one for one in [*begins, *ends] if one.recognises is None]
+    both = [one for one in begins if one in ends]
+    # A ZIP archive may be of any format, so that its ending decides.
+    begins = [one for one in begins if one in ends or not peek.head.startswith(b"PK")]
+    plain = [one for one in [*both, *begins, *ends] if one.recognises is None]
     return [*plain, known["delimited"]][0]
 
 

@@ -1,19 +1,23 @@
-"""Reader of ArduPilot logs: text logs (``FMT`` lines, then messages), or CSV of one message type.
+"""Readers of ArduPilot logs: DataFlash (text, ``.bin``), CSV of one message type, and MAVLink (``.tlog``).
 
-A message is a line such as ``IMU, 1234, 0, ...``. If a log has several instances of a sensor, one is read.
-Units are those of the log messages of ArduPilot. Axes forward, right, down are converted to forward, left,
-up.
+The library pymavlink reads binary logs. In a text log a message is a line such as ``IMU, 1234, 0, ...``. If a
+log has several instances of a sensor, one is read. Units are those of the log messages of ArduPilot, or those
+that MAVLink defines. Latitude and longitude become metres. Axes forward, right, down are converted to
+forward, left, up.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from swimid.errors import InputError
+from swimid.logs import foreign
 from swimid.logs.foreign import Format, Options, Peek, Table, axes, choose, is_text, open_table, renamed, rows
+from swimid.logs.foreign.gps import east_north
 from swimid.logs.kinematics import from_frd, with_angles
 from swimid.logs.log import TIME
 
@@ -28,24 +32,78 @@ FIELDS: dict[str, str] = {
     **axes("V{}", "v{}_m_s", "NED", "xyz"),
     **axes("Q{}", "q{}", "1234", "wxyz"),
 }
+#: Column of the log for each field of a message of MAVLink.
+MAVLINK: dict[str, str] = {
+    **axes("{}gyro", "w{}_rad_s"),
+    **axes("{}acc", "a{}_m_s2"),
+    **axes("{}mag", "m{}_T"),
+    **{angle: f"{angle}_rad" for angle in ("roll", "pitch", "yaw")},
+    **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), ("wx_rad_s", "wy_rad_s", "wz_rad_s"), strict=True)),
+    **axes("{}", "{}_m"),
+    **axes("v{}", "v{}_m_s"),
+    **axes("q{}", "q{}", "1234", "wxyz"),
+}
 #: Factors from the units of ArduPilot to SI (degrees to radians, milligauss to tesla), by the ending of the
-#: log column.
+#: log column, and from the units that MAVLink states.
 FACTORS = {"_rad": np.pi / 180, "_T": 1e-7}
+STATED = {"mG": 9.80665e-3, "mrad/s": 1e-3, "mgauss": 1e-7, "gauss": 1e-4, "cm/s": 1e-2}
+#: Fields that state the time, with their factor to seconds. The first that a message has is used.
+_TIMES = {"TimeUS": 1e-6, "time_boot_ms": 1e-3, "time_usec": 1e-6}
+#: Fields of latitude and longitude, with the factor to degrees.
+_PLACES = {("Lat", "Lng"): 1.0, ("lat", "lon"): 1e-7}
+#: Fields that number the instances of a sensor.
+_INSTANCES = ("I", "C", "Instance", "id")
+#: First bytes of a binary DataFlash log, and bytes with which a message of MAVLink begins, after its time.
+MAGIC, _MARKS = b"\xa3\x95", (b"\xfe", b"\xfd")
+
+
+def _is_binary(peek: Peek) -> bool:
+    is_mavlink = peek.path.suffix.lower() == ".tlog" and peek.head[8:9] in _MARKS
+    return is_mavlink or peek.head.startswith(MAGIC)
+
+
+def _open_binary(path: Path, options: Options, select: str | None) -> Table:
+    """Return a table of the messages of one type in a binary log, with the names and units of the log."""
+    from pymavlink import DFReader, mavutil
+
+    opened = DFReader.DFReader_binary if Peek.of(path).head.startswith(MAGIC) else mavutil.mavlogfile
+    log = opened(str(path))
+    messages: dict[str, list[Any]] = {}
+    while (message := log.recv_match(type=select)) is not None:
+        messages.setdefault(message.get_type(), []).append(message)
+    known = {name for name, (one, *_) in messages.items() if _has_quantity(one.to_dict())}
+    kind = choose(select, [name for name in messages if select or name in known], "message type", path)
+    records = [dict(foreign.flat(one.to_dict())) | {"recorded_s": one._timestamp} for one in messages[kind]]
+    units = getattr(messages[kind][0], "fieldunits_by_name", {})
+    return Table(foreign.of_records(records), units=units, metadata={"type": kind})
+
+
+def _has_quantity(fields: dict[str, Any]) -> bool:
+    """Return whether a message has a time, and a field of a known quantity."""
+    places = {name for names in _PLACES for name in names}
+    return bool({*_TIMES} & {*fields}) and bool({*FIELDS, *MAVLINK, *places} & {*fields})
+
+
+BINARY = Format(
+    "mavlink", "binary log of ArduPilot or MAVLink", _open_binary, None, (".bin",), (MAGIC,), "mavlink"
+)
 
 
 def _recognises(peek: Peek) -> bool:
     types = {line.split(",")[0].strip() for line in peek.lines[:50]}
-    return "TimeUS" in peek.header or ("FMT" in types and b"TimeUS" in peek.head)
+    return "TimeUS" in peek.header or ("FMT" in types and b"TimeUS" in peek.head) or _is_binary(peek)
 
 
 def _read(path: Path, options: Options, select: str | None) -> Table:
     kind, _, instance = (select or "").rstrip("]").partition("[")
-    header = Peek.of(path).header
-    if header[0] == "FMT" or "TimeUS" not in header:
+    peek = Peek.of(path)
+    if _is_binary(peek):
+        table = open_table(path, kind="mavlink", select=kind or None)
+    elif peek.header[0] == "FMT" or "TimeUS" not in peek.header:
         table = _messages(path, kind or None)
     else:
         table, instance = open_table(path), instance or kind
-    by = next((name for name in ("I", "C", "Instance") if name in table.columns), None)
+    by = next((name for name in _INSTANCES if name in table.columns), None)
     if by is not None and not is_text(table.columns[by]):
         there = [f"{value:g}" for value in np.unique(table.columns[by])]
         taken = choose(instance or there[0], there, "instance", path)
@@ -57,15 +115,22 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
             note = f"instance {taken} of {', '.join(there)} is taken (another one: --select {other})"
             table.notes.append(note)
     columns = renamed(table, FIELDS)
-    if not columns:
-        hint = f"a mapping says what they are; known fields: {', '.join(FIELDS)}"
-        raise InputError("has no field of a known quantity", file=path, hint=hint)
     for name in columns:
         columns[name] *= next((f for ending, f in FACTORS.items() if name.endswith(ending)), 1.0)
-        if "yaw" in name:
-            columns[name] = np.unwrap(columns[name])
-    time_s = table.columns["TimeUS"].astype(float) * 1e-6
-    return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))})
+    stated = {MAVLINK[name]: STATED.get(unit, 1.0) for name, unit in table.units.items() if name in MAVLINK}
+    columns |= {name: values * stated.get(name, 1.0) for name, values in renamed(table, MAVLINK).items()}
+    columns |= {name: np.unwrap(values) for name, values in columns.items() if "yaw" in name}
+    for (lat, lon), factor in _PLACES.items():
+        if lat in table.columns:
+            place, origin = east_north(*(factor * table.columns[name].astype(float) for name in (lat, lon)))
+            columns |= {"x_m": place["y_m"], "y_m": place["x_m"]}
+            table.metadata |= origin
+    time = next((name for name in _TIMES if name in table.columns), None)
+    if not columns or time is None:
+        hint = f"a mapping says what they are; known fields: {', '.join([*FIELDS, *MAVLINK])}"
+        raise InputError("has no time and field of a known quantity", file=path, hint=hint)
+    time_s = table.columns[time].astype(float) * _TIMES[time]
+    return replace(table, columns={TIME: time_s, **with_angles(from_frd(columns))}, units={})
 
 
 def _messages(path: Path, kind: str | None) -> Table:
@@ -92,4 +157,4 @@ def _messages(path: Path, kind: str | None) -> Table:
     return Table(columns, metadata={"type": kind}, notes=notes, lines=frame.index.to_numpy())
 
 
-PROFILE = Format("ardupilot", "log of ArduPilot", _read, _recognises)
+PROFILE = Format("ardupilot", "log of ArduPilot or MAVLink", _read, _recognises)

@@ -3,9 +3,9 @@
 An example of a column name is Present Position. Servos of the series X and MX have 4096 ticks per rotation,
 and the position 2048 is the angle 0. AX servos and the XL-320 have 1024 ticks in 300 degrees, and the angle 0
 is 512. Positions that fit both are refused, unless the format is named. Velocities have the unit 0.229
-rev/min (X series). Speeds of AX servos have the unit 0.111 rev/min, and values from 1024 on are clockwise
-(ROBOTIS e-Manual). The present position is the joint angle, and the goal position is the command. A number in
-the name of a column is the number of the servo. A column ID numbers servos whose rows alternate.
+rev/min (X series; ROBOTIS e-Manual). The present position is the joint angle, and the goal position is the
+command. A number in the name of a column is the number of the servo. A column ID numbers servos whose rows
+alternate.
 """
 
 from __future__ import annotations
@@ -19,24 +19,13 @@ import numpy as np
 
 from swimid.errors import InputError
 from swimid.logs import mapping
-from swimid.logs.foreign import (
-    UNITS,
-    UNSIGNED,
-    Array,
-    Format,
-    Options,
-    Peek,
-    Table,
-    canonical,
-    is_text,
-    open_table,
-    signed,
-)
+from swimid.logs.foreign import UNITS, Array, Format, Options, Peek, Table, canonical, is_text, open_table
+from swimid.logs.foreign import signed as with_sign
 from swimid.logs.log import TIME
 
 _FIELD = re.compile(
     r"(dxl|id|servo|motor|joint)?[ _]*\d*[ _:.-]*(?P<what>present|goal)[ _]*"
-    r"(?P<which>position|velocity|speed)"
+    r"(?P<which>position|velocity)"
     r"[ _\[(#id]*\d*[\])]?",
     re.I,
 )
@@ -72,26 +61,14 @@ def _read(path: Path, options: Options, select: str | None, device: str = "") ->
         ticks = table.columns[name].astype(float)
         stem = {"present": "joint", "goal": "cmd"}[hit["what"].lower()]
         joint = f"{stem}{numbers.index(servos[name]) + 1}"
-        if hit["which"].lower() == "speed":
-            if device == "ax":
-                columns[f"{joint}_rad_s"] = np.where(ticks < 1024, ticks, 1024 - ticks) * 0.111 * _RPM
-            continue
-        ticks, bits = _with_sign(ticks)
-        if bits:
-            notes.append(f"{UNSIGNED.format(bits)} in '{name}'")
+        # No value of a servo exceeds 2^31: it is a negative number of four bytes.
+        ticks = with_sign(np.where(ticks >= 2.0**31, ticks - 2.0**32, ticks), name, notes)
         if hit["which"].lower() == "velocity":
-            columns[f"{joint}_rad_s"] = ticks * 0.229 * _RPM
+            columns[f"{joint}_rad_s"] = ticks * 0.229 * UNITS["turn rate"]["rpm"]
         else:
             columns[f"{joint}_rad"] = _angle(ticks, device, path, name)
     keys = {name: values for name, values in table.columns.items() if _ID.fullmatch(name.strip())}
     return replace(table, columns=columns, metadata={"servos": numbers}, units={}, keys=keys, notes=notes)
-
-
-def _with_sign(ticks: Array) -> tuple[Array, int]:
-    """Return values of a servo with their sign, as :func:`signed`. No value of a servo exceeds 2^31."""
-    if ticks.min(initial=2.0**32, where=np.isfinite(ticks)) >= 2.0**31:
-        return ticks - 2.0**32, 32
-    return signed(ticks)
 
 
 def _angle(ticks: Array, device: str, path: Path, name: str) -> Array:
@@ -107,7 +84,6 @@ def _angle(ticks: Array, device: str, path: Path, name: str) -> Array:
     return (ticks - 2048) * 2 * np.pi / 4096
 
 
-_RPM = UNITS["turn rate"]["rpm"]
 TITLE = "log of Dynamixel servos"
 PROFILE = Format("dynamixel", TITLE, _read, _recognises)
 X = Format("dynamixel-x", f"{TITLE} of the series X or MX", partial(_read, device="x"), lambda peek: False)

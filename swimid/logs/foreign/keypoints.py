@@ -1,9 +1,10 @@
-"""Readers of tracked points in images: tables of DeepLabCut and Anipose, and analysis files of SLEAP.
+"""Readers of tracked points in images: tables of DeepLabCut and Anipose, and files of SLEAP.
 
 A table of DeepLabCut (CSV, HDF5) has one row per frame, and x, y and likelihood of each body part. The levels
 of its column header are scorer, (individuals,) bodyparts and coords. SLEAP writes HDF5 (array ``tracks`` with
-axes tracks, x and y, nodes, frames) and CSV (``node.x``, ``node.y``). In the files, coordinates are pixels
-from the upper left corner, with y down. They are converted to y up. Neither format states a frame rate.
+axes tracks, x and y, nodes, frames), CSV (``node.x``, ``node.y``), and projects (``.slp``). In the files,
+coordinates are pixels from the upper left corner, with y down. They are converted to y up. Neither format
+states a frame rate.
 
 Anipose writes x, y and z of points that several cameras see (CSV). The unit is that of its calibration board,
 and the axes are those of its calibration. The file states neither.
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swimid.errors import InputError
+from swimid.errors import InputError, extra_needed
 from swimid.logs.foreign import (
     Array,
     Format,
@@ -119,11 +120,42 @@ def _read_anipose(path: Path, options: Options, select: str | None) -> Table:
 
 def _is_sleap(peek: Peek) -> bool:
     cells = {hit[1] for name in peek.header if (hit := _CELL.fullmatch(name))}
-    return ("frame_idx" in peek.header and {"x", "y"} <= cells) or peek.holds("tracks", "node_names")
+    return (
+        ("frame_idx" in peek.header and {"x", "y"} <= cells)
+        or peek.holds("tracks", "node_names")
+        or peek.holds(*_PROJECT)
+    )
 
 
 def _read_sleap(path: Path, options: Options, select: str | None) -> Table:
-    return _of_text(path, select) if Peek.of(path).lines else _of_hdf5(path, select)
+    peek = Peek.of(path)
+    if peek.lines:
+        return _of_text(path, select)
+    return _of_project(path, select) if peek.holds(*_PROJECT) else _of_hdf5(path, select)
+
+
+#: Data sets of a project of SLEAP (``.slp``) that hold its points.
+_PROJECT = ("metadata", "frames", "instances", "points", "pred_points")
+
+
+def _of_project(path: Path, select: str | None) -> Table:
+    with extra_needed("reading a project of SLEAP", "sleap", file=path):
+        from sleap_io import load_slp
+    labels = load_slp(str(path), open_videos=False)
+    if len(labels.videos) > 1:
+        hint = "save one project for each video"
+        raise InputError(f"holds the points of {len(labels.videos)} videos", file=path, hint=hint)
+    tracks = [track.name for track in labels.tracks] or ["1"]
+    cells = labels.numpy(return_confidence=True)
+    at = tracks.index(choose(select, tracks, "track", path))
+    if cells.shape[1] != len(tracks):
+        hint = "give each individual a track in SLEAP, and save the project"
+        raise InputError("has several individuals without a track", file=path, hint=hint)
+    nodes, names = labels.skeleton.node_names, ("x", "y", "score")
+    found = {
+        f"{node}.{name}": cells[:, at, k, j] for k, node in enumerate(nodes) for j, name in enumerate(names)
+    }
+    return Table({"frame": np.arange(len(cells), dtype=float), **points(found)})
 
 
 def _of_text(path: Path, select: str | None) -> Table:
@@ -166,4 +198,4 @@ def _of_hdf5(path: Path, select: str | None) -> Table:
 
 DEEPLABCUT = Format("deeplabcut", "table of DeepLabCut", _read_deeplabcut, _is_deeplabcut, extra="deeplabcut")
 ANIPOSE = Format("anipose", "table of Anipose", _read_anipose, _is_anipose)
-SLEAP = Format("sleap", "analysis file of SLEAP", _read_sleap, _is_sleap, extra="hdf5")
+SLEAP = Format("sleap", "file of SLEAP", _read_sleap, _is_sleap, extra="hdf5")

@@ -6,8 +6,10 @@ belongs to one quantity only. Otherwise it keeps its name and its values, and a 
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -36,11 +38,62 @@ _SEPARATORS = {"Tab": "\t", "Comma": ","}
 _TIME_NAME = re.compile(r"(.*[ _])?(t|time)", re.I)
 
 
-def _clock(columns: dict[str, Array], rows: int) -> dict[str, Array]:
-    """Return the columns of a file, with row numbers if it states no times."""
-    if TIME in columns:
-        return columns
-    return {"frame": np.arange(rows, dtype=float), **columns}
+def _timed(
+    columns: dict[str, Array], clocks: dict[str, tuple[float, float]], metadata: dict[str, Any], path: Path
+) -> Table:
+    """Return the table of channels at their common times; with row numbers if the file states no times.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, each shape (n,)
+        Channels, and perhaps their times. The lengths of the channels may differ.
+    clocks : dict of str to (float, float)
+        Time of the first sample and interval of each channel, s. Channels without a clock are kept.
+
+    Raises
+    ------
+    InputError
+        The intervals differ, or the channels have no time in common.
+    """
+    if TIME in columns or not clocks:
+        rows = np.arange(len(next(iter(columns.values()))), dtype=float)
+        return Table({**({} if TIME in columns else {"frame": rows}), **columns}, metadata=metadata)
+    starts, steps = (np.array(values) for values in zip(*clocks.values(), strict=True))
+    if np.ptp(steps) > 1e-9 * steps[0]:
+        text = f"channels have different times: intervals {', '.join(f'{step:g} s' for step in {*steps})}"
+        raise InputError(text, file=path, hint="write channels of one rate to one group")
+    # Count the first and the last sample of each channel in samples from the first one of the first channel.
+    first = (starts - starts[0]) / steps[0]
+    counts = np.array([len(columns[name]) for name in clocks])
+    at = np.arange(np.ceil(first.max() - 1e-6), np.floor((first + counts).min() + 1e-6))
+    if len(at) < 2:
+        text = (
+            f"channels have no time in common: they start at {', '.join(f'{start:g} s' for start in starts)}"
+        )
+        raise InputError(text, file=path, hint="record them at the same time")
+    for name, lead, count in zip(clocks, first, counts, strict=True):
+        if lead or count != len(at):
+            columns[name] = np.interp(at, lead + np.arange(count), columns[name])
+    notes = []
+    if np.ptp(first):
+        metadata |= {"channels_start_s": {name: start for name, (start, _) in clocks.items()}}
+    if np.abs(first - np.round(first)).max() > 1e-3:
+        notes.append("channels start between the samples of others, and are interpolated")
+    if np.ptp(counts):
+        notes.append(f"channels have different numbers of samples; the {len(at)} in common are taken")
+    return Table({TIME: starts[0] + steps[0] * at, **columns}, metadata=metadata, notes=notes)
+
+
+def _seconds(stamps: Array) -> Array:
+    """Return the times from the first one to each, s; 0 where they are unknown (NaT)."""
+    return np.nan_to_num((stamps - stamps[0]) / np.timedelta64(1, "s"))
+
+
+def _epoch(stamps: Any) -> dict[str, Any]:
+    """Return the metadata with the first time, s since 1970; empty if it is unknown (NaT)."""
+    if len(stamps) == 0 or np.isnat(stamps[0]):
+        return {}
+    return {"first_stamp_s": float(stamps[0].astype("datetime64[ns]").astype(np.int64)) * 1e-9}
 
 
 # ---------------------------------------------------------------- LVM
@@ -84,16 +137,25 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
         hint = "write the file with one column of x values (or none)"
         raise InputError("has a column of x values for each channel", file=path, hint=hint)
     columns: dict[str, Array] = {}
-    if stated("X_Dimension", 0) in ("Time", ""):
-        if form == "One":
-            columns[TIME] = values[:, 0]
-        elif stated("Delta_X", 0):
-            start, step = (float(stated(key, 0).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
-            columns[TIME] = start + step * np.arange(len(values), dtype=float)
+    clocks: dict[str, tuple[float, float]] = {}
+    in_time, channels = stated("X_Dimension", 0) in ("Time", ""), range(len(names) - 1)
+    stamps = np.array([_date(stated("Date", k), stated("Time", k), decimal) for k in channels])
     for at, name in enumerate(unique(names[1:])):
-        column, converted = in_si(name, stated("Y_Unit_Label", at), values[:, at + 1])
-        columns[column] = converted
-    return Table(_clock(columns, len(values)), lines=rows)
+        column, columns[column] = in_si(name, stated("Y_Unit_Label", at), values[:, at + 1])
+        start, step = (float(stated(key, at).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
+        if in_time and step > 0:
+            clocks[column] = start + _seconds(stamps)[at], step
+    if in_time and form == "One" and len(set(clocks.values())) < 2:
+        columns = {TIME: values[:, 0], **columns}
+    table = _timed(columns, clocks, _epoch(stamps), path)
+    return replace(table, lines=rows[: len(next(iter(table.columns.values())))])
+
+
+def _date(day: str, time: str, decimal: str) -> Any:
+    """Return the date and time of day of a channel (``2019/07/22``, ``17:18:18.938945``), or NaT."""
+    with contextlib.suppress(ValueError):
+        return np.datetime64(f"{day.replace('/', '-')}T{time.replace(decimal, '.')[:18]}", "ns")
+    return np.datetime64("NaT", "ns")
 
 
 LVM = Format("lvm", "LabVIEW measurement file", _read_lvm, _is_lvm)
@@ -117,48 +179,27 @@ def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     groups = {group.name: [c for c in group.channels() if len(c)] for group in file.groups()}
     there = [name for name, channels in groups.items() if channels]
     name = choose(select, there, "group", path)
+    channels, keys = groups[name], ("wf_increment", "wf_start_offset")
     columns: dict[str, Array] = {}
-    names = unique(channel.name for channel in groups[name])
-    for shown, channel in zip(names, groups[name], strict=True):
-        unit = str(channel.properties.get("unit_string", ""))
-        values = channel[:]
-        if values.dtype.kind == "M":
-            nanoseconds = values.astype("datetime64[ns]").astype(np.int64)
-            columns.setdefault(TIME, (nanoseconds - nanoseconds[0]) * 1e-9)
-        elif (
-            values.dtype.kind in "iufb"
-            and _TIME_NAME.fullmatch(channel.name)
-            and canonical(unit) in UNITS["time"]
-        ):
-            columns[TIME] = values.astype(float) * UNITS["time"][canonical(unit)]
-        elif values.dtype.kind in "iufb":
-            column, converted = in_si(shown, unit, values.astype(float))
-            columns[column] = converted
-    if TIME not in columns:
-        columns = _waveform_times(groups[name], path) | columns
+    clocks: dict[str, tuple[float, float]] = {}
     metadata = {str(key): value for key, value in file.properties.items() if isinstance(value, str)}
-    return Table(_clock(columns, len(groups[name][0])), metadata=metadata)
-
-
-def _waveform_times(channels: list[Any], path: Path) -> dict[str, Array]:
-    """Return the column of the times that the properties of waveform channels state; empty if they do not.
-
-    Raises
-    ------
-    InputError
-        The channels of the group have different times.
-    """
-    keys = ("wf_start_offset", "wf_increment")
-    clocks = {tuple(float(c.properties.get(key, 0.0)) for key in keys) for c in channels}
-    clocks = {clock for clock in clocks if clock[1] > 0}
-    if len(clocks) > 1:
-        steps = ", ".join(f"{step:g} s" for _, step in sorted(clocks))
-        hint = "write channels of one rate to one group"
-        raise InputError(f"channels have different times: intervals {steps}", file=path, hint=hint)
-    if not clocks:
-        return {}
-    start, step = clocks.pop()
-    return {TIME: start + step * np.arange(len(channels[0]), dtype=float)}
+    stamps = np.array([c.properties.get("wf_start_time") for c in channels], dtype="datetime64[ns]")
+    metadata |= _epoch(stamps)
+    for at, shown in enumerate(unique(channel.name for channel in channels)):
+        unit, values = str(channels[at].properties.get("unit_string", "")), channels[at][:]
+        if values.dtype.kind == "M" and TIME not in columns:
+            columns[TIME] = _seconds(values)
+            metadata |= _epoch(values)
+        elif values.dtype.kind not in "iufb":
+            continue
+        elif _TIME_NAME.fullmatch(channels[at].name) and canonical(unit) in UNITS["time"]:
+            columns[TIME] = values.astype(float) * UNITS["time"][canonical(unit)]
+        else:
+            column, columns[column] = in_si(shown, unit, values.astype(float))
+            step, start = (float(channels[at].properties.get(key, 0.0)) for key in keys)
+            if step > 0:
+                clocks[column] = start + _seconds(stamps)[at], step
+    return _timed(columns, clocks, metadata, path)
 
 
 TDMS = Format("tdms", "TDMS file", _read_tdms, _is_tdms, extra="tdms")

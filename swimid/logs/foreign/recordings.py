@@ -1,7 +1,8 @@
-"""Readers of recordings of ROS 2: MCAP, also of JSON messages, by the library mcap, and db3 by rosbags.
+"""Readers of recordings of ROS: MCAP, also of JSON messages, by the library mcap, and bags by rosbags.
 
-ROS 2 has the units and axes of REP 103: SI units, x forward, y left, z up. Quaternions of ROS 2 are x, y, z,
-w from body to world. Times of ROS 2 are those of the message header, which the driver of the sensor sets,
+A bag is a db3 file or a folder of ROS 2, or a bag file of ROS 1. ROS has the units and axes of REP 103: SI
+units, x forward, y left, z up. Quaternions of ROS are x, y, z, w from body to world. Times are those of the
+message header, which the driver of the sensor sets,
 not those of the recorder.
 """
 
@@ -28,15 +29,18 @@ from swimid.logs.foreign import (
     renamed,
     safe,
 )
+from swimid.logs.foreign.gps import east_north
 from swimid.logs.kinematics import with_angles
 from swimid.logs.log import TIME
 
-MCAP_MAGIC, DB3_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+#: First bytes of a bag: of a db3 file, of the description in the folder of a bag, and of a bag of ROS 1.
+BAG_MAGIC = (b"SQLite format 3\x00", b"rosbag2_bagfile_information", b"#ROSBAG")
 
 
 def topics(path: Path) -> dict[str, str]:
     """Return the topics of a recording, each with the message type that the file states."""
-    if Peek.of(path).head.startswith(DB3_MAGIC):
+    if Peek.of(path).head.startswith(BAG_MAGIC):
         with _bag(path) as bag:
             kinds = {one.topic: one.msgtype for one in bag.connections if one.msgcount}
         return dict(sorted(kinds.items()))
@@ -115,7 +119,7 @@ def _open_db3(path: Path, options: Options, select: str | None) -> Table:
     return Table(of_records(records), metadata={"topic": topic, "type": kinds[topic]})
 
 
-DB3 = Format("db3", "db3 file of ROS 2", _open_db3, endings=(".db3",), magic=(DB3_MAGIC,), extra="rosbags")
+DB3 = Format("db3", "bag of ROS", _open_db3, endings=(".db3", ".bag"), magic=BAG_MAGIC, extra="rosbags")
 
 
 # ---------------------------------------------------------------- messages of known types
@@ -136,6 +140,7 @@ FIELDS: dict[str, dict[str, str]] = {
     "sensor_msgs/Imu": axes("linear_acceleration.{}", "a{}_m_s2")
     | axes("angular_velocity.{}", "w{}_rad_s")
     | axes("orientation.{}", "q{}", "wxyz"),
+    "sensor_msgs/NavSatFix": {"altitude": "altitude_m"},
     "sensor_msgs/JointState": {},
 }
 
@@ -162,9 +167,15 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
         table.notes.append("its messages have no stamps; the times are those of the recorder")
     nanoseconds = stamp.astype("datetime64[ns]").astype(np.int64)
     table.metadata["first_stamp_s"] = float(nanoseconds[0]) * 1e-9
-    columns = renamed(table, FIELDS[topics[topic]] or _joints(table))
-    time_s = (nanoseconds - nanoseconds[0]) * 1e-9
-    return replace(table, columns={TIME: time_s, **with_angles(columns)})
+    time_s, kind = (nanoseconds - nanoseconds[0]) * 1e-9, topics[topic]
+    if kind == "sensor_msgs/NavSatFix":
+        place, origin = east_north(*(table.columns[name] for name in ("latitude", "longitude")))
+        table.metadata |= origin
+        columns = place | renamed(table, FIELDS[kind])
+    else:
+        columns = renamed(table, FIELDS[kind] or _joints(table))
+    keys = {name: table.columns[name] for name in ("header.frame_id",) if name in table.columns}
+    return replace(table, columns={TIME: time_s, **with_angles(columns)}, keys=keys)
 
 
 def _joints(table: Table) -> dict[str, str]:
@@ -182,5 +193,5 @@ def _joints(table: Table) -> dict[str, str]:
 
 
 ROS2 = Format(
-    "ros2", "recording of ROS 2", _read_ros2, _recognises, magic=(MCAP_MAGIC, DB3_MAGIC), extra="mcap,rosbags"
+    "ros2", "recording of ROS", _read_ros2, _recognises, magic=(MCAP_MAGIC, *BAG_MAGIC), extra="mcap,rosbags"
 )

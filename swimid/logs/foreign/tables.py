@@ -1,4 +1,8 @@
-"""Readers of HDF5 (by h5py), of MATLAB files of any version (by pymatreader), and of Parquet."""
+"""Readers of HDF5 (h5py), netCDF (xarray), MATLAB files (pymatreader), Parquet, and NumPy archives.
+
+The attribute ``units`` of a variable of netCDF is the unit of its column. The unit of a time may name an
+origin (``milliseconds since 2024-05-01``).
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
@@ -36,6 +41,33 @@ def _open_hdf5(path: Path, options: Options, select: str | None) -> Table:
         return of_tree(file, select, path, parts)
 
 
+def _open_netcdf(path: Path, options: Options, select: str | None) -> Table:
+    import xarray
+
+    with xarray.open_dataset(path, group=select, decode_times=False) as file:
+        isolated.check_size(path, file.nbytes)
+        data = {str(name): one.load() for name, one in file.variables.items()}
+    table = of_tree({name: one.to_numpy() for name, one in data.items()}, None, path, lambda value: value)
+    for name in table.columns:
+        unit = data[name.partition("[")[0]].attrs.get("units", "")
+        table.units[name] = str(unit).partition(" since ")[0]
+    return table
+
+
+def _open_npz(path: Path, options: Options, select: str | None) -> Table:
+    isolated.check_zip(path)
+    with np.load(path, allow_pickle=False) as archive:
+        # Leave out Python pickles, which can run any program when they are loaded.
+        heads = {name: archive.zip.open(f"{name}.npy").read(128) for name in archive.files}
+        plain = [name for name, head in heads.items() if b"'|O'" not in head]
+        table = of_tree({name: archive[name] for name in plain}, select, path, lambda value: value)
+    if len(plain) < len(heads):
+        table.notes.append(
+            f"arrays of Python objects left out: {', '.join(sorted({*heads} - {*plain})[:20])}"
+        )
+    return table
+
+
 def _open_matlab(path: Path, options: Options, select: str | None) -> Table:
     from h5py import is_hdf5
     from pymatreader import read_mat
@@ -62,6 +94,9 @@ def _open_matlab(path: Path, options: Options, select: str | None) -> Table:
 
 
 HDF5 = Format("hdf5", "HDF5 file", _open_hdf5, endings=(".h5", ".hdf5"), magic=(b"\x89HDF",), extra="hdf5")
+_CDF, _CDF_MAGIC = (".nc", ".nc4", ".cdf"), (b"CDF", b"\x89HDF")
+NETCDF = Format("netcdf", "netCDF file", _open_netcdf, endings=_CDF, magic=_CDF_MAGIC, extra="netcdf")
+NPZ = Format("npz", "NumPy archive", _open_npz, endings=(".npz",), magic=(b"PK\x03\x04",))
 MATLAB_MAGIC = (b"MATLAB 5.0", b"MATLAB 7.3")
 MATLAB = Format("mat", "MATLAB file", _open_matlab, endings=(".mat",), magic=MATLAB_MAGIC, extra="hdf5")
 
