@@ -114,12 +114,13 @@ def clock_offset(
     if len(starts) == 0:
         return None
     start, half = starts[0], SEARCH_PERIODS * profile.period_s
-    grid = np.linspace(start - half, start + half, N_OFFSETS)
+    low, high = near_s or (-np.inf, np.inf)
+    grid = np.linspace(max(start - half, low), min(start + half, high), N_OFFSETS)
     values = np.array([profile(shift) for shift in grid])
     if not np.isfinite(values).any():
         return None
     best, width = float(grid[np.nanargmax(values)]), float(grid[1] - grid[0])
-    bounds = best - width, best + width
+    bounds = max(best - width, low), min(best + width, high)
     found = optimize.minimize_scalar(lambda shift: -profile(shift), bounds=bounds, options={"xatol": 1e-6})
     offset = profile.offset(float(found.x))
     if offset is None or near_s is None:
@@ -173,16 +174,17 @@ class _Profile:
         maxima = np.flatnonzero((score > 0) & (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)))
         return np.asarray(shifts[maxima][np.argsort(-score[maxima], kind="stable")])
 
-    def fit(self, shift: float) -> tuple[Array, Array, Array, Array] | None:
+    def fit(self, shift: float, inside: Array | None = None) -> tuple[Array, Array, Array, Array] | None:
         """Return the regression of the other log's channels on the reference channels at a clock offset.
 
         The result holds the reference channels, the channels of the other log, the regression coefficients,
-        and the times in the overlap of the two logs.
+        and the times in the overlap of the two logs, or of the samples that ``inside`` flags.
 
         The result is None if the two logs overlap too little.
         """
         when = self.seen_t + shift
-        inside = (when >= self.t[0]) & (when <= self.t[-1])
+        if inside is None:
+            inside = (when >= self.t[0]) & (when <= self.t[-1])
         if inside.sum() < MIN_SAMPLES:
             return None
         expected = resampled(when[inside], self.t, self.reference)
@@ -218,10 +220,10 @@ class _Profile:
     def offset(self, value: float) -> Offset | None:
         """Return the clock offset ``value`` with its standard error, s; None if the error is unknown."""
         tiny = 1e-3 * self.period_s
-        here, after, before = (self.fit(shift) for shift in (value, value + tiny, value - tiny))
+        when = self.seen_t + value
+        inside = (when >= self.t[0] + tiny) & (when <= self.t[-1] - tiny)
+        here, after, before = (self.fit(shift, inside) for shift in (value, value + tiny, value - tiny))
         if here is None or after is None or before is None:
-            return None
-        if not len(here[0]) == len(after[0]) == len(before[0]):
             return None
         x, y, factors, times = here
         residual = y - x @ factors

@@ -616,6 +616,9 @@ def _facts(found: Examined) -> dict[str, str]:
     if speed is not None:
         path, straight = (f"{mean.value:.4g} {found.unit}/s" for mean in (speed.path, speed.line))
         facts["Speed"] = f"{path} along the path, {straight} along the line"
+    for name, one in found.log.metadata.get("clock_offsets", {}).items():
+        offset = numbers.measured(one["offset_s"], one["sd_s"], "s")
+        facts[f"Clock of {name}"] = f"{offset} added, by {one['by']}, with any lag between them"
     if found.posed is not None:
         facts |= point_evidence.facts(found.posed)
     return facts

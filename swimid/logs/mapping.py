@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
-from swimid.errors import InputError
+from swimid.errors import InputError, suggestion
 from swimid.files import atomic, isolated, memory, yamlio
 from swimid.files.provenance import path_of
 from swimid.files.tabular import repeated
@@ -176,6 +176,17 @@ class Quaternion(yamlio.Document):
     direction: Literal["body-to-world", "world-to-body"] = "body-to-world"
 
 
+class Align(yamlio.Document):
+    """Columns that show one motion, by which the clocks of two logs are aligned (key ``align:``)."""
+
+    #: Column of the log.
+    this: str
+    #: Column of the joined table: its target, or its source.
+    that: str
+    #: Maximum difference between the offset and the ``offset_s`` of the joined table, s.
+    within_s: PositiveFloat | None = None
+
+
 class Joined(yamlio.Document):
     """Columns of another topic, struct or file, which are interpolated at the times of the log."""
 
@@ -189,6 +200,8 @@ class Joined(yamlio.Document):
     columns: Annotated[list[Column], Field(min_length=1)]
     #: Value between two samples: on the line through them, or that of the first, as of a command.
     between: Literal["line", "hold"] = "line"
+    #: Columns by which the offset between the two clocks is estimated.
+    align: Align | None = None
 
 
 class Mapping(yamlio.Document):
@@ -368,17 +381,21 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
     place = path
     if joined.file is not None:
         given = place = path.parent / joined.file
-    fields = joined.model_dump(by_alias=True, exclude={"file", "between"}, exclude_unset=True)
+    fields = joined.model_dump(by_alias=True, exclude={"file", "between", "align"}, exclude_unset=True)
     rules = yamlio.validate({"format": FORMAT, **fields}, Mapping, "join")
     select = None if rules.select is None else str(rules.select)
     other = _read(rules, open_table(given, rules.reader, select, rules.profile), place)
     begins = [float(one.metadata.get("first_stamp_s", 0.0)) for one in (log, other)]
     order = in_order(other.time_s, {})
     time_s = other.time_s[order.index] + (begins[1] - begins[0])
+    if joined.align is not None:
+        time_s = time_s + _offset(
+            log, joined, time_s, {k: v[order.index] for k, v in other.columns.items()}, place
+        )
     ends = np.nanmin(log.time_s), np.nanmax(log.time_s)
     if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
         text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
-        hint = "both clocks must be the same: take the stamps of one recorder"
+        hint = "give its offset as 'offset_s' under 'time:', or two columns that move together under 'align:'"
         raise InputError(text, file=place, column=f"join: {select or joined.file}", hint=hint)
     outside = ~((log.time_s >= time_s[0]) & (log.time_s <= time_s[-1]))
     before = np.clip(np.searchsorted(time_s, log.time_s, side="right") - 1, 0, len(time_s) - 1)
@@ -395,6 +412,59 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
     log.sources.update({name: source for name, source in other.sources.items() if name != TIME})
     log.unknown.extend(other.unknown)
     log.notes.extend(other.notes)
+
+
+#: Minimum period of a motion that counts as drift when two clocks are aligned, s, and in mean periods of the
+#: column.
+MIN_SLOW_S, MIN_SLOW_PERIODS = 5.0, 3.0
+
+
+def _offset(log: MappedLog, joined: Joined, time_s: Array, columns: dict[str, Array], place: Path) -> float:
+    """Return the time to add to the times of a joined table, s; state it in the metadata of the log.
+
+    Raises
+    ------
+    InputError
+        There is no such column, or the two columns do not move together.
+    """
+    from swimid.logs import clocks
+
+    align, order = joined.align or Align(this="", that=""), in_order(log.time_s, {}).index
+    targets = {key: column.target for column in joined.columns for key in (str(column.source), column.target)}
+    for name, known in ((align.this, list(log.columns)), (align.that, list(targets))):
+        if name not in known:
+            hint = suggestion(name, known, "it has")
+            raise InputError("there is no such column to align", file=place, column=name, hint=hint)
+    that = columns[targets[align.that]]
+    there, near_s = np.isfinite(that), align.within_s or np.inf
+    spread, turning = np.std(that[there]), np.std(np.gradient(that[there], time_s[there]))
+    slow_s = max(MIN_SLOW_S, MIN_SLOW_PERIODS * 2 * np.pi * float(spread / max(turning, 1e-300)))
+    found = clocks.clock_offset(
+        time_s[there],
+        that[there, None],
+        log.time_s[order],
+        log.columns[align.this][order, None],
+        slow_s=slow_s,
+        near_s=(-near_s, near_s),
+    )
+    explained = 0.0 if found is None else found.explained
+    if found is None or explained < clocks.MIN_EXPLAINED:
+        text = f"'{align.that}' explains {100 * explained:.0f} % of '{align.this}': they do not move together"
+        raise InputError(
+            text, file=place, hint="align other columns, or state the offset: time: {offset_s: ...}"
+        )
+    name, total_s = str(joined.file or joined.select), -found.value_s
+    if joined.time is not None:
+        total_s += joined.time.offset_s
+    stated = {"offset_s": total_s, "sd_s": found.stderr_s, "by": f"{align.this}, {align.that}"}
+    log.metadata.setdefault("clock_offsets", {})[name] = stated
+    if found.rivals:
+        others = ", ".join(f"{total_s + found.value_s - rival:.3f}" for rival in found.rivals[:3])
+        text = f"the clock of {name} is ambiguous: offsets of {total_s:.3f} and {others} s fit equally well"
+        log.notes.append(
+            f"{text}; state it roughly with 'offset_s' under 'time:' and 'within_s' under 'align:'"
+        )
+    return -found.value_s
 
 
 #: Number of copies of all cells that are in memory while a log is examined, measured with 10 million rows.

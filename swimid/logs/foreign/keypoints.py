@@ -131,31 +131,11 @@ def _read_sleap(path: Path, options: Options, select: str | None) -> Table:
     peek = Peek.of(path)
     if peek.lines:
         return _of_text(path, select)
-    return _of_project(path, select) if peek.holds(*_PROJECT) else _of_hdf5(path, select)
+    return _of_arrays(path, select, *(_project(path) if peek.holds(*_PROJECT) else _analysis(path)))
 
 
 #: Data sets of a project of SLEAP (``.slp``) that hold its points.
 _PROJECT = ("metadata", "frames", "instances", "points", "pred_points")
-
-
-def _of_project(path: Path, select: str | None) -> Table:
-    with extra_needed("reading a project of SLEAP", "sleap", file=path):
-        from sleap_io import load_slp
-    labels = load_slp(str(path), open_videos=False)
-    if len(labels.videos) > 1:
-        hint = "save one project for each video"
-        raise InputError(f"holds the points of {len(labels.videos)} videos", file=path, hint=hint)
-    tracks = [track.name for track in labels.tracks] or ["1"]
-    cells = labels.numpy(return_confidence=True)
-    at = tracks.index(choose(select, tracks, "track", path))
-    if cells.shape[1] != len(tracks):
-        hint = "give each individual a track in SLEAP, and save the project"
-        raise InputError("has several individuals without a track", file=path, hint=hint)
-    nodes, names = labels.skeleton.node_names, ("x", "y", "score")
-    found = {
-        f"{node}.{name}": cells[:, at, k, j] for k, node in enumerate(nodes) for j, name in enumerate(names)
-    }
-    return Table({"frame": np.arange(len(cells), dtype=float), **points(found)})
 
 
 def _of_text(path: Path, select: str | None) -> Table:
@@ -174,14 +154,39 @@ def _of_text(path: Path, select: str | None) -> Table:
     return replace(table, columns={"frame": table.columns[frames], **found})
 
 
-def _of_hdf5(path: Path, select: str | None) -> Table:
+def _project(path: Path) -> tuple[Array, Array, list[str], list[str]]:
+    """Return the points in a project of SLEAP, as :func:`_analysis`."""
+    with extra_needed("reading a project of SLEAP", "sleap", file=path):
+        from sleap_io import load_slp
+    labels = load_slp(str(path), open_videos=False)
+    if len(labels.videos) > 1:
+        hint = "save one project for each video"
+        raise InputError(f"holds the points of {len(labels.videos)} videos", file=path, hint=hint)
+    if not labels.tracks and max((len(frame) for frame in labels), default=0) > 1:
+        hint = "give each individual a track in SLEAP, and save the project"
+        raise InputError("has several individuals without a track", file=path, hint=hint)
+    x, y, scores = labels.numpy(return_confidence=True).T.swapaxes(1, 2)
+    names = [track.name for track in labels.tracks]
+    return np.stack([x, y], axis=1), scores, labels.skeleton.node_names, names
+
+
+def _analysis(path: Path) -> tuple[Array, Array, list[str], list[str]]:
+    """Return coordinates, scores, names of the nodes and of the tracks in an analysis file of SLEAP.
+
+    The coordinates have the shape (tracks, 2, nodes, frames), the scores (tracks, nodes, frames).
+    """
     import h5py
 
     with h5py.File(path, "r") as file:
         tracks = np.asarray(file["tracks"], dtype=float)
-        nodes = [name.decode() for name in file["node_names"]]
-        names = [name.decode() for name in file.get("track_names", [])]
         scores = np.asarray(file.get("point_scores", []), dtype=float)
+        nodes, names = ([one.decode() for one in file.get(key, [])] for key in ("node_names", "track_names"))
+    return tracks, scores, nodes, names
+
+
+def _of_arrays(
+    path: Path, select: str | None, tracks: Array, scores: Array, nodes: list[str], names: list[str]
+) -> Table:
     if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != len(nodes):
         text = f"'tracks' has the shape {tracks.shape}; it must be (tracks, 2, {len(nodes)} nodes, frames)"
         raise InputError(text, file=path)

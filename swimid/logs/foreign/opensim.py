@@ -2,7 +2,8 @@
 
 The header states the conventions: ``Units`` and ``DataRate`` of a TRC file, ``inDegrees`` of a motion.
 Coordinates of a motion are angles, except translations, whose names end in ``_tx``, ``_ty`` or ``_tz``.
-Forces are in N, torques in N m, and points of application in m.
+Forces are in N, torques in N m, and points of application in m. A file does not state its vertical axis. Its
+axes are kept, and a note says that OpenSim itself has y up.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from swimid.notices import warn
 
 #: Unit of the columns of a motion file, by a pattern of their names. The first matching pattern is used.
 _UNITS = {r".*(force.*_p|_t)[xyz]": "m", r".*(torque|moment).*": "Nm", r".*force.*": "N", r".*": "rad"}
+#: Pattern of the names of log columns that hold a component of a vector.
+_VECTOR = re.compile(r".*_[tvp]?[xyz]_(m|px|N|Nm)")
 #: Pattern of the name of a column of a motion file that holds the value or the speed of a coordinate
 #: (``/jointset/hip/hip_flexion/value``).
 _COORDINATE = re.compile(r"(?:.*/)?(?P<name>[^/]+)/(?P<kind>value|speed)")
@@ -33,8 +36,13 @@ def _recognises(peek: Peek) -> bool:
 def _read(path: Path, options: Options, select: str | None) -> Table:
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     if lines and lines[0].strip().lower().startswith("pathfiletype"):
-        return _markers(lines, options.length_unit, path)
-    return _motion(lines, path)
+        table = _markers(lines, options.length_unit, path)
+    else:
+        table = _motion(lines, path)
+    if any(map(_VECTOR.fullmatch, table.columns)):
+        note = "the file does not state its vertical axis, and its axes are kept. OpenSim itself has y up"
+        table.notes.append(f"{note}: map x to x, -z to y and y to z if the file has, too")
+    return table
 
 
 def _markers(lines: list[str], length_unit: str | None, path: Path) -> Table:
