@@ -265,7 +265,8 @@ def test_nmea(kind: str, tmp_path: Path) -> None:
     assert np.allclose(found.columns["x_m"], 0.0, atol=0.03)
     assert found.metadata["origin_longitude_deg"] == pytest.approx(-8.5)
     assert ("altitude_m" in found.columns) == (kind == "GGA")
-    assert "1 of 120 sentences" in found.notes[0]
+    lost = {"RMC": "2 of 121", "GGA": "1 of 120"}[kind]
+    assert f"{lost} sentences" in found.notes[0]
 
 
 def test_distances_are_those_on_the_ellipsoid() -> None:
@@ -354,7 +355,8 @@ def test_servos_in_turn_are_chosen(column: str, numbers: list[int], same_time: b
     assert len(found) == N
     for k in range(1, len(numbers) + 1):
         wanted = k * 200 * np.sin(BEAT) * 2 * np.pi / 4096
-        assert np.nanmax(np.abs(found.columns[f"joint{k}_rad"] - wanted)) < 0.03
+        # the servos are read 3 ms after each other, and turn at 8.1 rad/s at most
+        assert np.nanmax(np.abs(found.columns[f"joint{k}_rad"] - wanted)) < 0.05
 
 
 def test_one_servo_with_a_column_of_its_number(tmp_path: Path) -> None:

@@ -165,6 +165,10 @@ def _limit(time_s: float, memory: int) -> None:
     """Limit the time of this process, s, and the memory that it takes from now on, bytes."""
     import resource
 
+    # The default allocator of pyarrow, which pandas uses for text, reserves 1 GiB at once.
+    os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
+    if pyarrow := sys.modules.get("pyarrow"):
+        pyarrow.set_memory_pool(pyarrow.system_memory_pool())
     faulthandler.disable()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C
     signal.signal(signal.SIGALRM, signal.SIG_DFL)

@@ -389,9 +389,7 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
     order = in_order(other.time_s, {})
     time_s = other.time_s[order.index] + (begins[1] - begins[0])
     if joined.align is not None:
-        time_s = time_s + _offset(
-            log, joined, time_s, {k: v[order.index] for k, v in other.columns.items()}, place
-        )
+        time_s = time_s + _offset(log, joined, time_s, other, order.index, place)
     ends = np.nanmin(log.time_s), np.nanmax(log.time_s)
     if len(time_s) < 2 or time_s[-1] <= ends[0] or time_s[0] >= ends[1]:
         text = f"none of its {len(time_s)} samples lies within the log, {ends[0]:g} to {ends[1]:g} s"
@@ -419,8 +417,12 @@ def _join(log: MappedLog, joined: Joined, given: str | Path | Log, path: Path) -
 MIN_SLOW_S, MIN_SLOW_PERIODS = 5.0, 3.0
 
 
-def _offset(log: MappedLog, joined: Joined, time_s: Array, columns: dict[str, Array], place: Path) -> float:
+def _offset(
+    log: MappedLog, joined: Joined, time_s: Array, other: MappedLog, rows: NDArray[np.int64], place: Path
+) -> float:
     """Return the time to add to the times of a joined table, s; state it in the metadata of the log.
+
+    ``time_s`` has the times of the given rows of the joined table, as far as they are known.
 
     Raises
     ------
@@ -435,7 +437,7 @@ def _offset(log: MappedLog, joined: Joined, time_s: Array, columns: dict[str, Ar
         if name not in known:
             hint = suggestion(name, known, "it has")
             raise InputError("there is no such column to align", file=place, column=name, hint=hint)
-    that = columns[targets[align.that]]
+    that = other.columns[targets[align.that]][rows]
     there, near_s = np.isfinite(that), align.within_s or np.inf
     spread, turning = np.std(that[there]), np.std(np.gradient(that[there], time_s[there]))
     slow_s = max(MIN_SLOW_S, MIN_SLOW_PERIODS * 2 * np.pi * float(spread / max(turning, 1e-300)))
@@ -450,9 +452,8 @@ def _offset(log: MappedLog, joined: Joined, time_s: Array, columns: dict[str, Ar
     explained = 0.0 if found is None else found.explained
     if found is None or explained < clocks.MIN_EXPLAINED:
         text = f"'{align.that}' explains {100 * explained:.0f} % of '{align.this}': they do not move together"
-        raise InputError(
-            text, file=place, hint="align other columns, or state the offset: time: {offset_s: ...}"
-        )
+        hint = "align other columns, or state the offset: time: {offset_s: ...}"
+        raise InputError(text, file=place, hint=hint)
     name, total_s = str(joined.file or joined.select), -found.value_s
     if joined.time is not None:
         total_s += joined.time.offset_s
@@ -461,9 +462,7 @@ def _offset(log: MappedLog, joined: Joined, time_s: Array, columns: dict[str, Ar
     if found.rivals:
         others = ", ".join(f"{total_s + found.value_s - rival:.3f}" for rival in found.rivals[:3])
         text = f"the clock of {name} is ambiguous: offsets of {total_s:.3f} and {others} s fit equally well"
-        log.notes.append(
-            f"{text}; state it roughly with 'offset_s' under 'time:' and 'within_s' under 'align:'"
-        )
+        log.notes.append(f"{text}; 'offset_s' under 'time:' and 'within_s' under 'align:' restrict it")
     return -found.value_s
 
 
@@ -688,22 +687,18 @@ def _time(mapping: Mapping, table: Table, sources: dict[str, str], path: Path) -
         hint = "add --rate-hz with the frames per second of the film, as in --rate-hz 30"
         stamps = [name for name in table.columns if OF_TIME.fullmatch(name.strip())]
         if stamps and not has_frames:
-            hint = (
-                f"name the column of the times in the mapping, as in time: {{source: {stamps[0]}, unit: ms}}"
-            )
+            hint = f"name the column of the times, as in time: {{source: {stamps[0]}, unit: ms}} of a mapping"
         raise InputError("states neither times nor a frame rate", file=path, hint=hint)
     if has_frames and not time.sources:
         return time.model_copy(update={"frame": "frame"})
     stated = [canonical(table.units.get(table.column(key, path), "")) for key in time.sources]
-    known = all(unit in UNITS["time"] for unit in stated) and time.frame is None and bool(stated)
-    if known and "unit" not in time.model_fields_set:
+    if stated and time.frame is None and set(stated) <= set(UNITS["time"]):
+        given = [canonical(unit) for unit in time.units_of_sources]
+        if "unit" in time.model_fields_set and given != stated:
+            text = f"the file states {', '.join(stated)} for the times, the mapping states {', '.join(given)}"
+            hint = "leave 'unit' out of 'time:'"
+            raise InputError(text, file=path, column=str(time.sources[0]), hint=hint)
         return time.model_copy(update={"unit": stated})
-    if known and [unit_factor(unit, TIME) for unit in time.units_of_sources] != [
-        UNITS["time"][u] for u in stated
-    ]:
-        text = f"the file states {', '.join(stated)} for the times, the mapping states {time.unit}"
-        hint = "leave 'unit' out of 'time:'"
-        raise InputError(text, file=path, column=str(time.sources[0]), hint=hint)
     return time
 
 

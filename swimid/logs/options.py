@@ -18,9 +18,10 @@ class ImportOptions(Options):
         None,
         flag="--as",
         metavar="FORMAT",
-        help="Format of the file: anipose, ardupilot, coco, deeplabcut, dynamixel, idtrackerai, kinovea, "
-        "movement, opensim, optitrack, px4, qualisys, ros2, sleap, swimid, tracker, trackpy, vicon, c3d, "
-        "db3, delimited, hdf5, lvm, mat, mcap, parquet, tdms, ulog, xlsx  "
+        help="Format of the file: anipose, ardupilot, coco, deeplabcut, dynamixel, dynamixel-ax, "
+        "dynamixel-x, gpx, idtrackerai, kinovea, movement, nmea, opensim, optitrack, px4, qualisys, ros2, "
+        "sleap, swimid, tracker, trackpy, vicon, c3d, db3, delimited, hdf5, lvm, mat, mavlink, mcap, netcdf, "
+        "npz, parquet, tdms, ulog, xlsx  "
         "[default: recognised by its content].",
     )
     select: str | None = option(
@@ -30,7 +31,9 @@ class ImportOptions(Options):
         "if the file holds several.",
     )
     rate_hz: float | None = option(
-        None, gt=0, help="Frames per second, for a file of a known format that states no times."
+        None,
+        gt=0,
+        help="Frames per second, for a file of a known format that states no times.",
     )
     length_unit: str | None = option(
         None, metavar="UNIT", help="Unit of lengths (mm, cm, m, px), for a file that states none."

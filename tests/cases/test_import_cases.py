@@ -269,3 +269,78 @@ def test_a_mirrored_velocity_is_named(file: str, column: str | None, case: Case,
     assert found["gain"] == pytest.approx(-1.0, abs=0.1)
     assert "opposite sign" in found["text"]
     assert result["verdict"]["level"] == "bad"
+
+
+# ---------------------------------------------------------------- clocks, formats and units of other programs
+
+
+def test_a_mapping_keeps_the_clock_of_the_file(case: Case, imported: Any, swimid: Run) -> None:
+    case("t4-as-with-columns")
+    result = imported("tracker.csv", "--map", "map.yaml")
+    assert result["median_rate_hz"] == pytest.approx(100.0)
+    assert result["speed"]["line_m_s"] == pytest.approx(0.2137, abs=5e-4)
+    assert result["stroke"]["frequency_hz"] == pytest.approx(1.27, abs=0.005)
+    refused = swimid(
+        "import", "tracker.csv", "--map", "map.yaml", "--rate-hz", "50", "-o", "out.csv", "--force"
+    )
+    assert refused.status == 3
+    assert "100 Hz: a rate of 50.0 Hz contradicts" in refused.err
+
+
+@pytest.mark.parametrize(("file", "select"), [("swim.bin", "ATT"), ("swim.tlog", "ATTITUDE")])
+def test_binary_logs(file: str, select: str, case: Case, imported: Any, swimid: Run) -> None:
+    """The first 20 kB of logs; the end of a bag is needed to read it."""
+    pytest.importorskip("pymavlink")
+    case("t4-binary-hint")
+    assert f"{select}" in swimid("import", file, "-o", "none.csv").err
+    assert imported(file, "--select", select)["samples"] > 50
+    damaged = swimid("import", "swim.bag", "-o", "none.csv")
+    assert damaged.status == 3
+    assert "bag of ROS" in damaged.err
+
+
+def test_two_servos_in_one_table(case: Case, imported: Any, swimid: Run) -> None:
+    case("t4-dynamixel-ids")
+    refused = swimid("import", "two_ids.csv", "-o", "none.csv")
+    assert refused.status == 3
+    assert "'ID'" in refused.err
+    for number, amplitude in ((1, 0.42), (2, 0.55)):
+        rules = f"format: swimid-mapping/1\nas: dynamixel\nwhere: {{ID: {number}}}\n"
+        Path("map.yaml").write_text(rules)
+        assert imported("two_ids.csv", "--map", "map.yaml")["samples"] == 1200
+        assert np.max(log.read(Path("out.csv"))["joint1_rad"]) == pytest.approx(amplitude, abs=0.01)
+
+
+@pytest.mark.parametrize("file", ["position_unsigned", "velocity_unsigned", "velocity_signed"])
+def test_negative_numbers_of_a_servo_without_a_sign(file: str, case: Case, imported: Any) -> None:
+    case("t4-o01-dynamixel-unsigned")
+    result = imported(f"{file}.csv")
+    assert result["verdict"]["level"] == "good"
+    joint = log.read(Path("out.csv"))["joint1_rad"]
+    assert np.ptp(joint) == pytest.approx(2 * np.radians(30), abs=0.01)
+
+
+@pytest.mark.parametrize("file", ["late", "same"])
+def test_channels_of_tdms_with_start_times(file: str, case: Case, imported: Any) -> None:
+    """The true motion is in csv1.csv to csv4.csv."""
+    pytest.importorskip("nptdms")
+    case("t4-o04-tdms-start-times")
+    for k in (1, 4):
+        imported(f"{file}{k}.tdms")
+        found, true = log.read(Path("out.csv")), log.read(Path(f"csv{k}.csv"))
+        for name in ("x_m", "force_N"):
+            wanted = np.interp(found.time_s, true.time_s, true[name])
+            assert np.allclose(found[name], wanted, atol=1e-3), name
+
+
+def test_units_that_a_netcdf_file_states(
+    case: Case, imported: Any, drafted: Callable[[str], str], swimid: Run
+) -> None:
+    pytest.importorskip("h5netcdf")
+    case("t4-speed-of-213700")
+    refused = swimid("import", "plain.nc", "--map", "map.yaml", "-o", "none.csv")
+    assert refused.status == 3
+    assert "states ms for the times, the mapping states ns" in refused.err
+    drafted("plain.nc")
+    result = imported("plain.nc", "--map", "map.yaml")
+    assert result["speed"]["line_m_s"] == pytest.approx(0.2137, abs=5e-4)

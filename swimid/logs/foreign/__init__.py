@@ -515,6 +515,17 @@ def signed(values: Array, name: str, notes: list[str]) -> Array:
 # ---------------------------------------------------------------- help for profiles
 
 
+def from_first(stamps: NDArray[np.datetime64]) -> tuple[Array, dict[str, Any]]:
+    """Return the times since the first of some dates, s, and the metadata with the first one, s since 1970.
+
+    Unknown dates (NaT) are taken for the first one. If that is unknown, the metadata are empty.
+    """
+    metadata: dict[str, Any] = {}
+    if not np.isnat(stamps[0]):
+        metadata["first_stamp_s"] = float(stamps[0].astype("datetime64[ns]").astype(np.int64)) * 1e-9
+    return np.nan_to_num((stamps - stamps[0]) / np.timedelta64(1, "s")), metadata
+
+
 def safe(name: str) -> str:
     """Return a name changed so that it has only letters, digits and underscores and begins with a letter.
 

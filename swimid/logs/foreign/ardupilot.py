@@ -84,9 +84,8 @@ def _has_quantity(fields: dict[str, Any]) -> bool:
     return bool({*_TIMES} & {*fields}) and bool({*FIELDS, *MAVLINK, *places} & {*fields})
 
 
-BINARY = Format(
-    "mavlink", "binary log of ArduPilot or MAVLink", _open_binary, None, (".bin",), (MAGIC,), "mavlink"
-)
+_TITLE = "binary log of ArduPilot or MAVLink"
+BINARY = Format("mavlink", _TITLE, _open_binary, None, (".bin", ".tlog"), (MAGIC,), "mavlink")
 
 
 def _recognises(peek: Peek) -> bool:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Array, Format, Options, Table, choose, of_records
+from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, from_first, of_records
 from swimid.logs.log import TIME
 
 #: Semi-major axis, m, and flattening of the ellipsoid of WGS 84 (NIMA TR8350.2).
@@ -47,13 +47,12 @@ def _table(fixes: list[dict[str, Any]], path: Path, notes: list[str]) -> Table:
     found = of_records(fixes)
     if not fixes or found["time"].dtype.kind != "M":
         raise InputError("has no valid positions with times", file=path, hint="record a track with its times")
-    stamps = found["time"].astype("datetime64[ns]")
-    place, metadata = east_north(found["latitude"], found["longitude"])
-    columns = {TIME: (stamps - stamps[0]) / np.timedelta64(1, "s"), **place}
+    time_s, start = from_first(found["time"])
+    place, origin = east_north(found["latitude"], found["longitude"])
+    columns = {TIME: time_s, **place}
     if np.isfinite(found["altitude_m"].astype(float)).any():
         columns["altitude_m"] = found["altitude_m"].astype(float)
-    metadata["first_stamp_s"] = float(stamps[0].astype(np.int64)) * 1e-9
-    return Table(columns, metadata=metadata, notes=notes)
+    return Table(columns, metadata=origin | start, notes=notes)
 
 
 def _read_gpx(path: Path, options: Options, select: str | None) -> Table:
@@ -70,7 +69,7 @@ def _read_nmea(path: Path, options: Options, select: str | None) -> Table:
     from pynmeagps import ERR_IGNORE, NMEAReader
 
     kinds = [hit.decode() for hit in _SENTENCE.findall(path.read_bytes())]
-    kind = "RMC" if "RMC" in kinds else "GGA"
+    kind = max(("RMC", "GGA"), key=kinds.count)
     with path.open("rb") as stream:
         read = [one for _, one in NMEAReader(stream, quitonerror=ERR_IGNORE) if one and one.msgID == kind]
     # GGA states the time of day only. Its days count from an arbitrary one.
@@ -88,7 +87,9 @@ def _read_nmea(path: Path, options: Options, select: str | None) -> Table:
     return _table(fixes, path, notes)
 
 
-GPX = Format("gpx", "GPX file", _read_gpx, lambda peek: b"<gpx" in peek.head, extra="gps")
-NMEA = Format(
-    "nmea", "log of NMEA sentences", _read_nmea, lambda p: bool(_SENTENCE.search(p.head)), extra="gps"
-)
+def _is_nmea(peek: Peek) -> bool:
+    return _SENTENCE.search(peek.head) is not None
+
+
+GPX = Format("gpx", "GPX file", _read_gpx, lambda peek: b"<gpx" in peek.head, (".gpx",), extra="gps")
+NMEA = Format("nmea", "log of NMEA sentences", _read_nmea, _is_nmea, (".nmea",), extra="gps")

@@ -203,4 +203,4 @@ def _of_arrays(
 
 DEEPLABCUT = Format("deeplabcut", "table of DeepLabCut", _read_deeplabcut, _is_deeplabcut, extra="deeplabcut")
 ANIPOSE = Format("anipose", "table of Anipose", _read_anipose, _is_anipose)
-SLEAP = Format("sleap", "file of SLEAP", _read_sleap, _is_sleap, extra="hdf5")
+SLEAP = Format("sleap", "file of SLEAP", _read_sleap, _is_sleap, (".slp",), extra="hdf5")

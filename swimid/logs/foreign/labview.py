@@ -26,6 +26,7 @@ from swimid.logs.foreign import (
     Table,
     canonical,
     choose,
+    from_first,
     in_si,
     numbers,
     unique,
@@ -84,18 +85,6 @@ def _timed(
     return Table({TIME: starts[0] + steps[0] * at, **columns}, metadata=metadata, notes=notes)
 
 
-def _seconds(stamps: Array) -> Array:
-    """Return the times from the first one to each, s; 0 where they are unknown (NaT)."""
-    return np.nan_to_num((stamps - stamps[0]) / np.timedelta64(1, "s"))
-
-
-def _epoch(stamps: Any) -> dict[str, Any]:
-    """Return the metadata with the first time, s since 1970; empty if it is unknown (NaT)."""
-    if len(stamps) == 0 or np.isnat(stamps[0]):
-        return {}
-    return {"first_stamp_s": float(stamps[0].astype("datetime64[ns]").astype(np.int64)) * 1e-9}
-
-
 # ---------------------------------------------------------------- LVM
 
 
@@ -140,14 +129,15 @@ def _read_lvm(path: Path, options: Options, select: str | None) -> Table:
     clocks: dict[str, tuple[float, float]] = {}
     in_time, channels = stated("X_Dimension", 0) in ("Time", ""), range(len(names) - 1)
     stamps = np.array([_date(stated("Date", k), stated("Time", k), decimal) for k in channels])
+    leads, metadata = from_first(stamps)
     for at, name in enumerate(unique(names[1:])):
         column, columns[column] = in_si(name, stated("Y_Unit_Label", at), values[:, at + 1])
         start, step = (float(stated(key, at).replace(decimal, ".") or 0) for key in ("X0", "Delta_X"))
         if in_time and step > 0:
-            clocks[column] = start + _seconds(stamps)[at], step
+            clocks[column] = start + leads[at], step
     if in_time and form == "One" and len(set(clocks.values())) < 2:
         columns = {TIME: values[:, 0], **columns}
-    table = _timed(columns, clocks, _epoch(stamps), path)
+    table = _timed(columns, clocks, metadata, path)
     return replace(table, lines=rows[: len(next(iter(table.columns.values())))])
 
 
@@ -184,12 +174,11 @@ def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
     clocks: dict[str, tuple[float, float]] = {}
     metadata = {str(key): value for key, value in file.properties.items() if isinstance(value, str)}
     stamps = np.array([c.properties.get("wf_start_time") for c in channels], dtype="datetime64[ns]")
-    metadata |= _epoch(stamps)
+    leads, origin = from_first(stamps)
     for at, shown in enumerate(unique(channel.name for channel in channels)):
         unit, values = str(channels[at].properties.get("unit_string", "")), channels[at][:]
         if values.dtype.kind == "M" and TIME not in columns:
-            columns[TIME] = _seconds(values)
-            metadata |= _epoch(values)
+            columns[TIME], origin = from_first(values)
         elif values.dtype.kind not in "iufb":
             continue
         elif _TIME_NAME.fullmatch(channels[at].name) and canonical(unit) in UNITS["time"]:
@@ -198,8 +187,8 @@ def _read_tdms(path: Path, options: Options, select: str | None) -> Table:
             column, columns[column] = in_si(shown, unit, values.astype(float))
             step, start = (float(channels[at].properties.get(key, 0.0)) for key in keys)
             if step > 0:
-                clocks[column] = start + _seconds(stamps)[at], step
-    return _timed(columns, clocks, metadata, path)
+                clocks[column] = start + leads[at], step
+    return _timed(columns, clocks, metadata | origin, path)
 
 
 TDMS = Format("tdms", "TDMS file", _read_tdms, _is_tdms, extra="tdms")

@@ -24,6 +24,7 @@ from swimid.logs.foreign import (
     axes,
     choose,
     flat,
+    from_first,
     of_records,
     open_table,
     renamed,
@@ -165,9 +166,8 @@ def _read_ros2(path: Path, options: Options, select: str | None) -> Table:
     if stamp is None or not (stamp.astype(np.int64) > 0).any():
         stamp = table.columns["log_time"]
         table.notes.append("its messages have no stamps; the times are those of the recorder")
-    nanoseconds = stamp.astype("datetime64[ns]").astype(np.int64)
-    table.metadata["first_stamp_s"] = float(nanoseconds[0]) * 1e-9
-    time_s, kind = (nanoseconds - nanoseconds[0]) * 1e-9, topics[topic]
+    (time_s, start), kind = from_first(stamp), topics[topic]
+    table.metadata |= start
     if kind == "sensor_msgs/NavSatFix":
         place, origin = east_north(*(table.columns[name] for name in ("latitude", "longitude")))
         table.metadata |= origin
