@@ -29,6 +29,8 @@ from swimid.files.yamlio import ASK
 from swimid.logs import log
 from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
+    COMPOUND,
+    GROUPED,
     KNOWN,
     MAX_ODD,
     UNITS,
@@ -493,6 +495,10 @@ def _mapped(
             raise InputError(f"holds {kind}, not numbers", file=path, column=sources[column.target])
         found.setdefault(column.target, values * column.scale + column.offset)
     chosen = _chosen(table, mapping.where, rows, path)
+    if np.isnan(found[TIME]).any():
+        # Leave out rows without any value, which pad a table. They are no lost samples.
+        padding = np.all([np.isnan(values) for values in found.values()], axis=0)
+        chosen &= ~padding | padding.all()
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
     if there:
         text = f"its rows are those of {len(there)} instances in turn: {', '.join(there)}"
@@ -552,6 +558,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     """Map each column with a name of the log format to itself; warn of all other columns."""
     names = ", ".join(list(table.columns)[:20])
     hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
+    hint = "; ".join([hint, *table.notes])
     if not {TIME, "frame"} & set(table.columns):
         raise InputError("this column is missing", file=path, column=TIME, hint=hint)
     kept, out = [], []
@@ -1007,7 +1014,7 @@ _OF_INTERVAL = re.compile(
     r"echo|tof|flight|response|reaction|rise|fall|settling|dead|loop|cycle|step|interval|jitter|processing)\b"
 )
 #: Pattern of the names of columns that hold a compass heading, or a heading in either convention.
-COMPASS = re.compile(r"heading|compass|course|bearing|azimuth|(?<![a-z])(cog|hdg)(?![a-z])")
+COMPASS = re.compile(r"heading|compass|course|bearing|azimuth|direction|(?<![a-z])(cog|hdg)(?![a-z])")
 
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Target column of the log for each name of a foreign column that states a quantity but no unit. The names
@@ -1136,10 +1143,14 @@ def _of_names(table: Table) -> list[str]:
     asked = dict(table.asked)
     for name in [name for name, values in columns.items() if is_text(values)]:
         found, odd = numbers_in(columns[name])
-        if odd.sum() < np.isfinite(found).sum():
-            text = f"{odd.sum()} cells of '{name}' are no numbers, as '{columns[name][odd][0]}'"
-            asked.setdefault("missing", f"{text}: which texts mark a missing sample? [lost, ...]")
-            columns[name] = found
+        texts = columns[name][odd].astype(str)
+        if any(re.fullmatch(GROUPED, text) for text in texts):
+            asked.setdefault("decimal", f"the decimal mark, for cells such as '{texts[0]}' in '{name}'")
+        elif odd.sum() < np.isfinite(found).sum():
+            asked.setdefault("missing", f"the texts of missing samples, as in ['{texts[0]}'] in '{name}'")
+        else:
+            continue
+        columns[name] = found
     time, forms = _guess_time(table, columns)
     taken: list[str] = []
     if isinstance(time, dict):
@@ -1214,7 +1225,7 @@ def _split(name: str) -> tuple[str, str | None]:
     """Return the name of a column without its unit, and the unit, or None if the name states no unit."""
     if hit := _UNIT.fullmatch(name):
         return hit["bare"], hit["inside"] or hit["over"]
-    if hit := _ENDING.fullmatch(name):
+    if (hit := _ENDING.fullmatch(name)) and not COMPOUND.fullmatch(hit["bare"]):
         unit = canonical(re.sub(r"(?<=.)_(s2?)$", r"/\1", hit["unit"]))
         if unit in KNOWN:
             return hit["bare"], unit
@@ -1279,9 +1290,9 @@ def _is_clock(name: str, unit: str) -> bool:
     words = " ".join(re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", bare)).lower()
     if _OF_INTERVAL.search(words):
         return False
-    return OF_TIME.fullmatch(bare) is not None or (
-        unit != ASK and (not words or bool(_OF_CLOCK.search(words)))
-    )
+    if unit == ASK:
+        return words == "t" or OF_TIME.fullmatch(bare) is not None
+    return not words or _OF_CLOCK.search(words) is not None or OF_TIME.fullmatch(bare) is not None
 
 
 def _unit_of_time(name: str, written: str | None) -> str:

@@ -87,7 +87,7 @@ SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in
 }
 #: Pattern of a column name without its last unit, if another unit precedes that unit. Together they are a
 #: compound unit, such as ``mm_s`` or ``N_m_rad``, and the last one does not state the quantity.
-_COMPOUND = re.compile(r".+_(m?N|kN|Nm|kg|[mcuk]m|c?deg|m?rad|rev)(_[sm]2?)*")
+COMPOUND = re.compile(r".+_(m?N|kN|Nm|kg|[mcuk]m|c?deg|m?rad|rev)(_[sm]2?)*")
 #: Names of all known units.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)
 #: Other spellings of each unit that are accepted in files and mappings.
@@ -145,7 +145,7 @@ def quantity_of(column: str) -> str | None:
     ('turn rate', 'torque', None, None)
     """
     suffix = max((suffix for suffix in SUFFIXES if column.endswith(f"_{suffix}")), key=len, default="")
-    if _COMPOUND.fullmatch(column.removesuffix(f"_{suffix}")):
+    if COMPOUND.fullmatch(column.removesuffix(f"_{suffix}")):
         return None
     return SUFFIXES.get(suffix)
 
@@ -389,6 +389,8 @@ def is_text(values: NDArray[Any]) -> bool:
     return values.dtype.kind in "USO"
 
 
+#: Pattern of a number with separated groups of digits, such as 1,234.56.
+GROUPED = r"[-+]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"
 #: Maximum fraction of the cells of a column of numbers that may hold other text. Above it, the user states
 #: which texts mark a missing sample. It is half the fraction of rows that may be left out of a good log.
 MAX_ODD = 0.05
@@ -425,9 +427,9 @@ def convert_text(table: Table) -> Table:
             emptied.setdefault(tuple(np.flatnonzero(odd).tolist()), []).append(name)
     for rows, names in emptied.items():
         cells = table.columns[names[0]]
-        places = [f"'{str(cells[row]).strip()[:40]}' in {_in_words(table.place(row))}" for row in rows[:3]]
-        text = f"{len(rows)} of {len(cells)} cells are no numbers and are left empty: {', '.join(places)}"
-        table.notes.append(f"in {', '.join(names)} {text}{', ...' * (len(rows) > 3)}")
+        places = [f"'{cells[row]}' in {_in_words(table.place(row))}"[:80] for row in rows[:3]]
+        text = f"cells that are no numbers are left empty, {len(rows)} of {len(cells)} in {', '.join(names)}"
+        table.notes.append(f"{text}: {', '.join(places)}{', ...' * (len(rows) > 3)}")
     return replace(table, columns=columns)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, number, parse
-from swimid.logs.foreign import KNOWN, Format, Options, Peek, Table, canonical, numbers_in
+from swimid.logs.foreign import GROUPED, KNOWN, Format, Options, Peek, Table, canonical, numbers_in
 from swimid.logs.foreign.serial import find_label, to_table
 from swimid.logs.log import TIME
 
@@ -42,8 +42,6 @@ _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 #: point.
 _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-#: Pattern of a number with separated groups of digits, such as 1,234.56.
-_GROUPED = r"[-+]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"
 #: Pattern of a cell with a date or a time of day. Like a number, such a cell shows that a line holds samples.
 _SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
 _EMPTY_LINES, _UNNAMED = re.compile(rb"\n([ \t,;|]*\n)+"), re.compile(r"(column )?\d+")
@@ -185,7 +183,7 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     stated_mark = _MARKS.get(options.delimiter, options.delimiter)
     delimiter = stated_mark or _likely_delimiter([line for _, line in kept[:LINES]])
     table = [_cells(line, delimiter) for _, line in kept]
-    decimal = options.decimal or _decimal(table[:LINES], delimiter, path)
+    decimal = options.decimal or _decimal(table[:LINES], delimiter)
     if delimiter == decimal:
         raise InputError("a comma cannot both separate cells and mark decimals", file=path)
     width = Counter(map(len, table)).most_common(1)[0][0]
@@ -236,18 +234,15 @@ def _cells(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
 
 
-def _decimal(table: list[list[str]], delimiter: str, path: Path) -> str:
-    """Return the decimal mark of a file; raise an error if commas may also separate groups of digits."""
+def _decimal(table: list[list[str]], delimiter: str) -> str:
+    """Return the decimal mark of a file. Commas that may separate groups of digits show none."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
     dots = sum(number(cell) is not None and "." in cell for cell in cells)
-    if len(commas) <= dots or delimiter == ",":
-        return "."
-    if all(re.fullmatch(_GROUPED, cell) for cell in commas):
-        text = f"'{commas[0]}' may be {commas[0].replace(',', '')} or {commas[0].replace(',', '.')}"
-        hint = "state the decimal mark under 'reader:' of a mapping, as in decimal: '.'"
-        raise InputError(text, file=path, hint=hint)
-    return ","
+    is_comma = (
+        len(commas) > dots and delimiter != "," and not all(re.fullmatch(GROUPED, cell) for cell in commas)
+    )
+    return "," if is_comma else "."
 
 
 def _value(cell: str, decimal: str) -> float | None:
@@ -385,7 +380,7 @@ def _convert(cells: pd.Series, decimal: str, options: Options) -> NDArray[Any]:
     if cells.dtype.kind == "f":
         return cells.to_numpy()
     plain = cells.str.strip().str.translate(_POINTS[decimal])
-    grouped = plain.str.fullmatch(_GROUPED).fillna(False).astype(bool)
+    grouped = plain.str.fullmatch(GROUPED).fillna(False).astype(bool)
     if grouped.any() and (options.decimal or plain.str.contains(".", regex=False).any()):
         # Numbers with a decimal point show that the comma separates groups of digits.
         plain = plain.mask(grouped, plain.str.replace(",", ""))
@@ -416,7 +411,7 @@ def _note_ragged(
         raise InputError(text, file=path, line=line, hint=hint + "'reader:' of the mapping")
     share = f"{len(broken)} of {rows + len(broken)} lines"
     notes.append(f"{share} have a wrong number of cells and are left out (first: line {line})")
-    return {"bad_lines": notes[-1]} if is_many else {}
+    return {"bad_lines": f"skip, because {notes[-1]}"} if is_many else {}
 
 
 def _has_time(peek: Peek) -> bool:

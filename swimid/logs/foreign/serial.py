@@ -15,17 +15,18 @@ _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|[-+]?inf)"
 _PAIR = re.compile(rb"([A-Za-z][\w./\[\]()-]*?)[ ]*[:=][ ]*(" + _NUMBER + rb")", re.I)
 _CLOCK, _PAIRS = rb"(?:(?P<clock>[\d:.]+) -> ?)?", rb"(?P<pairs>%b(?:[ ,;\t]+%b)*)" % ((_PAIR.pattern,) * 2)
 _LINE = re.compile(rb"\s*" + _CLOCK + _PAIRS + rb"[ ,;\t]*", re.I)
-#: Minimum number of lines by which a file of labelled values is recognised, and their minimum fraction. All
-#: these lines have the same first label. Others are messages, as of a microcontroller that starts.
+#: Minimum number of lines by which a file of labelled values is recognised, and their minimum fraction after
+#: the first of them. All have the same first label. Others are messages, as of a microcontroller that starts.
 MIN_LINES, MIN_SHARE = 3, 0.5
 
 
 def find_label(text: bytes) -> bytes | None:
     """Return the first label of the lines of labelled values in a file; None for a file of other lines."""
     lines = [line for line in text.split(b"\n") if line.strip()][1:-1]
-    counts = Counter(hit[3] for line in lines if (hit := _LINE.fullmatch(line)))
-    label, count = max(counts.items(), key=lambda item: item[1], default=(None, 0))
-    return label if count >= max(MIN_LINES, MIN_SHARE * len(lines)) else None
+    labels = [hit and hit[3] for hit in map(_LINE.fullmatch, lines)]
+    label, count = next(iter(Counter(filter(None, labels)).most_common(1)), (b"", 0))
+    least = max(MIN_LINES, MIN_SHARE * (len(labels) - labels.index(label))) if count else MIN_LINES
+    return label if count >= least else None
 
 
 def to_table(text: bytes, label: bytes, notes: list[str]) -> tuple[bytes, list[str]]:
