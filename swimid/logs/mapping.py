@@ -910,7 +910,7 @@ def date_formats(cells: Any) -> list[str]:
     >>> date_formats(pd.Series(["12/06/2018 23:59:40.5", "13/06/2018 0:00:00"]))
     ['%d/%m/%Y %H:%M:%S.%f']
     """
-    cell = str(next(iter(cells.dropna()), ""))
+    cell = max(map(str, cells.dropna()), key=len, default="")
     hit = re.match(
         r"\d{1,2}(?P<mark>\W)(\d{1,2}|(?P<month>[A-Za-z]{3}))(?P=mark)(?P<year>\d{4}|\d\d)\b", cell
     )
@@ -1146,6 +1146,7 @@ def _of_names(table: Table) -> list[str]:
         texts = columns[name][odd].astype(str)
         if any(re.fullmatch(GROUPED, text) for text in texts):
             asked.setdefault("decimal", f"the decimal mark, for cells such as '{texts[0]}' in '{name}'")
+            found = numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
         elif odd.sum() < np.isfinite(found).sum():
             asked.setdefault("missing", f"the texts of missing samples, as in ['{texts[0]}'] in '{name}'")
         else:

@@ -220,10 +220,13 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
 def _likely_delimiter(lines: list[str]) -> str:
     scores = {}
     for mark, weight in DELIMITERS.items():
-        width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
-        # Score the delimiter mainly by the number of lines with the same number of cells, then by that number
-        # of cells.
-        scores[mark] = weight * times * (1 + min(width, 50) / 1000) * (width > 1)
+        table = [_cells(line, mark) for line in lines]
+        width, times = Counter(map(len, table)).most_common(1)[0]
+        flat = [cell for row in table for cell in row]
+        numbered = np.mean([bool(_COMMA.fullmatch(cell)) or number(cell) is not None for cell in flat])
+        # Score the delimiter mainly by the number of lines with the same number of cells and by the fraction
+        # of numbers in the cells, then by that number of cells.
+        scores[mark] = weight * (0.1 + numbered) * times * (1 + min(width, 50) / 1000) * (width > 1)
     return max(scores, key=lambda mark: scores[mark])
 
 
