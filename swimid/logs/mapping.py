@@ -1013,7 +1013,8 @@ _OF_INTERVAL = re.compile(
     r"\b(period|duration|latency|delay|lag|lead|dt|delta|diff|pulse|pwm|width|duty|exposure|shutter|rtt|ping|"
     r"echo|tof|flight|response|reaction|rise|fall|settling|dead|loop|cycle|step|interval|jitter|processing)\b"
 )
-#: Pattern of the names of columns that hold a compass heading, or a heading in either convention.
+#: Comment on a column that may hold a compass heading, and pattern of the names of such columns.
+OF_COMPASS = "; yaw_rad is counter-clockwise from x: a compass heading has factor: -1, offset: 1.5708"
 COMPASS = re.compile(r"heading|compass|course|bearing|azimuth|direction|(?<![a-z])(cog|hdg)(?![a-z])")
 
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
@@ -1168,9 +1169,7 @@ def _of_names(table: Table) -> list[str]:
             continue
         entries, comment = {"source": source, "target": target, "unit": unit}, _first(values)
         if COMPASS.search(source.lower()):
-            comment += (
-                "; yaw_rad is counter-clockwise from x: a compass heading has factor: -1, offset: 1.5708"
-            )
+            comment += OF_COMPASS
         lines.append("  " + _line("-", entries, comment))
     lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
     return lines

@@ -359,7 +359,7 @@ def test_lost_line_ends(file: str, case: Case, imported: Any, drafted: Any, swim
     result = imported(file, "--map", "map.yaml")
     assert result["samples"] == 960
     assert "20 of 980 lines" in result["notes"][0]
-    assert "line ends may be lost" in swimid("import", "one_line.csv", "--guess").err
+    assert "mend lost line ends" in swimid("import", "one_line.csv", "--guess").err
 
 
 @pytest.mark.parametrize(
@@ -387,4 +387,4 @@ def test_a_header_with_more_names_than_values(case: Case, swimid: Run) -> None:
     for file, names, values in (("shifted", 8, 6), ("shifted1", 5, 4), ("shorter", 3, 4)):
         ran = swimid("import", f"{file}.csv", "-o", "o.csv")
         assert ran.status == 3
-        assert f"{names} names, and the lines below {values} values" in ran.err
+        assert f"{names} names, the lines below {values} values" in ran.err

@@ -189,7 +189,8 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     width = Counter(map(len, table)).most_common(1)[0][0]
     first = _first_sample(table, width, decimal, options)
     if first is None or first == len(table):
-        raise _without_samples(table, kept[0][0], decimal, path)
+        hint = "give delimiter, header or skip_rows under 'reader:' of a mapping, or mend lost line ends"
+        raise InputError("no line holds numbers", file=path, line=kept[0][0], hint=hint)
     above, samples = table[:first], [cells for cells in table[first:] if len(cells) == width]
     stated: list[str] = []
     if above and _are_units(above[-1]) and (len(above) > 1 or not _differ(above[-1])):
@@ -200,9 +201,7 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     elif above and len(above[-1]) > width and not any(above[-1][width:]):
         above[-1] = above[-1][:width]
     elif above and len(above[-1]) != width and _is_header(above[-1]):
-        text = (
-            f"line {kept[len(above) - 1][0]} has {len(above[-1])} names, and the lines below {width} values"
-        )
+        text = f"line {kept[len(above) - 1][0]} has {len(above[-1])} names, the lines below {width} values"
         notes.append(f"{text}: no name is used, and the columns have numbers")
     levels: list[list[str]] = []
     # Read several header lines: if the names in one line repeat, complete them by the names in the line
@@ -242,10 +241,8 @@ def _decimal(table: list[list[str]], delimiter: str) -> str:
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
     dots = sum(number(cell) is not None and "." in cell for cell in cells)
-    is_comma = (
-        len(commas) > dots and delimiter != "," and not all(re.fullmatch(GROUPED, cell) for cell in commas)
-    )
-    return "," if is_comma else "."
+    is_grouped = all(re.fullmatch(GROUPED, cell) for cell in commas)
+    return "," if len(commas) > dots and delimiter != "," and not is_grouped else "."
 
 
 def _value(cell: str, decimal: str) -> float | None:
@@ -285,16 +282,6 @@ def _is_header(cells: list[str]) -> bool:
     """Return whether the cells of a line may be names of columns: two or more, all different, no numbers."""
     filled = [cell for cell in cells if cell]
     return len(filled) > 1 and _differ(cells) and not any(_is_sample(cell, ".") for cell in filled)
-
-
-def _without_samples(table: list[list[str]], line: int, decimal: str, path: Path) -> InputError:
-    """Return the error for a file of which no line holds samples."""
-    longest = max(table[1:], key=len, default=[])
-    if len(table[0]) < len(longest) and any(_is_sample(cell, decimal) for cell in longest):
-        text = f"holds {len(table[0])} cells and a line below {len(longest)}: line ends may be lost"
-        return InputError(text, file=path, line=line, hint="write each sample on a line of its own")
-    hint = "give delimiter, header or skip_rows under 'reader:' of a mapping"
-    return InputError("no line holds numbers", file=path, line=line, hint=hint)
 
 
 def _are_units(cells: list[str]) -> bool:

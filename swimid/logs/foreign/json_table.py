@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swimid.errors import InputError
-from swimid.logs.foreign import Format, Options, Table, choose, flat, of_records
+from swimid.logs.foreign import MAX_ODD, Format, Options, Table, choose, flat, of_records
 
 _HINT = "a table in JSON is a list of records, an object of columns, or one record in each line"
 
@@ -26,19 +26,15 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     try:
         content = json.loads(text)
     except ValueError as error:
-        filled = [(at, line) for at, line in enumerate(text.split("\n"), start=1) if line.strip()]
-        try:
-            content = [json.loads(line) for _, line in filled[:-1]]
-        except ValueError:
-            content = []
-        if not content or not isinstance(content[0], dict | list):
-            line = getattr(error, "lineno", None)
-            raise InputError(f"is no JSON: {error}", file=path, line=line, hint=_HINT) from error
-        try:
-            content.append(json.loads(filled[-1][1]))
-        except ValueError:
-            notes.append(f"the last line, {filled[-1][0]}, is cut off and left out")
-        lines = np.array([at for at, _ in filled[: len(content)]], dtype=np.int64)
+        filled = [(at, _parsed(line)) for at, line in enumerate(text.split("\n"), start=1) if line.strip()]
+        broken = [at for at, value in filled if value is None]
+        if len(broken) > max(1, MAX_ODD * len(filled)) or len(filled) - len(broken) < 2:
+            raise InputError(f"is no JSON: {error}", file=path, hint=_HINT) from error
+        if broken:
+            share = f"{len(broken)} of {len(filled)} lines"
+            notes.append(f"{share} are no JSON and are left out (first: line {broken[0]})")
+        content = [value for _, value in filled if value is not None]
+        lines = np.array([at for at, value in filled if value is not None], dtype=np.int64)
     for part in filter(None, (select or "").split(".")):
         if not isinstance(content, dict):
             raise InputError(f"holds no table '{select}'", file=path)
@@ -51,6 +47,15 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
     if len({name.partition(".")[0] for name in usual}) == 1:
         columns |= {name.partition(".")[2] or name: columns.pop(name) for name in usual}
     return Table(columns, notes=notes, lines=lines)
+
+
+def _parsed(line: str) -> Any:
+    """Return the record in a line of JSON lines; None for other text, as of a line that is cut off."""
+    try:
+        value = json.loads(line)
+    except ValueError:
+        return None
+    return value if isinstance(value, dict | list) else None
 
 
 def _columns(value: Any, name: str = "") -> dict[str, NDArray[Any]]:
