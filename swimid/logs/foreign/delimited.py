@@ -394,7 +394,7 @@ def _note_ragged(
     """
     line, cells = broken[0]
     is_many = len(broken) > max(1, MAX_RAGGED * rows)
-    if is_many and options.bad_lines is None:
+    if len(broken) > rows or (is_many and options.bad_lines is None):
         held = f"has {cells or 'unreadable'} cells"
         text = f"{held} where {width} columns are expected ({len(broken)} of {rows + len(broken)} such lines)"
         hint = "give delimiter, header or skip_rows, or leave these lines out by 'bad_lines: skip', under "
