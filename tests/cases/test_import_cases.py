@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.logs import log
+from swimid.logs import log, mapping
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -39,6 +39,11 @@ def drafted(swimid: Run) -> Callable[[str], str]:
         return Path("map.yaml").read_text()
 
     return draft
+
+
+def _mapped(file: str) -> mapping.MappedLog:
+    """Read a file with the mapping in ``map.yaml``."""
+    return mapping.apply(mapping.of("map.yaml"), file)
 
 
 def _answer(text: str, **answers: str) -> None:
@@ -331,34 +336,33 @@ def test_a_serial_log_after_boot_lines(
 @pytest.mark.parametrize(
     "file", ["t4-json-log/a.json", "t4-json-columns/columns.json", "t4-json-columns/flat.jsonl"]
 )
-def test_tables_in_json(file: str, case: Case, imported: Any, drafted: Callable[[str], str]) -> None:
+def test_tables_in_json(file: str, case: Case, drafted: Callable[[str], str]) -> None:
     folder, name = file.split("/")
     case(folder)
     text = drafted(name).replace(
         '"position", target: ASK, unit: ASK', '"position", target: joint1_rad, unit: rad'
     )
     _answer(text.replace("unit: ASK", "unit: s"))
-    result = imported(name, "--map", "map.yaml")
-    assert result["samples"] == {"a.json": 3000}.get(name, 480)
-    assert result["notes"] == []
+    found = _mapped(name)
+    assert len(found) == {"a.json": 3000}.get(name, 480)
+    assert found.notes == []
 
 
-def test_a_torque_about_the_yaw_axis(case: Case, imported: Any) -> None:
+def test_a_torque_about_the_yaw_axis(case: Case) -> None:
     case("t4-torque-column")
-    result = imported("ft.csv", "--map", "map.yaml")
-    assert result["columns"][-1] == "torque_yaw_N_m"
+    assert "torque_yaw_N_m" in _mapped("ft.csv").columns
 
 
 @pytest.mark.parametrize("file", ["joined.csv", "joined_int.csv"])
-def test_lost_line_ends(file: str, case: Case, imported: Any, drafted: Any, swimid: Run) -> None:
+def test_lost_line_ends(file: str, case: Case, drafted: Any, swimid: Run) -> None:
     case("t4-o03-lost-newline")
     ran = swimid("import", file, "-o", "o.csv")
     assert ran.status == 3
     assert "bad_lines: skip" in ran.err
     _answer(drafted(file), bad_lines="skip")
-    result = imported(file, "--map", "map.yaml")
-    assert result["samples"] == 960
-    assert "20 of 980 lines" in result["notes"][0]
+    found = _mapped(file)
+    assert len(found) == 960
+    assert "20 of 980 lines" in found.notes[0]
     assert "mend lost line ends" in swimid("import", "one_line.csv", "--guess").err
 
 
@@ -367,7 +371,7 @@ def test_lost_line_ends(file: str, case: Case, imported: Any, drafted: Any, swim
     [("dmy", "%d/%m"), ("dmy_twice", None), ("dmy_ambiguous", None), ("dots", "%d.%m"), ("iso", "")],
 )
 def test_the_order_of_day_and_month(
-    file: str, form: str | None, case: Case, imported: Any, drafted: Callable[[str], str], swimid: Run
+    file: str, form: str | None, case: Case, drafted: Callable[[str], str], swimid: Run
 ) -> None:
     case("t4-o05-day-month")
     text = drafted(f"{file}.csv")
@@ -376,7 +380,7 @@ def test_the_order_of_day_and_month(
         _answer(text.replace("format: ASK", 'format: "%d/%m/%Y %H:%M:%S.%f"'))
     elif form:
         assert f'format: "{form}' in text
-    assert imported(f"{file}.csv", "--map", "map.yaml")["duration_s"] == pytest.approx(39.96)
+    assert np.ptp(_mapped(f"{file}.csv").time_s) == pytest.approx(39.96)
     if form != "":
         ran = swimid("import", f"{file}.csv", "--map", f"map_{file}.yaml", "-o", "o.csv")
         assert ".%f'" in ran.err
