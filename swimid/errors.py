@@ -261,4 +261,6 @@ def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
         hint = None
         if isinstance(error, FileNotFoundError):
             hint = "check the path"
+        elif isinstance(error, IsADirectoryError):
+            hint = "name a file in this folder"
         raise InputError(f"cannot be {done}: {error.strerror or error}", file=file, hint=hint) from error

@@ -61,7 +61,7 @@ CODES: dict[str, str] = {
     "SWM054": "the drive is impossible for a swimmer, or is not resolved",
     "SWM055": "uncertainty of a parameter left out",
     "SWM056": "start state of a trial not found",
-    "SWM057": "rows left out or put in order",
+    "SWM057": "rows or cells left out, or rows put in order",
     "SWM058": "track cleaned",
     "SWM059": "the track goes on elsewhere after a jump",
     "SWM060": "the target of an export cannot express a part of the robot",

@@ -316,16 +316,17 @@ def test_dates_words_and_whole_numbers_of_a_table() -> None:
 
 
 def test_a_drafted_mapping_is_used_as_it_is(camera: pd.DataFrame, swimid: Run, tmp_path: Path) -> None:
-    camera.to_csv(tmp_path / "log", index=False)
+    yawing = camera.rename(columns={"Heading (deg)": "Yaw (deg)"})  # a heading may be that of a compass
+    yawing.to_csv(tmp_path / "log", index=False)
     ran = swimid("import", tmp_path / "log", "--guess", "-o", tmp_path / "m.yaml")
     assert ran.status == 0
     draft = guess_mapping(tmp_path / "log")
     assert draft.outputs == ()
     draft.save(tmp_path / "again.yaml")
     assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "m.yaml").read_bytes()
-    table = guess_mapping(camera)
+    table = guess_mapping(yawing)
     assert [c.target for c in table.mapping.columns] == [c.target for c in draft.mapping.columns]
-    made = import_log(camera, map_path=table.mapping)
+    made = import_log(yawing, map_path=table.mapping)
     np.testing.assert_array_equal(made.log["x_m"], import_log(camera, map_path=CAMERA).log["x_m"])
 
 

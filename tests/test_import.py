@@ -161,6 +161,11 @@ def _xlsx(path: Path) -> None:
     book.save(path)
 
 
+def _json(path: Path) -> None:
+    columns = {"ms": TIME_MS.tolist(), "pose": {"x": X_MM.tolist(), "yaw": YAW_DEG.tolist()}}
+    path.write_text(json.dumps(columns))
+
+
 FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] = {
     "comma": ("a.csv", _text, "", ('"Time (ms)"', '"X [mm]"', '"Yaw (°)"')),
     "numbers": ("a.csv", _text, "", ("1", "2", "3")),
@@ -181,6 +186,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str, tuple[str, str, str]]] 
     "ulog": ("a.ulg", _ulog, "", ("ms", '"p[1]"', '"p[2]"')),
     "db3": ("a.db3", _db3, "select: /pose", ("x", "y", "z")),
     "xlsx": ("a.xlsx", _xlsx, "", ("Time", "X", "Yaw")),
+    "json": ("a.json", _json, "", ("ms", "pose.x", "pose.yaw")),
 }
 
 
@@ -220,7 +226,7 @@ def test_cells_of_one_length_are_columns(
 
 def test_each_format_without_a_profile_has_a_file_in_these_tests() -> None:
     plain = {name for name, found in formats().items() if found.recognises is None}
-    assert plain == {"delimited", "mat", "hdf5", "parquet", "mcap", "ulog", "db3", "xlsx"}
+    assert plain == {"delimited", "mat", "hdf5", "parquet", "mcap", "ulog", "db3", "xlsx", "json"}
 
 
 def test_a_file_with_a_preamble_units_and_a_cut_last_line(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import shlex
 from collections import Counter, abc
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,12 +29,16 @@ from swimid.files.yamlio import ASK
 from swimid.logs import log
 from swimid.logs.averaging import Averager, RowStatistics
 from swimid.logs.foreign import (
+    COMPOUND,
+    GROUPED,
     KNOWN,
+    MAX_ODD,
     UNITS,
     Options,
     Table,
     canonical,
     is_text,
+    numbers_in,
     open_table,
     quantity_of,
     signed,
@@ -70,6 +75,8 @@ _COORDINATE = r"[ _.]*(?i:[xyz]([ _.].*)?)"
 NO_UNIT = "1"
 #: Period of a time of day, s.
 DAY_S = 86400.0
+#: Example of a format of dates in a message.
+EXAMPLE = "'%d.%m.%Y %H:%M:%S.%f'"
 _TIME_OF_DAY = r"\d{1,2}:\d\d(:\d\d(\.\d+)?)?"
 #: Pattern of the names of columns that hold a frame number or a row number.
 COUNT = re.compile(
@@ -565,6 +572,10 @@ def _mapped(
         values = _values(column, table, sources[column.target], mapping.reader.missing, path, notes)
         found.setdefault(column.target, values)
     chosen = _chosen(table, mapping.where, rows, path)
+    if np.isnan(found[TIME]).any():
+        # Leave out rows without any value, which pad a table. They are no lost samples.
+        padding = np.all([np.isnan(values) for values in found.values()], axis=0)
+        chosen &= ~padding | padding.all()
     by, there = find_mixed(table, found[TIME], chosen, {*used, sources.get(TIME, "")})
     if there:
         text = f"its rows are those of {len(there)} instances in turn: {', '.join(there)}"
@@ -653,6 +664,7 @@ def _identity(table: Table, path: Path, metadata: dict[str, Any]) -> list[Column
     """Map each column with a name of the log format to itself; warn of all other columns."""
     names = ", ".join(list(table.columns)[:20])
     hint = f"a mapping says which column is which (swimid import --guess drafts one); the file has: {names}"
+    hint = "; ".join([hint, *table.notes])
     if not {TIME, "frame"} & set(table.columns):
         raise InputError("this column is missing", file=path, column=TIME, hint=hint)
     kept, out = [], []
@@ -979,29 +991,70 @@ def _parsed(
     parts: list[NDArray[Any]], table: Table, time: Time, names: list[str], path: Path
 ) -> NDArray[Any]:
     """Convert the text of time cells to dates (``datetime64[ns]``), or to times of day in s."""
-    import pandas as pd
-
-    # Write whole numbers without a decimal point, before they are joined with the text of another column.
-    columns = [pd.Series(part).convert_dtypes().astype("string").str.strip() for part in parts]
-    cells = columns[0].str.cat(columns[1:], sep=" ") if columns[1:] else columns[0]
-    plain = cells.str.replace(",", ".", regex=False)
-    of_day = plain.str.fullmatch(_TIME_OF_DAY)
-    if time.format is not None:
-        stamps = pd.to_datetime(cells, format=time.format, errors="coerce", utc=True)
-    elif of_day.mean() > 0.5:
-        minutes = plain.where(of_day).str.replace(r"^(\d+:\d+)$", r"\1:00", regex=True)
-        stamps = pd.to_timedelta(minutes, errors="coerce")
-    else:
-        stamps = pd.to_datetime(plain, errors="coerce", format="ISO8601", utc=True)
+    cells = _joined(parts)
+    stamps = _dates(cells, time.format)
     bad = (cells.notna() & stamps.isna()).to_numpy(dtype=bool)
     if bad.any():
         row = int(np.argmax(bad))
         text = f"'{cells.iloc[row][:40]}' is neither a number nor a date or time that is known"
-        hint = "state how it is written under 'time:' of the mapping, as in format: '%d.%m.%Y %H:%M:%S'"
+        formats = " or ".join(map(repr, date_formats(cells))) or EXAMPLE
+        hint = f"state how it is written under 'time:' of the mapping, as in format: {formats}{MISSING_HINT}"
         raise InputError(text, file=path, column=" and ".join(names), hint=hint, **table.place(row))
     if stamps.dtype.kind == "m":
         return stamps.dt.total_seconds().to_numpy(dtype=float)
     return stamps.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
+
+
+def _joined(parts: list[NDArray[Any]]) -> Any:
+    """Return the text of the cells of several columns, which a blank separates."""
+    import pandas as pd
+
+    # Write whole numbers without a decimal point, before they are joined with the text of another column.
+    columns = [pd.Series(part).convert_dtypes().astype("string").str.strip() for part in parts]
+    return columns[0].str.cat(columns[1:], sep=" ") if columns[1:] else columns[0]
+
+
+def _dates(cells: Any, form: str | None) -> Any:
+    """Return the dates or times of day in cells, missing where a cell has another form.
+
+    Without a form, the cells hold times of day or dates after ISO 8601. A second may have no fraction.
+    """
+    import pandas as pd
+
+    read = partial(pd.to_datetime, errors="coerce", utc=True)
+    if form is not None:
+        stamps = read(cells, format=form)
+        return stamps.fillna(read(cells.where(stamps.isna()), format=re.sub(r"\W%f", "", form)))
+    plain = cells.str.replace(",", ".", regex=False)
+    of_day = plain.str.fullmatch(_TIME_OF_DAY)
+    if of_day.mean() > 0.5:
+        minutes = plain.where(of_day).str.replace(r"^(\d+:\d+)$", r"\1:00", regex=True)
+        return pd.to_timedelta(minutes, errors="coerce")
+    return read(plain, format="ISO8601")
+
+
+def date_formats(cells: Any) -> list[str]:
+    """Return the formats for ``strptime`` that fit most cells: with the day first, and with the month first.
+
+    >>> import pandas as pd
+    >>> date_formats(pd.Series(["12/06/2018 23:59:40.5", "13/06/2018 0:00:00"]))
+    ['%d/%m/%Y %H:%M:%S.%f']
+    """
+    cell = max(map(str, cells.dropna()), key=len, default="")
+    hit = re.match(
+        r"\d{1,2}(?P<mark>\W)(\d{1,2}|(?P<month>[A-Za-z]{3}))(?P=mark)(?P<year>\d{4}|\d\d)\b", cell
+    )
+    if hit is None:
+        return []
+    clock = re.sub(r"\d{1,2}:\d\d", "%H:%M", cell[hit.end() :], count=1)
+    clock = re.sub(r"(?<=%M):\d\d", ":%S", clock)
+    clock = re.sub(r"(?<=%S)(\W)\d+", r"\1%f", clock)
+    if re.search("[AaPp][Mm]", clock):
+        clock = re.sub("[AaPp][Mm]", "%p", clock).replace("%H", "%I")
+    orders = [("%d", "%b")] if hit["month"] else [("%d", "%m"), ("%m", "%d")]
+    year = "%Y" if len(hit["year"]) == 4 else "%y"
+    formats = [hit["mark"].join([*order, year]) + clock for order in orders]
+    return [form for form in formats if _dates(cells, form).notna().mean() > 1 - MAX_ODD]
 
 
 # ---------------------------------------------------------------- rows in order
@@ -1080,12 +1133,26 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
 
 # ---------------------------------------------------------------- draft of a mapping
 
+#: Patterns of the words in the name of a column that show that its unit of time is that of the clock, or that
+#: it is that of an interval between events.
+_OF_CLOCK = re.compile(
+    r"\b(t|ts|tt|times?|(time)?stamps?|clock|millis|micros|elapsed|epoch|uptime|utc|s|secs?|ms|us|zeit|temps|"
+    r"tiempo|tempo|tid|tijd)\b"
+)
+_OF_INTERVAL = re.compile(
+    r"\b(period|duration|latency|delay|lag|lead|dt|delta|diff|pulse|pwm|width|duty|exposure|shutter|rtt|ping|"
+    r"echo|tof|flight|response|reaction|rise|fall|settling|dead|loop|cycle|step|interval|jitter|processing)\b"
+)
+#: Comment on a column that may hold a compass heading, and pattern of the names of such columns.
+OF_COMPASS = "; yaw_rad is counter-clockwise from x: a compass heading has factor: -1, offset: 1.5708"
+COMPASS = re.compile(r"heading|compass|course|bearing|azimuth|direction|(?<![a-z])(cog|hdg)(?![a-z])")
+
 _XYZ = r"[ _.\[]*(?P<axis>[xyz])\]?"
 #: Target column of the log for each name of a foreign column that states a quantity but no unit. The names
 #: are patterns, which must match the whole name in lower case.
 _NAMES: list[tuple[str, str]] = [
-    (r"(lin(ear)?[ _.]*)?acc(el(eration|erometer)?)?" + _XYZ, "a{axis}_m_s2"),
-    (r"(gyr(o(scope)?)?|ang(ular)?[ _.]?(vel(ocity)?|rate)|omega)" + _XYZ, "w{axis}_rad_s"),
+    (r"(lin(ear)?[ _.]*)?a(cc(el(eration|erometer)?)?)?" + _XYZ, "a{axis}_m_s2"),
+    (r"(gyr(o(scope)?)?|ang(ular)?[ _.]?(vel(ocity)?|rate)|omega|w|g)" + _XYZ, "w{axis}_rad_s"),
     (r"mag(net(ometer|ic)?([ _]field)?)?" + _XYZ, "m{axis}_T"),
     (r"(quat(ernion)?|q)[ _.\[]*(?P<axis>[wxyz])\]?", "q{axis}"),
     (r"(pos(ition)?|location)" + _XYZ, "{axis}_m"),
@@ -1093,11 +1160,11 @@ _NAMES: list[tuple[str, str]] = [
     (r"surge[ _.]?(vel(ocity)?|speed)", "u_m_s"),
     (r"sway[ _.]?(vel(ocity)?|speed)", "v_m_s"),
     (r"heave[ _.]?(vel(ocity)?|speed)", "w_m_s"),
-    (r"(yaw|heading)[ _.]?(rate|vel(ocity)?|speed)", "yaw_rate_rad_s"),
-    (r"heading", "yaw_rad"),
+    (r"(?P<axis>roll|pitch|yaw)[ _.]?(rate|vel(ocity)?|speed)", "{axis}_rate_rad_s"),
     (r"(?P<axis>roll|pitch|yaw)", "{axis}_rad"),
+    (r"(?P<axis>roll|pitch|yaw)", "{axis}_rate_rad_s"),
     (r"(net[ _.]?)?force|thrust|load[ _.]?cell", "force_N"),
-    (r"joint[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
+    (r"j(oint)?[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
     (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
 ]
 _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<over>[^\d\s]\S*))\s*")
@@ -1164,12 +1231,13 @@ def guess_mapping(source: LogLike, *, select: str | None = None, output: str | P
     """
     given = log.unread(source)
     path = path_of(given)
-    table = open_table(given, select=select, kind="")
+    table = open_table(given, Options(bad_lines="skip"), select=select, kind="")
     lines = [
         f"# Drafted from {path.name} by swimid import --guess. Answer or delete every line with {ASK};",
         "# an axis may be swapped or flipped (factor: -1), which no name states.",
         f"format: {FORMAT}",
     ]
+    lines += [f"# {path.name}: {note}" for note in table.notes]
     if select is not None or "topic" in table.metadata:
         lines.append(_line("select", select or table.metadata["topic"]))
     if table.profile not in ("", "swimid"):
@@ -1203,12 +1271,24 @@ def _of_names(table: Table) -> list[str]:
     """
     usual = max((len(v) for v in table.columns.values()), default=0)
     columns = {key: values for key, values in table.columns.items() if len(values) == usual}
-    time = _guess_time(table, columns)
+    asked = dict(table.asked)
+    for name in [name for name, values in columns.items() if is_text(values)]:
+        found, odd = numbers_in(columns[name])
+        texts = columns[name][odd].astype(str)
+        if any(re.fullmatch(GROUPED, text) for text in texts):
+            asked.setdefault("decimal", f"the decimal mark, for cells such as '{texts[0]}' in '{name}'")
+            found = numbers_in([str(cell).replace(",", "") for cell in columns[name]])[0]
+        elif odd.sum() < np.isfinite(found).sum():
+            asked.setdefault("missing", f"the texts of missing samples, as in ['{texts[0]}'] in '{name}'")
+        else:
+            continue
+        columns[name] = found
+    time, forms = _guess_time(table, columns)
     taken: list[str] = []
     if isinstance(time, dict):
         taken = np.atleast_1d(time.get("source") or time["frame"]).tolist()
-    forms = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
-    lines = [_line("time", time, forms), "columns:"]
+    lines = [_line("reader", dict.fromkeys(asked, ASK), "; ".join(asked.values()))] * bool(asked)
+    lines += [_line("time", time, forms), "columns:"]
     for source, values in columns.items():
         if source in taken:
             continue
@@ -1217,8 +1297,10 @@ def _of_names(table: Table) -> list[str]:
             left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
             lines.append(f"  # {left_out}")
             continue
-        entries = {"source": source, "target": target, "unit": unit}
-        lines.append("  " + _line("-", entries, _first(values)))
+        entries, comment = {"source": source, "target": target, "unit": unit}, _first(values)
+        if COMPASS.search(source.lower()):
+            comment += OF_COMPASS
+        lines.append("  " + _line("-", entries, comment))
     lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
     return lines
 
@@ -1273,7 +1355,7 @@ def _split(name: str) -> tuple[str, str | None]:
     """Return the name of a column without its unit, and the unit, or None if the name states no unit."""
     if hit := _UNIT.fullmatch(name):
         return hit["bare"], hit["inside"] or hit["over"]
-    if hit := _ENDING.fullmatch(name):
+    if (hit := _ENDING.fullmatch(name)) and not COMPOUND.fullmatch(hit["bare"]):
         unit = canonical(re.sub(r"(?<=.)_(s2?)$", r"/\1", hit["unit"]))
         if unit in KNOWN:
             return hit["bare"], unit
@@ -1282,13 +1364,12 @@ def _split(name: str) -> tuple[str, str | None]:
 
 def _target(bare: str, unit: str | None) -> str | None:
     """Return the log column for a foreign column name (without its unit) and unit; None if unknown."""
-    for pattern, target in _NAMES:
-        hit = re.fullmatch(pattern, bare)
-        if hit is not None:
-            wanted = target.format(**hit.groupdict())
-            fitting = UNITS.get(quantity_of(wanted) or "", {})
-            return wanted if unit is None or unit in fitting else None
-    if unit is None or bare == "":
+    hits = [(re.fullmatch(pattern, bare), target) for pattern, target in _NAMES]
+    targets = [target.format(**hit.groupdict()) for hit, target in hits if hit is not None]
+    if targets:
+        fitting = [name for name in targets if unit is None or unit in UNITS.get(quantity_of(name) or "", {})]
+        return next(iter(fitting), None)
+    if unit is None or bare == "" or COMPASS.search(bare):
         return None
     # Derive the quantity from the unit, if no other quantity has this unit.
     quantities = [quantity for quantity, table in UNITS.items() if unit in table]
@@ -1298,25 +1379,50 @@ def _target(bare: str, unit: str | None) -> str | None:
     return f"{word}_{next(iter(UNITS[quantities[0]])).replace('/', '_')}"
 
 
-def _guess_time(table: Table, columns: dict[str, Any]) -> dict[str, Any] | str:
-    """Return the value of ``time:`` for a drafted mapping, as far as column names and units state it."""
+def _guess_time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] | str, str]:
+    """Return the value of ``time:`` for a drafted mapping, and a comment.
+
+    The value is known as far as column names and units state it. The name of the column must be that of a
+    clock: a unit of time is also that of a pulse or of a delay.
+    """
+    comment = "{source: ..., unit: ...}, {frame: ..., rate_hz: ...} or {rate_hz: ...}"
     stated = {name: _unit_of_time(name, table.units.get(name)) for name in columns}
-    stamps = [n for n in columns if stated[n] != ASK or OF_TIME.fullmatch(_split(n.strip())[0])]
+    stamps = [name for name in columns if _is_clock(name, stated[name])]
     # Prefer the time stamp of the sensor (in the message header) to the time stamp of the recorder.
     stamps.sort(key=lambda name: "header" not in name.lower())
     counts = [name for name in columns if COUNT.fullmatch(name.strip().lower())]
     if TIME in columns:
-        return {"source": TIME, "unit": "s"}
+        return {"source": TIME, "unit": "s"}, comment
     if stamps and is_text(columns[stamps[0]]):
         texts = [name for name in stamps if is_text(columns[name])]
-        return {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
+        time: dict[str, Any] = {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
+        cells = _joined([columns[name] for name in texts])
+        if _dates(cells, None).isna().any():
+            formats = date_formats(cells)
+            time["format"] = formats[0] if len(formats) == 1 else ASK
+            comment = f"as in format: {' or '.join(map(repr, formats)) or EXAMPLE}"
+        return time, comment
     if stamps and columns[stamps[0]].dtype.kind == "M":
-        return {"source": stamps[0], "origin": "first"}
+        return {"source": stamps[0], "origin": "first"}, comment
     if stamps:
-        return {"source": stamps[0], "unit": stated[stamps[0]]}
+        return {"source": stamps[0], "unit": stated[stamps[0]]}, comment
     if counts:
-        return {"frame": counts[0], "rate_hz": ASK}
-    return ASK
+        return {"frame": counts[0], "rate_hz": ASK}, comment
+    return ASK, comment
+
+
+def _is_clock(name: str, unit: str) -> bool:
+    """Return whether the name of a column says that it holds the times of the samples.
+
+    ``unit`` is the unit of time that the name or the file states, or ``ASK``.
+    """
+    bare = _split(name.strip())[0]
+    words = " ".join(re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", bare)).lower()
+    if _OF_INTERVAL.search(words):
+        return False
+    if unit == ASK:
+        return words == "t" or OF_TIME.fullmatch(bare) is not None
+    return not words or _OF_CLOCK.search(words) is not None or OF_TIME.fullmatch(bare) is not None
 
 
 def _unit_of_time(name: str, written: str | None) -> str:

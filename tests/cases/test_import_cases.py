@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swimid.logs import log
+from swimid.logs import log, mapping
 from tests.conftest import Ran
 
 Run = Callable[..., Ran]
@@ -39,6 +39,11 @@ def drafted(swimid: Run) -> Callable[[str], str]:
         return Path("map.yaml").read_text()
 
     return draft
+
+
+def _mapped(file: str) -> mapping.MappedLog:
+    """Read a file with the mapping in ``map.yaml``."""
+    return mapping.apply(mapping.of("map.yaml"), file)
 
 
 def _answer(text: str, **answers: str) -> None:
@@ -344,3 +349,121 @@ def test_units_that_a_netcdf_file_states(
     drafted("plain.nc")
     result = imported("plain.nc", "--map", "map.yaml")
     assert result["speed"]["line_m_s"] == pytest.approx(0.2137, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("file", "cells"),
+    [("err", "'ERR' in line 152"), ("hash", "'####' in line 152, '####' in line 153"),
+     ("plus", "'>1000' in line 301"), ("tail", "'end of test' in line 301")],
+)  # fmt: skip
+def test_a_cell_of_text_is_named(
+    file: str, cells: str, case: Case, imported: Any, drafted: Callable[[str], str]
+) -> None:
+    case("t4-one-text-cell")
+    assert cells in drafted(f"{file}.csv")
+    result = imported(f"{file}.csv", "--map", "map.yaml")
+    assert cells in result["notes"][0]
+    assert result["columns"] == ["t_s", "x_m", "y_m"]
+    assert result["missing"]["x_m"] == cells.count("in line")
+    assert result["verdict"]["level"] == "caution"
+
+
+def test_dashes_for_missing_values(case: Case, imported: Any, drafted: Callable[[str], str]) -> None:
+    case("t4-missing-dash")
+    _answer(drafted("ethovision.txt").replace("x_center_m", "x_m").replace("y_center_m", "y_m"))
+    result = imported("ethovision.txt", "--map", "map.yaml")
+    assert result["speed"]["line_m_s"] == pytest.approx(0.2, rel=0.1)
+    assert result["missing"]["x_m"] == 10
+    assert "'-' in line 439" in " ".join(result["notes"])
+
+
+def test_tables_that_are_drafted_with_their_columns(case: Case, drafted: Callable[[str], str]) -> None:
+    case("t4-list-cells")
+    assert 'source: "p[3]"' in drafted("l.csv")
+    case("t4-sheet-with-blank-columns")
+    assert "no numbers" not in drafted("s.xlsx")
+    case("t4-gyro-name")
+    text = drafted("swim1_imu.csv")
+    assert {"ax_m_s2", "az_m_s2", "wx_rad_s", "wz_rad_s"} < set(re.findall(r"target: (\w+)", text))
+    assert "ASK" not in text.partition("columns:")[2]
+    case("t4-pwm-as-time")
+    assert "\ntime: ASK" in drafted("bench.csv")
+
+
+@pytest.mark.parametrize("file", ["serial.txt", "csvlines.txt"])
+def test_a_serial_log_after_boot_lines(
+    file: str, case: Case, imported: Any, drafted: Callable[[str], str]
+) -> None:
+    case("t4-serial-boot-lines")
+    text = (
+        drafted(file)
+        .replace("unit: ASK", 'unit: "deg"')
+        .replace('{source: "t", unit: "deg"', "{source: t, unit: ms")
+    )
+    _answer(text)
+    result = imported(file, "--map", "map.yaml")
+    assert result["samples"] == 480
+    assert result["columns"] == ["t_s", "yaw_rad", "joint1_rad", "joint2_rad"]
+    assert result["stroke"]["frequency_hz"] == pytest.approx(1.27, abs=0.01)
+    assert "7 of 487" in result["notes"][0] or "8 lines above" in result["notes"][0]
+
+
+@pytest.mark.parametrize(
+    "file", ["t4-json-log/a.json", "t4-json-columns/columns.json", "t4-json-columns/flat.jsonl"]
+)
+def test_tables_in_json(file: str, case: Case, drafted: Callable[[str], str]) -> None:
+    folder, name = file.split("/")
+    case(folder)
+    text = drafted(name).replace(
+        '"position", target: ASK, unit: ASK', '"position", target: joint1_rad, unit: rad'
+    )
+    _answer(text.replace("unit: ASK", "unit: s"))
+    found = _mapped(name)
+    assert len(found) == {"a.json": 3000}.get(name, 480)
+    assert found.notes == []
+
+
+def test_a_torque_about_the_yaw_axis(case: Case) -> None:
+    case("t4-torque-column")
+    assert "torque_yaw_N_m" in _mapped("ft.csv").columns
+
+
+@pytest.mark.parametrize("file", ["joined.csv", "joined_int.csv"])
+def test_lost_line_ends(file: str, case: Case, drafted: Any, swimid: Run) -> None:
+    case("t4-o03-lost-newline")
+    ran = swimid("import", file, "-o", "o.csv")
+    assert ran.status == 3
+    assert "bad_lines: skip" in ran.err
+    _answer(drafted(file), bad_lines="skip")
+    found = _mapped(file)
+    assert len(found) == 960
+    assert "20 of 980 lines" in found.notes[0]
+    assert "mend lost line ends" in swimid("import", "one_line.csv", "--guess").err
+
+
+@pytest.mark.parametrize(
+    ("file", "form"),
+    [("dmy", "%d/%m"), ("dmy_twice", None), ("dmy_ambiguous", None), ("dots", "%d.%m"), ("iso", "")],
+)
+def test_the_order_of_day_and_month(
+    file: str, form: str | None, case: Case, drafted: Callable[[str], str], swimid: Run
+) -> None:
+    case("t4-o05-day-month")
+    text = drafted(f"{file}.csv")
+    if form is None:
+        assert "format: ASK" in text
+        _answer(text.replace("format: ASK", 'format: "%d/%m/%Y %H:%M:%S.%f"'))
+    elif form:
+        assert f'format: "{form}' in text
+    assert np.ptp(_mapped(f"{file}.csv").time_s) == pytest.approx(39.96)
+    if form != "":
+        ran = swimid("import", f"{file}.csv", "--map", f"map_{file}.yaml", "-o", "o.csv")
+        assert ".%f'" in ran.err
+
+
+def test_a_header_with_more_names_than_values(case: Case, swimid: Run) -> None:
+    case("t4-o07-header-longer")
+    for file, names, values in (("shifted", 8, 6), ("shifted1", 5, 4), ("shorter", 3, 4)):
+        ran = swimid("import", f"{file}.csv", "-o", "o.csv")
+        assert ran.status == 3
+        assert f"{names} names, the lines below {values} values" in ran.err

@@ -38,6 +38,7 @@ from swimid.errors import (
     suggestion,
 )
 from swimid.files import isolated, yamlio
+from swimid.files.tabular import MISSING
 from swimid.logs import log
 from swimid.logs.log import Log
 
@@ -81,7 +82,12 @@ UNITS: dict[str, dict[str, float]] = {
     "temperature": {"degC": 1},
 }
 #: Quantity that belongs to each ending of a column name, such as ``m_s`` for m/s.
-SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()}
+SUFFIXES = {next(iter(table)).replace("/", "_"): quantity for quantity, table in UNITS.items()} | {
+    "N_m": "torque"
+}
+#: Pattern of a column name without its last unit, if another unit precedes that unit. Together they are a
+#: compound unit, such as ``mm_s`` or ``N_m_rad``, and the last one does not state the quantity.
+COMPOUND = re.compile(r".+_(m?N|kN|Nm|kg|[mcuk]m|c?deg|m?rad|rev)(_[sm]2?)*")
 #: Names of all known units.
 KNOWN = frozenset(name for table in UNITS.values() for name in table)
 #: Other spellings of each unit that are accepted in files and mappings.
@@ -135,11 +141,13 @@ def canonical(unit: str) -> str:
 def quantity_of(column: str) -> str | None:
     """Return the quantity that a column measures, from the ending of its name; None if the name has no unit.
 
-    >>> quantity_of("yaw_rate_rad_s"), quantity_of("x_m"), quantity_of("valve")
-    ('turn rate', 'length', None)
+    >>> quantity_of("yaw_rate_rad_s"), quantity_of("torque_N_m"), quantity_of("u_mm_s"), quantity_of("valve")
+    ('turn rate', 'torque', None, None)
     """
-    endings = [suffix for suffix in SUFFIXES if column.endswith(f"_{suffix}")]
-    return SUFFIXES.get(max(endings, key=len, default=""))
+    suffix = max((suffix for suffix in SUFFIXES if column.endswith(f"_{suffix}")), key=len, default="")
+    if COMPOUND.fullmatch(column.removesuffix(f"_{suffix}")):
+        return None
+    return SUFFIXES.get(suffix)
 
 
 def states_quantity(column: str) -> bool:
@@ -193,6 +201,9 @@ class Options(yamlio.Document):
     header: bool | None = None
     #: Number of lines before the header, or before the samples if there is no header.
     skip_rows: Annotated[int, Field(ge=0)] | None = None
+    #: ``skip`` leaves out all lines with a wrong number of cells. By default a file with more than a few of
+    #: them is refused.
+    bad_lines: Literal["skip"] | None = None
     #: Contents of cells that mark a missing sample, in addition to the empty cell and ``nan``.
     missing: list[float | str] = []
     #: Character or characters with which a comment line begins.
@@ -237,6 +248,8 @@ class Table:
     rest : callable or None
         Function ``rest(names)`` that yields the rows after those of the table, in further tables with only
         the given columns; None if the table has all rows.
+    asked : dict of str to str
+        Options of the reader that a mapping must state, each with the reason.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -252,12 +265,13 @@ class Table:
     before: int = 0
     after: int = 0
     rest: Callable[[list[str]], Iterator[Table]] | None = None
+    asked: dict[str, str] = field(default_factory=dict)
 
     def batches(self, names: list[str]) -> Iterator[Table]:
         """Yield this table, and then the rows of the file that follow, with only the columns ``names``."""
         yield self
         if self.rest is not None:
-            yield from self.rest(names)
+            yield from map(convert_text, self.rest(names))
 
     def whole(self) -> Table:
         """Return the table with all rows of the file."""
@@ -273,17 +287,21 @@ class Table:
         InputError
             There is no such column. The message suggests the most similar name.
         """
+        known = list(self.columns)
+        if self.rest is not None:
+            known = self.names
+        known = [*known, *self.keys]
         names = [*(self.names or self.columns), *self.keys]
-        if isinstance(key, str) and key in names:
+        if isinstance(key, str) and key in known:
             return key
         if isinstance(key, int) or key.isdecimal():
             if not 1 <= int(key) <= len(names):
                 raise InputError(f"has {len(names)} columns, no column {key}", file=path)
-            return names[int(key) - 1]
-        loose = [name for name in names if name.strip().lower() == key.strip().lower()]
+            key = names[int(key) - 1]
+        loose = [name for name in known if name.strip().lower() == key.strip().lower()]
         if len(loose) == 1:
             return loose[0]
-        hint = suggestion(key, names, "the file has")
+        hint = suggestion(key, known, "the file has")
         raise InputError("there is no such column", file=path, column=key, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
@@ -382,6 +400,68 @@ class Format:
 def is_text(values: NDArray[Any]) -> bool:
     """Return whether a column of a table holds text."""
     return values.dtype.kind in "USO"
+
+
+#: Pattern of a number with separated groups of digits, such as 1,234.56.
+GROUPED = r"[-+]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"
+#: Maximum fraction of the cells of a column of numbers that may hold other text. Above it, the user states
+#: which texts mark a missing sample. It is half the fraction of rows that may be left out of a good log.
+MAX_ODD = 0.05
+
+
+def numbers_in(values: Any) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the numbers in a column of text, with NaN in all other cells, and flag cells with other text."""
+    import pandas as pd
+
+    cells = pd.Series(values).astype("string").str.strip()
+    found = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+    given = cells.notna() & ~cells.isin(MISSING)
+    return found, np.isnan(found) & given.to_numpy(dtype=bool)
+
+
+def convert_text(table: Table) -> Table:
+    """Convert the columns of text in a table that hold numbers, or lists of numbers.
+
+    Cells with other text become NaN if there are few of them (:data:`MAX_ODD`), and a note names them. Lists
+    such as ``[0.1, 0.2]`` in the column ``p`` become the columns ``p[1]`` and ``p[2]``.
+    """
+    columns: dict[str, NDArray[Any]] = {}
+    emptied: dict[tuple[int, ...], list[str]] = {}
+    for name, values in table.columns.items():
+        if not is_text(values):
+            columns[name] = values
+            continue
+        found, odd = numbers_in(values)
+        if odd.sum() > MAX_ODD * (odd.sum() + np.isfinite(found).sum()):
+            columns |= _split_lists(name, values)
+            continue
+        columns[name] = found
+        if odd.any():
+            emptied.setdefault(tuple(np.flatnonzero(odd).tolist()), []).append(name)
+    for rows, names in emptied.items():
+        cells = table.columns[names[0]]
+        places = [f"'{cells[row]}' in {_in_words(table.place(row))}"[:80] for row in rows[:3]]
+        text = f"cells that are no numbers are left empty, {len(rows)} of {len(cells)} in {', '.join(names)}"
+        table.notes.append(f"{text}: {', '.join(places)}{', ...' * (len(rows) > 3)}")
+    return replace(table, columns=columns)
+
+
+def _split_lists(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Return a column for each element of the lists in a column of text, or the column without lists."""
+    import pandas as pd
+
+    cells = pd.Series(values).dropna().astype("string").str.strip()
+    if cells.empty or not cells.str.fullmatch(r"[\[(][^\[\]()]*[\])]").all():
+        return {name: values}
+    parts = cells.str[1:-1].str.strip().str.split(r"\s*[,;]\s*|\s+", regex=True, expand=True)
+    found = {f"{name}[{k + 1}]": numbers_in(parts[k].reindex(range(len(values))))[0] for k in parts}
+    if len(found) > MAX_ELEMENTS or not all(np.isfinite(column).any() for column in found.values()):
+        return {name: values}
+    return found
+
+
+def _in_words(place: dict[str, int]) -> str:
+    return " ".join(f"{kind} {number}" for kind, number in place.items())
 
 
 def flat(
@@ -740,7 +820,8 @@ def open_table(
         The file cannot be read, or its format needs an extra that is not installed.
     """
     if isinstance(given, Log):
-        return Table(dict(given.columns), comments=yamlio.dumps_flat(given.metadata).splitlines())
+        comments = yamlio.dumps_flat(given.metadata).splitlines()
+        return convert_text(Table(dict(given.columns), comments=comments))
     path = Path(given)
     found = find_format(path, kind)
     hint = None
@@ -763,4 +844,4 @@ def open_table(
         raise InputError("holds no samples", file=path)
     if found.recognises is not None:
         table.profile = found.name
-    return table
+    return convert_text(table)

@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress
+from itertools import compress, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError
 from swimid.files.tabular import MISSING, count_cells, number, parse
-from swimid.logs.foreign import KNOWN, Format, Options, Peek, Table, canonical
-from swimid.logs.foreign.serial import is_serial, to_table
+from swimid.logs.foreign import GROUPED, KNOWN, Format, Options, Peek, Table, canonical, numbers_in
+from swimid.logs.foreign.serial import find_label, to_table
 from swimid.logs.log import TIME
 
 if TYPE_CHECKING:
@@ -33,6 +33,9 @@ MAX_RAGGED = 0.01
 #: Weight of each delimiter when the delimiter of a file is chosen. Commas and blanks have lower weights,
 #: because commas can also be decimal marks, and blanks can occur within cells.
 DELIMITERS = {",": 0.9, ";": 1.0, "\t": 1.0, "|": 1.0, " ": 0.7}
+#: Pattern of the bytes of plain text, and their minimum fraction in a text that is not UTF-8. Compressed data
+#: have 38 %. A table in another code consists of numbers, except for a few names.
+_PLAIN, MIN_PLAIN = re.compile(rb"[\t\n\r -~]"), 0.7
 _MARKS: dict[str | None, str] = {"tab": "\t", "whitespace": " "}
 _ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 #: Translation table for the cells of a file, by decimal mark of the file. It converts the decimal mark to a
@@ -41,6 +44,9 @@ _POINTS: dict[str, dict[int, int]] = {".": {}, ",": str.maketrans(",.", ".,")}
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 #: Pattern of a cell with a date or a time of day. Like a number, such a cell shows that a line holds samples.
 _SAMPLE = re.compile(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}([T ].*)?|\d\d?:\d\d(:\d\d)?.*")
+_EMPTY_LINES, _UNNAMED = re.compile(rb"\n([ \t,;|]*\n)+"), re.compile(r"(column )?\d+")
+#: Number of bytes after an empty line in which the names of a second table are looked for.
+MAX_HEADER = 1 << 12
 _BLANKS, _EDGES = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^ | $")
 
 
@@ -74,12 +80,14 @@ class Layout:
 
 def _open(path: Path, options: Options, select: str | None) -> Table:
     text, notes = _read_utf8(path, options)
-    if not is_serial(text[:SAMPLE]):
+    label = find_label(text[:SAMPLE])
+    if label is None:
         return read_text(text, notes, options, path)
-    text, labels = to_table(text)
+    text, labels = to_table(text, label, notes)
     layout = {"header": False, "delimiter": ",", "decimal": "."}
     table = read_text(text, notes, options.model_copy(update=layout), path)
-    return replace(table, columns=dict(zip(labels, table.columns.values(), strict=True)))
+    columns = {labels[int(number) - 1]: values for number, values in table.columns.items()}
+    return replace(table, columns=columns, names=labels)
 
 
 def read_text(text: bytes, notes: list[str], options: Options, path: Path) -> Table:
@@ -102,9 +110,11 @@ def read_text(text: bytes, notes: list[str], options: Options, path: Path) -> Ta
     text = text.split(b"\n", found.first_line - 1)[-1]
     if options.comment.encode() in text:
         text = comment.sub(b"", text)
+    text = _cut_below(text, found, notes)
     if found.delimiter == " ":
         text = _EDGES.sub(b"", _BLANKS.sub(b" ", text))
     stated = dict(zip(found.names, found.units, strict=False))
+    asked: dict[str, str] = {}
     parsed, width = None, len(found.names)
     if b'"' not in text:
         parsed = _parse(text, found, options)
@@ -118,11 +128,31 @@ def read_text(text: bytes, notes: list[str], options: Options, path: Path) -> Ta
         broken = [(at, int(count)) for (at, _), count in zip(filled, cells, strict=True) if count != width]
         filled = list(compress(filled, cells == width))
         rows = np.array([at for at, _ in filled], dtype=np.int64)
-        notes += _note_ragged(broken, width, len(rows), path)
+        if broken:
+            asked = _note_ragged(broken, width, len(rows), path, options, notes)
         if broken or parsed is None:
             parsed = _parse(b"\n".join(line for _, line in filled), found, options)
-    columns = {name: _convert(parsed[name], found.decimal) for name in found.names}
-    return Table(columns, units=stated, notes=notes, comments=comments, lines=rows)
+    blank = [name for name in found.names if _UNNAMED.fullmatch(name) and not parsed[name].notna().any()]
+    kept = [name for name in found.names if name not in blank] or found.names
+    columns = {name: _convert(parsed[name], found.decimal, options) for name in kept}
+    return Table(columns, stated, notes=notes, comments=comments, lines=rows, names=found.names, asked=asked)
+
+
+def _cut_below(text: bytes, found: Layout, notes: list[str]) -> bytes:
+    """Return the samples in a text without a second table below them; append a remark to ``notes``.
+
+    The second table begins, under an empty line and perhaps a title, with a line of other names.
+    """
+    for hit in _EMPTY_LINES.finditer(text):
+        lines = text[hit.end() : hit.end() + MAX_HEADER].decode(errors="replace").split("\n")[:3]
+        rows = [_cells(line, found.delimiter) for line in lines]
+        for names, cells in pairwise(rows):
+            numbered = any(_value(cell, found.decimal) is not None for cell in cells)
+            if _is_header(names) and numbered and not {*filter(None, names)} <= {*found.names}:
+                at = found.first_line + text[: hit.end()].count(b"\n")
+                notes.append(f"another table begins in line {at}; it and all lines below are not read")
+                return text[: hit.start()]
+    return text
 
 
 def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
@@ -137,8 +167,9 @@ def _read_utf8(path: Path, options: Options) -> tuple[bytes, list[str]]:
             raise InputError(f"is not {encoding} text", file=path, line=line) from error
         text = raw.decode("cp1252", "replace")
         notes.append("is not UTF-8; read as Western European text (cp1252)")
-    if "\x00" in text[:SAMPLE]:
-        hint = "name its format: --as NAME, or as: NAME in a mapping"
+    is_plain = len(_PLAIN.findall(raw[:SAMPLE])) > MIN_PLAIN * len(raw[:SAMPLE])
+    if "\x00" in text[:SAMPLE] or (notes and not is_plain):
+        hint = "name its format (--as NAME, or as: NAME in a mapping), or its encoding under 'reader:'"
         raise InputError("is no text file", file=path, hint=hint)
     return text.encode().replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
@@ -158,7 +189,7 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     width = Counter(map(len, table)).most_common(1)[0][0]
     first = _first_sample(table, width, decimal, options)
     if first is None or first == len(table):
-        hint = "give delimiter, header or skip_rows under 'reader:'"
+        hint = "give delimiter, header or skip_rows under 'reader:' of a mapping, or mend lost line ends"
         raise InputError("no line holds numbers", file=path, line=kept[0][0], hint=hint)
     above, samples = table[:first], [cells for cells in table[first:] if len(cells) == width]
     stated: list[str] = []
@@ -167,6 +198,11 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
     if above and len(above[-1]) == width - 1 and not any(cells[-1] for cells in samples):
         # Add an empty name if each line of samples ends with a delimiter, but the line of names does not.
         above[-1] = [*above[-1], ""]
+    elif above and len(above[-1]) > width and not any(above[-1][width:]):
+        above[-1] = above[-1][:width]
+    elif above and len(above[-1]) != width and _is_header(above[-1]):
+        text = f"line {kept[len(above) - 1][0]} has {len(above[-1])} names, the lines below {width} values"
+        notes.append(f"{text}: no name is used, and the columns have numbers")
     levels: list[list[str]] = []
     # Read several header lines: if the names in one line repeat, complete them by the names in the line
     # above.
@@ -183,10 +219,13 @@ def _find_layout(lines: list[str], options: Options, path: Path, notes: list[str
 def _likely_delimiter(lines: list[str]) -> str:
     scores = {}
     for mark, weight in DELIMITERS.items():
-        width, times = Counter(len(_cells(line, mark)) for line in lines).most_common(1)[0]
-        # Score the delimiter mainly by the number of lines with the same number of cells, then by that number
-        # of cells.
-        scores[mark] = weight * times * (1 + min(width, 50) / 1000) * (width > 1)
+        table = [_cells(line, mark) for line in lines]
+        width, times = Counter(map(len, table)).most_common(1)[0]
+        flat = [cell for row in table for cell in row]
+        numbered = np.mean([bool(_COMMA.fullmatch(cell)) or number(cell) is not None for cell in flat])
+        # Score the delimiter mainly by the number of lines with the same number of cells and by the fraction
+        # of numbers in the cells, then by that number of cells.
+        scores[mark] = weight * (0.1 + numbered) * times * (1 + min(width, 50) / 1000) * (width > 1)
     return max(scores, key=lambda mark: scores[mark])
 
 
@@ -198,10 +237,12 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _decimal(table: list[list[str]], delimiter: str) -> str:
+    """Return the decimal mark of a file. Commas that may separate groups of digits show none."""
     cells = [cell for row in table for cell in row]
-    commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
+    commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
     dots = sum(number(cell) is not None and "." in cell for cell in cells)
-    return "," if commas > dots and delimiter != "," else "."
+    is_grouped = all(re.fullmatch(GROUPED, cell) for cell in commas)
+    return "," if len(commas) > dots and delimiter != "," and not is_grouped else "."
 
 
 def _value(cell: str, decimal: str) -> float | None:
@@ -210,14 +251,37 @@ def _value(cell: str, decimal: str) -> float | None:
 
 
 def _first_sample(table: list[list[str]], width: int, decimal: str, options: Options) -> int | None:
-    """Return the index of the first line of a file that holds samples; None if there is none."""
+    """Return the index of the first line of a file that holds samples; None if there is none.
+
+    A line of text and numbers, such as a setting, holds no sample if the names of the columns and most of the
+    samples follow it.
+    """
     if options.header is False:
         return 0
-    for at, cells in enumerate(table):
-        sampled = any(_value(cell, decimal) is not None or _SAMPLE.fullmatch(cell) for cell in cells)
-        if len(cells) == width and sampled and (at > 0 or not options.header):
+    filled = [[cell for cell in cells if cell] for cells in table]
+    counts = [sum(_is_sample(cell, decimal) for cell in cells) for cells in filled]
+    headers = [at for at in range(1, min(len(table), LINES)) if counts[at] == 0 and _is_header(table[at])]
+    headers = [at for at in headers if table[at] not in table[:at]]
+    sampled = [count > 0 and len(cells) == width for count, cells in zip(counts, table, strict=True)]
+    for at in np.flatnonzero(sampled).tolist():
+        later = [k for k in headers if k > at and len(filled[k]) >= len(filled[at])]
+        is_setting = counts[at] < len({*filled[at]} - {*MISSING}) and any(
+            sum(sampled[at:k]) < sum(sampled[k:]) for k in later
+        )
+        if not is_setting and (at > 0 or not options.header):
             return at
     return None
+
+
+def _is_sample(cell: str, decimal: str) -> bool:
+    """Return whether a cell holds a number, a date or a time of day."""
+    return _value(cell, decimal) is not None or _SAMPLE.fullmatch(cell) is not None
+
+
+def _is_header(cells: list[str]) -> bool:
+    """Return whether the cells of a line may be names of columns: two or more, all different, no numbers."""
+    filled = [cell for cell in cells if cell]
+    return len(filled) > 1 and _differ(cells) and not any(_is_sample(cell, ".") for cell in filled)
 
 
 def _are_units(cells: list[str]) -> bool:
@@ -298,30 +362,46 @@ def _is_regular(text: bytes, parsed: pd.DataFrame, delimiter: str) -> bool:
     return whole and not parsed.iloc[:, -1].hasnans
 
 
-def _convert(cells: pd.Series, decimal: str) -> NDArray[Any]:
-    """Return a column as numbers if all its cells are numbers, otherwise as text."""
-    import pandas as pd
+def _convert(cells: pd.Series, decimal: str, options: Options) -> NDArray[Any]:
+    """Return a column as numbers if all its cells are numbers, otherwise as text.
 
+    In the text of a column in which numbers prevail, the decimal mark is a point.
+    """
     if cells.dtype.kind == "f":
         return cells.to_numpy()
-    numbers = pd.to_numeric(cells.str.strip().str.translate(_POINTS[decimal]), errors="coerce")
-    if numbers.notna().equals(cells.notna()):
-        return numbers.to_numpy(dtype=float, na_value=np.nan)
+    plain = cells.str.strip().str.translate(_POINTS[decimal])
+    grouped = plain.str.fullmatch(GROUPED).fillna(False).astype(bool)
+    if grouped.any() and (options.decimal or plain.str.contains(".", regex=False).any()):
+        # Numbers with a decimal point show that the comma separates groups of digits.
+        plain = plain.mask(grouped, plain.str.replace(",", ""))
+    numbers, odd = numbers_in(plain)
+    if not odd.any():
+        return numbers
+    if odd.sum() < np.isfinite(numbers).sum():
+        cells = plain.mask(odd, cells)
     return cells.to_numpy(dtype=object, na_value=None)
 
 
-def _note_ragged(broken: list[tuple[int, int]], width: int, rows: int, path: Path) -> list[str]:
-    """Return a note on lines with a wrong number of cells; raise an error if there are too many of them."""
-    if not broken:
-        return []
+def _note_ragged(
+    broken: list[tuple[int, int]], width: int, rows: int, path: Path, options: Options, notes: list[str]
+) -> dict[str, str]:
+    """Append a remark on lines with a wrong number of cells; return the option of the reader that it needs.
+
+    Raises
+    ------
+    InputError
+        There are too many such lines, and the option ``bad_lines`` does not leave them out.
+    """
     line, cells = broken[0]
-    if len(broken) > max(1, MAX_RAGGED * rows):
+    is_many = len(broken) > max(1, MAX_RAGGED * rows)
+    if len(broken) > rows or (is_many and options.bad_lines is None):
         held = f"has {cells or 'unreadable'} cells"
-        text = f"{held} where {width} columns are expected ({len(broken)} such lines)"
-        hint = "give delimiter, header or skip_rows under 'reader:' of the mapping"
-        raise InputError(text, file=path, line=line, hint=hint)
+        text = f"{held} where {width} columns are expected ({len(broken)} of {rows + len(broken)} such lines)"
+        hint = "give delimiter, header or skip_rows, or leave these lines out by 'bad_lines: skip', under "
+        raise InputError(text, file=path, line=line, hint=hint + "'reader:' of the mapping")
     share = f"{len(broken)} of {rows + len(broken)} lines"
-    return [f"{share} have a wrong number of cells and are left out (first: line {line})"]
+    notes.append(f"{share} have a wrong number of cells and are left out (first: line {line})")
+    return {"bad_lines": f"skip, because {notes[-1]}"} if is_many else {}
 
 
 def _has_time(peek: Peek) -> bool:

@@ -22,9 +22,9 @@ from swimid.logs.log import TIME
 
 _TEXT = "#Kinovea Trajectory data export"
 _NAME = re.compile(r"(?P<track>.+)/(?P<point>[^/]+)/(?P<axis>[XY])")
-#: Maximum distance of a time from the next multiple of the frame period, in frame periods. Kinovea rounds the
-#: times that it exports.
-MAX_ROUNDING = 0.2
+#: Maximum distance of a time from a multiple of the frame period, in units of the last decimal of the times.
+#: Kinovea rounds the times that it exports, so that the distance is 0.5, and the period is estimated.
+MAX_ROUNDING = 0.6
 
 
 def _header(peek: Peek) -> list[str]:
@@ -57,13 +57,32 @@ def _read(path: Path, options: Options, select: str | None) -> Table:
         )
     factor, unit = length(options.length_unit, path)
     scaled = {name: values * factor for name, values in found.items()}
-    steps = np.diff(time)
-    usual = float(np.median(steps)) if len(steps) else np.nan
-    frames = (time - time[0]) / usual
-    if not (usual > 0 and np.abs(frames - np.round(frames)).max() <= MAX_ROUNDING):
+    frames = _frame_numbers(time)
+    if frames is None:
         hint = "a mapping states the unit of the times: time: {source: Time, unit: ms}"
         raise InputError("its times are no multiples of a frame", file=path, hint=hint)
-    return Table({"frame": np.round(frames), "Time": time, **points(scaled, unit, "up")})
+    return Table({"frame": frames, "Time": time, **points(scaled, unit, "up")})
+
+
+def _frame_numbers(time: Array) -> Array | None:
+    """Return the frame number of each time, from 0; None if the times are no rounded multiples of a period.
+
+    The first estimate of the period is the mean of the shortest steps, which differ by the rounding. Each
+    further estimate is fitted to twice as many times, so that the frame numbers stay right.
+    """
+    rounding = next(
+        (0.1**k for k in range(7) if np.allclose(np.round(time, k), time, rtol=0, atol=1e-9)), 0.0
+    )
+    steps = np.diff(time)
+    if not len(steps) or not steps.min() > 0:
+        return None
+    origin, period, count = time[0], float(steps[steps <= steps.min() + 1.01 * rounding].mean()), 1
+    while count < len(time):
+        count *= 2
+        frames = np.round((time[:count] - origin) / period)
+        period, origin = np.polyfit(frames, time[:count], 1)
+    left = np.abs(time - origin - period * frames).max()
+    return frames if left <= max(MAX_ROUNDING * rounding, 1e-6 * period) else None
 
 
 def _of_csv(path: Path) -> tuple[Array, dict[str, Array]]:

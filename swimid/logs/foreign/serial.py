@@ -8,38 +8,44 @@ monitor puts before a line (``12:30:01.123 -> ``) becomes the column ``clock``.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from itertools import chain
 
 _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|[-+]?inf)"
 _PAIR = re.compile(rb"([A-Za-z][\w./\[\]()-]*?)[ ]*[:=][ ]*(" + _NUMBER + rb")", re.I)
 _CLOCK, _PAIRS = rb"(?:(?P<clock>[\d:.]+) -> ?)?", rb"(?P<pairs>%b(?:[ ,;\t]+%b)*)" % ((_PAIR.pattern,) * 2)
 _LINE = re.compile(rb"\s*" + _CLOCK + _PAIRS + rb"[ ,;\t]*", re.I)
-#: Minimum number of lines by which a file of labelled values is recognised. All these lines have the same
-#: first label. The first line may be cut off, because a recording begins anywhere.
-MIN_LINES = 3
+#: Minimum number of lines by which a file of labelled values is recognised, and their minimum fraction after
+#: the first of them. All have the same first label. Others are messages, as of a microcontroller that starts.
+MIN_LINES, MIN_SHARE = 3, 0.5
 
 
-def is_serial(text: bytes) -> bool:
-    """Return whether the lines at the beginning of a file hold labelled values only."""
-    lines = [line for line in text.split(b"\n")[:50] if line.strip()]
-    hits = [_LINE.fullmatch(line) for line in lines[1:-1]]
-    labels = {hit[3] for hit in hits if hit}
-    return len(hits) >= MIN_LINES and all(hits) and len(labels) == 1
+def find_label(text: bytes) -> bytes | None:
+    """Return the first label of the lines of labelled values in a file; None for a file of other lines."""
+    lines = [line for line in text.split(b"\n") if line.strip()][1:-1]
+    labels = [hit and hit[3] for hit in map(_LINE.fullmatch, lines)]
+    label, count = next(iter(Counter(filter(None, labels)).most_common(1)), (b"", 0))
+    least = max(MIN_LINES, MIN_SHARE * (len(labels) - labels.index(label))) if count else MIN_LINES
+    return label if count >= least else None
 
 
-def to_table(text: bytes) -> tuple[bytes, list[str]]:
-    """Convert lines of labelled values to comma-separated values, and return them with the labels.
+def to_table(text: bytes, label: bytes, notes: list[str]) -> tuple[bytes, list[str]]:
+    """Convert the lines of labelled values that begin with ``label`` to comma-separated values.
 
-    A label that a line lacks is an empty cell. Other lines stay as they are.
+    A label that a line lacks is an empty cell. Other lines become empty, and a remark on them is appended to
+    ``notes``. The second result has the labels.
     """
     lines = text.split(b"\n")
-    hits = [_LINE.fullmatch(line) for line in lines]
-    found = [hit and dict(_PAIR.findall(hit["pairs"])) | {b"clock": hit["clock"] or b""} for hit in hits]
-    rows = [row for row in found if row]
-    names = list(dict.fromkeys(name for name in chain.from_iterable(rows) if name != b"clock"))
-    if any(row[b"clock"] for row in rows):
+    hits = [hit if (hit := _LINE.fullmatch(line)) and hit[3] == label else None for line in lines]
+    rows = {at: dict(_PAIR.findall(hit["pairs"])) for at, hit in enumerate(hits) if hit}
+    clocks = {at: hit["clock"] for at, hit in enumerate(hits) if hit and hit["clock"]}
+    names = list(dict.fromkeys(chain.from_iterable(rows.values())))
+    if clocks:
         names.insert(0, b"clock")
-    for at, row in enumerate(found):
-        if row:
-            lines[at] = b",".join(row.get(name, b"") for name in names)
-    return b"\n".join(lines), [name.decode() for name in names]
+        rows = {at: row | {b"clock": clocks.get(at, b"")} for at, row in rows.items()}
+    others = [at for at, line in enumerate(lines) if line.strip() and at not in rows]
+    if others:
+        share = f"{len(others)} of {len(rows) + len(others)} lines"
+        notes.append(f"{share} hold no labelled values and are left out (first: line {others[0] + 1})")
+    cells = [[rows[at].get(name, b"") for name in names] if at in rows else [] for at in range(len(lines))]
+    return b"\n".join(map(b",".join, cells)), [name.decode() for name in names]

@@ -44,12 +44,14 @@ def _is_tracker(peek: Peek) -> bool:
 def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
     import pandas as pd
 
-    found = _layout(path.read_text(encoding="utf-8-sig").splitlines()[:4])
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    found = _layout(lines[:4])
     if found is None:
         hint = "Tracker exports a line with the track, a line 't x y', and the samples"
         raise InputError("is no export of Tracker", file=path, hint=hint)
     height, mark, above, names = found
-    values, lines = numbers(path, height, mark, len(names))
+    decimal = "," if mark != "," and any("," in line for line in lines[height:]) else "."
+    values, rows = numbers(path, height, mark, len(names), decimal=decimal)
     # Assign each column to its track. The name of a track is in the cell above the first of its columns.
     filled = pd.Series(above).reindex(range(len(names)))
     owners = filled.where(filled != "").ffill().fillna("").tolist()
@@ -70,7 +72,7 @@ def _read_tracker(path: Path, options: Options, select: str | None) -> Table:
     if options.length_unit is None and not any(hit["unit"] for hit in hits.values()):
         default = "metres are Tracker's default (else add --length-unit cm)"
         notes.append(f"the file states no unit of length; {default}")
-    return Table(columns, notes=notes, lines=lines)
+    return Table(columns, notes=notes, lines=rows)
 
 
 TRACKER = Format("tracker", "export of Tracker", _read_tracker, _is_tracker)
