@@ -153,6 +153,8 @@ class Project:
         Drafts of setups, by the name of the setup file. Each writes a picture beside its file.
     missing : list of str
         What must be done before the files can be used, besides the answers: sentences with a command.
+    inertial : list of (Path, Path, str)
+        Inertial logs, each with the recording of the same trial and its mapping.
     optional : list of str
         Commands for recordings that the fits do not need.
     """
@@ -164,6 +166,7 @@ class Project:
     files: dict[str, str] = field(default_factory=dict)
     pictures: dict[str, SetupDraft] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
+    inertial: list[tuple[Path, Path, str]] = field(default_factory=list)
     optional: list[str] = field(default_factory=list)
 
     def relative(self, path: Path) -> str:
@@ -262,6 +265,9 @@ def draft(project: Project, groups: list[Group], notes: list[Recording], progres
         _add_companions(project, group, progress)
     _add_plan(project)
     logs = _logs_of(project)
+    for path, base, name in project.inertial:
+        words = [project.relative(path), "--map", name, "--with", logs[base], "-o", f"{path.stem}.csv"]
+        project.optional.append(f"swimid track imu {shlex.join(words)}")
     for group in groups:
         _add_trials(project, group, [logs[one.path] for one in group.recordings], notes)
     fitting = {name for group in groups if group.robot == ASK for name in group.fitting} - {"arma"}
@@ -403,11 +409,7 @@ def _add_companions(project: Project, group: Group, progress: Progress) -> None:
         if {"ax_m_s2", "wx_rad_s"} <= {*columns}:
             name = f"{companion.name}.map.yaml"
             project.files[name] = text
-            log = _logs_of(project)[base.path] if group.first.kind == "log" else f"{base.path.stem}.csv"
-            project.optional.append(
-                f"swimid track imu {shlex.quote(project.relative(file.path))} --map {name} "
-                f"--with {shlex.quote(log)} -o {shlex.quote(file.path.stem)}.csv"
-            )
+            project.inertial.append((file.path, base.path, name))
             continue
         suffix = file.path.name.removeprefix(base.path.stem)
         place = project.relative(file.path.parent / f"{{stem}}{suffix}")
