@@ -242,3 +242,31 @@ def test_samples_are_copied_and_their_command_runs(
     assert "did you mean 'rig'" in swimid("sample", "rgi").err
     assert swimid("sample", "all", "-o", "everything").status == 0
     assert swimid("batch", "everything/plan.yaml", "-o", "run", "--dry-run").status == 0
+
+
+def test_logs_of_one_swim_are_one_trial(project) -> None:
+    """Commands, inertial log and camera log of a swim have one name, and a table names frequencies."""
+    folder, found = project(lab_folders.one_robot)
+    assert sorted(path.name for path in folder.glob("*.trials.yaml")) == ["log-1.trials.yaml"]
+    trials = (folder / "log-1.trials.yaml").read_text()
+    assert "experiment: free-swim" in trials
+    assert "The drive is in the logs: cmd1_rad, cmd2_rad, cmd3_rad." in trials
+    assert "swims.csv: not used: comment" in trials
+    joined = (folder / "log-1.map.yaml").read_text()
+    assert "{stem}_arduino.txt" in joined
+    assert "align: {cmd1_rad: yaw_rad}" in joined
+    assert any("track imu" in line and "--with" in line for line in found["commands"])
+    robot = (folder / "robot.yaml").read_text()
+    assert [f"name: {name}," in robot for name in ("body", "segment1", "segment2", "tail")] == [True] * 4
+
+
+def test_table_of_swims_states_the_drive(project) -> None:
+    def write(lab: Path) -> None:
+        lab_folders.one_robot(lab)
+        for path in [*lab.glob("*_arduino.txt"), *lab.glob("*_imu.csv")]:
+            path.unlink()
+
+    folder, _ = project(write, "--robot", "tfish")
+    trials = (folder / "log-1.trials.yaml").read_text()
+    assert "drive: {frequency_hz: 0.8, amplitude_deg: 25.0, bias_deg: 0.0}" in trials
+    assert "ASK" not in trials.partition("trials:")[2]

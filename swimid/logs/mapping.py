@@ -197,7 +197,8 @@ class Align(yamlio.Document):
 class Joined(yamlio.Document):
     """Columns of another topic, struct or file, which are interpolated at the times of the log."""
 
-    #: Path of another file, relative to the folder of the foreign log; by default the same file.
+    #: Path of another file, relative to the folder of the foreign log, or else of the mapping; by default the
+    #: same file. ``{stem}`` is the name of the recording without its ending.
     file: str | None = None
     profile: str | None = Field(default=None, alias="as")
     select: str | int | None = None

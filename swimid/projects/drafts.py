@@ -20,7 +20,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from swimid.errors import InputError, NoTrustworthyResult
 from swimid.files import yamlio
 from swimid.files.yamlio import ASK
-from swimid.logs.foreign import open_table
+from swimid.logs.foreign import UNITS, canonical, open_table
+from swimid.logs.mapping import FORMAT as MAPPING
 from swimid.logs.mapping import guess_mapping
 from swimid.logs.point_files import tracked_points
 from swimid.logs.trials import FORMAT as TRIALS
@@ -31,6 +32,8 @@ from swimid.robots.file import built_in
 from swimid.runs.plan import folder_of, resolve
 from swimid.tracking.track_setup import SetupDraft, track_setup
 
+#: Name of the log of a recording to which the tables of the same trial are joined.
+NAMED = {"as": "log"}
 #: Folder of the run of the plan, in the project.
 RUN = "run"
 #: Maximum difference between the rows of a tracker's table and the frames of its film. Some containers state
@@ -52,6 +55,8 @@ class Experiment:
     linked: bool = False
 
 
+#: Keys of the drive that a table of recordings may state.
+DRIVE_KEYS = ("frequency_hz", "amplitude_deg", "bias_deg")
 _DRIVE = {"drive": {"frequency_hz": ASK, "amplitude_deg": ASK}}
 EXPERIMENTS = {
     "falling-weight": Experiment(
@@ -95,10 +100,12 @@ class Group:
     recordings : list of Recording
     columns : tuple of str
         Columns of the logs of the group, as far as they are known.
-    step : dict
-        Step of the plan that makes a log of a recording; empty for recordings that are logs.
+    steps : list of dict
+        Steps of the plan that make a log of a recording; empty for recordings that are logs.
     rates_hz : dict of Path to float
         Frame rates of the films of which the recordings are tables.
+    companions : list of Group
+        Groups of tables of the same trials: each recording has the name of one of this group, and more.
     fitting : list of str
         Experiments that the trials file may state.
     experiment, robot : str
@@ -108,8 +115,9 @@ class Group:
     name: str
     recordings: list[Recording]
     columns: tuple[str, ...] = ()
-    step: dict[str, Any] = field(default_factory=dict)
+    steps: list[dict[str, Any]] = field(default_factory=list)
     rates_hz: dict[Path, float] = field(default_factory=dict)
+    companions: list[Group] = field(default_factory=list)
     fitting: list[str] = field(default_factory=list)
     experiment: str = ASK
     robot: str = ASK
@@ -145,6 +153,10 @@ class Project:
         Drafts of setups, by the name of the setup file. Each writes a picture beside its file.
     missing : list of str
         What must be done before the files can be used, besides the answers: sentences with a command.
+    inertial : list of (Path, Path, str)
+        Inertial logs, each with the recording of the same trial and its mapping.
+    optional : list of str
+        Commands for recordings that the fits do not need.
     """
 
     folder: Path
@@ -154,10 +166,16 @@ class Project:
     files: dict[str, str] = field(default_factory=dict)
     pictures: dict[str, SetupDraft] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
+    inertial: list[tuple[Path, Path, str]] = field(default_factory=list)
+    optional: list[str] = field(default_factory=list)
 
     def relative(self, path: Path) -> str:
         """Return a path relative to the folder of the project, with slashes."""
         return relative(path, self.folder)
+
+    def all_groups(self) -> list[Group]:
+        """Return the groups, each followed by its companions."""
+        return [one for group in self.groups for one in (group, *group.companions)]
 
     def questions(self) -> list[tuple[str, int, str]]:
         """Return file, line number and text of each line with an ``ASK``."""
@@ -181,7 +199,7 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
     tracked: set[Path] = set()
     films = [one for one in usable if one.kind == "film"]
     for one in (one for one in usable if one.kind == "points"):
-        film = _film_of(one, films)
+        film = _namesake(one, films)
         if film is not None:
             tracked.add(film.path)
             # A table of a thinned copy of the film has another number of rows, and another rate.
@@ -200,29 +218,67 @@ def groups_of(recordings: Iterable[Recording]) -> list[Group]:
     return groups
 
 
-def _film_of(table: Recording, films: Iterable[Recording]) -> Recording | None:
-    """Return the film with whose name a tracker's table begins, from the same folder if there are several."""
+def _namesake(table: Recording, others: Iterable[Recording]) -> Recording | None:
+    """Return the recording with whose name that of a table begins; of several, the one beside the table."""
     name, found = table.path.stem, []
-    for film in films:
-        stem = film.path.stem
+    for other in others:
+        stem = other.path.stem
         if name.startswith(stem) and not name[len(stem) :][:1].isdigit():
-            found.append((film.path.parent == table.path.parent, len(stem), film))
+            found.append((other.path.parent == table.path.parent, len(stem), other))
     return max(found, key=lambda entry: entry[:2])[2] if found else None
+
+
+def pair_groups(groups: list[Group]) -> list[Group]:
+    """Return the groups that need trials of their own; tables of the same trials become their companions.
+
+    ``swim1_servo.csv`` belongs to ``swim1.mp4`` if each table like it has its film, log or points.
+    """
+    bases = [group for group in groups if group.first.kind in ("film", "points", "log")]
+    paired: list[Group] = []
+    for group in groups:
+        others = [one for base in bases if base is not group for one in base.recordings]
+        names = [_namesake(one, others) for one in group.recordings]
+        suffixes = {
+            one.path.stem.removeprefix(other.path.stem)
+            for one, other in zip(group.recordings, names, strict=True)
+            if other is not None
+        }
+        base = next((base for base in bases if names[0] in base.recordings), None)
+        whole = base is not None and all(one in base.recordings for one in names)
+        if (
+            group.first.kind in ("table", "log")
+            and base
+            and whole
+            and len(suffixes) == 1
+            and "" not in suffixes
+        ):
+            base.companions.append(group)
+            paired.append(group)
+    return [group for group in groups if all(group is not one for one in paired)]
 
 
 def draft(project: Project, groups: list[Group], notes: list[Recording], progress: Progress = silent) -> None:
     """Add the files for all groups to a project: setups, mappings, points, trials, plan and robot."""
-    project.groups = groups
+    groups = project.groups = pair_groups(groups)
     for group in groups:
         DRAFTS[group.first.kind](project, group, progress)
+        _add_companions(project, group, progress)
     _add_plan(project)
     logs = _logs_of(project)
+    for path, base, name in project.inertial:
+        words = [project.relative(path), "--map", name, "--with", logs[base], "-o", f"{path.stem}.csv"]
+        project.optional.append(f"swimid track imu {shlex.join(words)}")
     for group in groups:
         _add_trials(project, group, [logs[one.path] for one in group.recordings], notes)
     fitting = {name for group in groups if group.robot == ASK for name in group.fitting} - {"arma"}
     if fitting:
         linked = [EXPERIMENTS[name].linked for name in fitting]
-        project.files["robot.yaml"] = rendered("robot.yaml", rigid=not all(linked), linked=any(linked))
+        joints = [re.fullmatch(r"(?:cmd|joint)(\d+)_rad", name) for group in groups for name in group.columns]
+        count = max((int(hit[1]) for hit in joints if hit), default=1)
+        names = ["body", *(f"segment{k}" for k in range(1, count)), "tail"]
+        project.files["robot.yaml"] = rendered(
+            "robot.yaml", rigid=not all(linked), linked=any(linked), links=names
+        )
 
 
 # ---------------------------------------------------------------- logs
@@ -235,7 +291,7 @@ def _of_film(project: Project, group: Group, progress: Progress) -> None:
     options: dict[str, Any] = {"setup": name}
     if group.first.rate_hz == 0:
         options["fps"] = ASK
-    group.step = {"track video": options}
+    group.steps = [{"track video": options}]
     for film in group.recordings:
         try:
             made = track_setup(film.path, fps=None if film.rate_hz else 1.0, progress=progress)
@@ -290,14 +346,14 @@ def _of_points(project: Project, group: Group, progress: Progress) -> None:
     if not group.first.has_times and set(group.rates_hz) != {one.path for one in group.recordings}:
         options["rate-hz"] = ASK
     project.files[name] = "\n".join(lines) + "\n"
-    group.step = {"import": options}
+    group.steps = [{"import": options}]
     group.columns = ("x_m", "y_m", "yaw_rad", "joint1_rad")
 
 
 def _of_table(project: Project, group: Group, progress: Progress) -> None:
     """Add a mapping of a table."""
     name = f"{group.name}.map.yaml"
-    group.step = {"import": {"map": name}}
+    group.steps = [{"import": {"map": name}}]
     text = guess_mapping(group.first.path).document
     if group.first.profile:
         try:
@@ -314,7 +370,7 @@ def _of_table(project: Project, group: Group, progress: Progress) -> None:
 def _of_choice(project: Project, group: Group, progress: Progress) -> None:
     """Note that the user must choose one of several topics, tracks or sheets before a mapping is drafted."""
     name = f"{group.name}.map.yaml"
-    group.step = {"import": {"map": name}}
+    group.steps = [{"import": {"map": name}}]
     file = shlex.quote(project.relative(group.first.path))
     project.missing.append(
         f"{name}: {group.first.path.name} {group.first.about}. "
@@ -338,6 +394,39 @@ DRAFTS = {
 }
 
 
+def _add_companions(project: Project, group: Group, progress: Progress) -> None:
+    """Add the mapping that joins the tables of the same trials to the logs of a group, by their names.
+
+    The clock of each table is aligned by a commanded joint angle and the heading. An inertial log is not
+    joined, because ``track imu`` fuses it with the log.
+    """
+    joined: list[str] = []
+    for companion in group.companions:
+        file, base = companion.first, group.recordings[0]
+        base = _namesake(file, group.recordings) or base
+        text = guess_mapping(file.path).document
+        columns = tuple(re.findall(r"(?m)^ *- .*target: (\w+)", text))
+        if {"ax_m_s2", "wx_rad_s"} <= {*columns}:
+            name = f"{companion.name}.map.yaml"
+            project.files[name] = text
+            project.inertial.append((file.path, base.path, name))
+            continue
+        suffix = file.path.name.removeprefix(base.path.stem)
+        place = project.relative(file.path.parent / f"{{stem}}{suffix}")
+        aligned = next((name for name in columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)), None)
+        joined.append(f"  - file: {_flow(place)}   # {{stem}}: the name of the recording without its ending")
+        if aligned and "yaw_rad" in group.columns:
+            joined.append(f"    align: {{{aligned}: yaw_rad}}   # or offset_s under 'time:', if it is known")
+        lines = text.splitlines()
+        joined += [f"    {line}" for line in lines if not line.startswith(("#", "format:", "metadata:"))]
+        group.columns += columns
+    if joined:
+        name = f"{group.name}.map.yaml"
+        head = f"# Joins the tables of the same trials to each log. Answer or delete every line with {ASK}."
+        project.files[name] = "\n".join([head, f"format: {MAPPING}", "as: swimid", "join:", *joined]) + "\n"
+        group.steps = [*group.steps, {"import": {"map": name, **NAMED}}]
+
+
 # ---------------------------------------------------------------- plan and trials
 
 
@@ -345,10 +434,10 @@ def _add_plan(project: Project) -> None:
     """Add the plan that makes logs of all recordings that are not logs."""
     items, overrides = [], {}
     for group in project.groups:
-        if not group.step:
+        if not group.steps:
             continue
-        (command, options), *_ = group.step.items()
-        items.append({"name": group.name, "files": _patterns(project, group), "steps": [{command: options}]})
+        (command, options), *_ = group.steps[0].items()
+        items.append({"name": group.name, "files": _patterns(project, group), "steps": group.steps})
         if "rate-hz" not in options:
             for path, rate in group.rates_hz.items():
                 overrides[project.relative(path)] = {command: {"rate-hz": rate}}
@@ -378,17 +467,21 @@ def _logs_of(project: Project) -> dict[Path, str]:
     """Return the path of the log of each recording, relative to the project."""
     own = {one.path: project.relative(one.path) for group in project.groups for one in group.recordings}
     # Names of outputs do not depend on the command that makes a log, and no drafted file exists yet.
-    items = [
-        {"name": one.name, "files": _patterns(project, one), "steps": ["import"]}
-        for one in project.groups
-        if one.step
-    ]
+    items: list[dict[str, Any]] = []
+    for group in (one for one in project.groups if one.steps):
+        named = [
+            {key: options[key] for key in NAMED if key in options}
+            for s in group.steps
+            for options in s.values()
+        ]
+        steps = [{"import": options} for options in named]
+        items.append({"name": group.name, "files": _patterns(project, group), "steps": steps})
     if not items:
         return own
     content = {"format": "swimid-plan/1", "items": items}
     plan = resolve(project.folder / "plan.yaml", project.folder / RUN, content)
     made = {
-        file: f"{RUN}/{folder_of(Path(), item.id).as_posix()}/{item.steps[0].outputs[0]}"
+        file: f"{RUN}/{folder_of(Path(), item.id).as_posix()}/{item.steps[-1].outputs[0]}"
         for item in plan.items
         for file in item.files
     }
@@ -407,6 +500,10 @@ def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Rec
         experiment = str(project.experiment)
     elif fitting == ["cruise"]:
         experiment = "cruise"
+    elif "free-swim" in fitting and all(
+        "drive" in _keys_of(one, notes, "free-swim") for one in group.recordings
+    ):
+        experiment = "free-swim"
     group.fitting = fitting if experiment == ASK else [experiment]
     group.experiment = experiment
     robots = {one.get("robot") for one in metadata} - {None}
@@ -423,16 +520,21 @@ def _add_trials(project: Project, group: Group, logs: list[str], notes: list[Rec
         table = project.relative(group.first.path)
         lines += [f"table: {_flow(table)}", f"drag: {ASK}   # result of fit-drag for this robot"]
     else:
-        lines += [
-            "# Hold out at least one trial with 'role: validate'. Without one no fit is called good.",
-            "trials:",
-        ]
+        lines.append(
+            "# Hold out at least one trial with 'role: validate'. Without one no fit is called good."
+        )
         asked = EXPERIMENTS[experiment].asked if experiment != ASK else {}
+        commands = [name for name in group.columns if re.fullmatch(r"(cmd|joint)\d+_rad", name)]
         if experiment == ASK:
-            lines[-1:] = [f"#   {name}: {EXPERIMENTS[name].about}" for name in fitting] + ["trials:"]
-        for one, log, ident in zip(group.recordings, logs, _idents(group), strict=True):
-            entry = {"id": ident, "log": log, **asked, **_keys_of(one, notes, experiment)}
-            lines.append(f"  - {_flow(entry)}")
+            lines += [f"#   {name}: {EXPERIMENTS[name].about}" for name in fitting]
+        entries = [{**asked, **_keys_of(one, notes, experiment)} for one in group.recordings]
+        if commands and any("drive" in entry for entry in entries):
+            lines.append(f"# The drive is in the logs: {', '.join(commands)}.")
+            entries = [{key: entry[key] for key in entry if key != "drive"} for entry in entries]
+        files = {one.path.name for group in project.all_groups() for one in group.recordings}
+        lines += [*_unused(notes, experiment, files), "trials:"]
+        for log, ident, entry in zip(logs, _idents(group), entries, strict=True):
+            lines.append(f"  - {_flow({'id': ident, 'log': log, **entry})}")
     project.files[f"{group.name}.trials.yaml"] = "\n".join(lines) + "\n"
 
 
@@ -444,25 +546,64 @@ def _idents(group: Group) -> list[str]:
     return [f"{one.path.parent.name}-{one.path.stem}" for one in group.recordings]
 
 
-def _keys_of(one: Recording, notes: list[Recording], experiment: str) -> dict[str, Any]:
-    """Return the keys of a trial that the metadata of its log, or a table of recordings, states."""
-    rows: list[Mapping[str, Any]] = [one.metadata]
-    for table in notes:
-        for number, name in enumerate(table.cells[table.columns[0]]):
-            if name in (one.path.name, one.path.stem):
-                rows.append({key: yamlio.parse_scalar(cells[number]) for key, cells in table.cells.items()})
+def _keys(experiment: str) -> set[str]:
+    """Return the keys of a trial that a table of recordings may state; those of the drive are among them."""
     trials: dict[str, type[Trial]] = {"falling-weight": FallingWeightTrial, "free-swim": FreeSwimTrial}
     trial = trials.get(experiment)
     keys = {"role", *(trial.model_fields if trial else ())} - {"id", "log", "drive", "coefficients"}
-    found: dict[str, Any] = {}
-    drive: dict[str, Any] = {}
-    for row in rows:
-        found |= {key: value for key, value in row.items() if key in keys and value is not None}
-        if trial is FreeSwimTrial:
-            drive |= {key: row[key] for key in ("frequency_hz", "amplitude_deg", "bias_deg") if key in row}
-    if {"frequency_hz", "amplitude_deg"} <= drive.keys():
-        found["drive"] = drive
-    return found
+    return keys | set(DRIVE_KEYS if trial is FreeSwimTrial else ())
+
+
+def _key_of(header: str, keys: Iterable[str]) -> tuple[str, float] | None:
+    """Return the key that the header of a column names, and the factor from its unit to that of the key.
+
+    >>> _key_of("Frequency [Hz]", ["frequency_hz"]), _key_of("pulling mass (g)", ["pulling_mass_kg"])
+    (('frequency_hz', 1.0), ('pulling_mass_kg', 0.001))
+    """
+    name = re.sub(r"\W+", "_", header.lower()).strip("_")
+    for key in keys:
+        bare, _, unit = key.lower().rpartition("_")
+        if name == key.lower():
+            return key, 1.0
+        for table in UNITS.values():
+            factors = {known.lower(): factor for known, factor in table.items()}
+            written = canonical(name.removeprefix(f"{bare}_")).lower()
+            if bare and name.startswith(f"{bare}_") and {unit, written} <= factors.keys():
+                return key, factors[written] / factors[unit]
+    return None
+
+
+def _unused(notes: list[Recording], experiment: str, files: set[str]) -> list[str]:
+    """Return a comment line for each table of recordings that has columns which are no keys of the trials."""
+    lines = []
+    for table in notes:
+        keys = sorted(_keys(experiment))
+        unused = [
+            name
+            for name, cells in table.cells.items()
+            if name != table.columns[0] and not _key_of(name, keys) and not files >= {*cells}
+        ]
+        if unused:
+            text = f"# {table.path.name}: not used: {', '.join(unused)}. Keys of a trial: {', '.join(keys)}"
+            lines.append(re.sub(r"[\r\n]", " ", text))
+    return lines
+
+
+def _keys_of(one: Recording, notes: list[Recording], experiment: str) -> dict[str, Any]:
+    """Return the keys of a trial that the metadata of its log, or a table of recordings, states."""
+    keys = sorted(_keys(experiment))
+    found = {key: value for key, value in one.metadata.items() if key in keys and value is not None}
+    for table in notes:
+        stated = {name: hit for name in table.cells if (hit := _key_of(name, keys)) is not None}
+        for number, file in enumerate(table.cells[table.columns[0]]):
+            if file not in (one.path.name, one.path.stem):
+                continue
+            for name, (key, factor) in stated.items():
+                value = yamlio.parse_scalar(table.cells[name][number])
+                if value is not None:
+                    found[key] = value if factor == 1 else float(value) * factor
+    drive = {key: found.pop(key) for key in DRIVE_KEYS if key in found}
+    return found | ({"drive": drive} if {"frequency_hz", "amplitude_deg"} <= drive.keys() else {})
 
 
 def _flow(value: Any) -> str:

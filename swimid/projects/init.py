@@ -110,11 +110,12 @@ def _drafted(
     """Add all files to a project, and return what was found, the questions and the commands as plain data."""
     notes = [one for one in recordings if one.kind == "notes"]
     drafts.draft(project, drafts.groups_of(recordings), notes, progress)
-    grouped = {one.path for group in project.groups for one in group.recordings}
+    shown = project.all_groups()
+    grouped = {one.path for group in shown for one in group.recordings}
     commands, questions = _commands(project), project.questions()
     others = [one for one in recordings if one.path not in grouped]
     project.files["README.md"] = drafts.rendered(
-        "README.md", folder=source.resolve().name, groups=project.groups, others=others,
+        "README.md", folder=source.resolve().name, groups=shown, others=others,
         missing=project.missing, questions=questions, commands=commands,
     )  # fmt: skip
     return {
@@ -158,6 +159,8 @@ def _commands(project: Project) -> list[str]:
             f"swimid compare {trials} --params {model} -o {group.name}.comparison.yaml",
             f"swimid report {results} -o {group.name}.html",
         ]
+    if project.optional:
+        commands += ["# inertial logs, one by one: motion between the pictures", *project.optional]
     return commands
 
 
@@ -165,7 +168,7 @@ def _told(project: Project, data: dict[str, Any]) -> str:
     """Return the text that the command prints: groups, other files, and what is to be answered."""
     rows = [
         [group.name, str(len(group.recordings)), group.first.path.name, group.first.about]
-        for group in project.groups
+        for group in project.all_groups()
     ]
     columns = ["recordings", "number", "first", "content"]
     lines = [table_text(Table(id="found", title="Found", columns=columns, rows=rows))]

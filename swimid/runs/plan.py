@@ -401,9 +401,12 @@ class _Chain:
         spec = specs[command]
         name = str(options.get("as", command.replace(" ", "-")))
         step = Step(name=name, command=command, outputs=[], metrics=list(spec.metrics))
-        words = [([*self.sources], self.what)]
+        sources, logs = self.sources, self.made.get("log", [])
+        if command == "import" and len(logs) == len(sources):
+            # The log of a tracked film, to which a mapping joins another file.
+            sources = self.made.pop("log")
         if spec.argument in EACH:
-            words = [([source], file) for source, file in zip(self.sources, self.files, strict=True)]
+            words = [([source], file) for source, file in zip(sources, self.files, strict=True)]
             stems = atomic.file_names([Path(file).stem for file in self.files], [""])
         else:
             words = [(self.argument(spec, place), self.what)]
