@@ -407,7 +407,8 @@ def test_an_item_of_another_process_is_left_to_it(lab: Path, swimid: Run) -> Non
     finally:
         process.kill()
         process.wait()
-    assert states(ran)["logs_log0.csv"] == "missing"
+    assert states(ran)["logs_log0.csv"] == "busy"
+    assert ran.status == 4
     ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--json")
     assert states(ran)["logs_log0.csv"] == "done"
 

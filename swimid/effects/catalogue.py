@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from swimid import reading
 from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Model, Trial
@@ -132,6 +133,7 @@ def _run(path: Path) -> ModuleType:
     """Run a user's Python file as a module. Errors are raised as InputError with file and line."""
     if not path.is_file():
         raise InputError("there is no such file", file=path)
+    reading.note(path)
     name = f"swimid_effects_of_{path.stem}_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
