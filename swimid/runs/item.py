@@ -82,7 +82,7 @@ def run_item(run: str, ident: str) -> str:
     """
     item, limits = item_of(run, ident)
     folder = folder_of(Path(run), ident)
-    if folder.resolve() != folder:
+    if os.path.realpath(folder) != str(folder):
         return "failed"
     folder.mkdir(parents=True, exist_ok=True)
     for attempt in range(1, RETRIES + 2):

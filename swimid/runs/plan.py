@@ -300,12 +300,12 @@ class _Resolution:
         A pattern that ends with ``/`` matches folders, for instance of the pictures of a film.
         """
         root, own = self.root, self.run
-        found: dict[Path, str] = {}
+        found: dict[str, str] = {}
         for k, pattern in enumerate(group.files):
             names = [
                 name.rstrip("/")
                 for name in sorted(_matches(root, pattern))
-                if own not in (root / name).resolve().parents
+                if not os.path.realpath(root / name).startswith(f"{own}{os.sep}")
                 and (root / name).is_dir() == pattern.endswith("/")
                 and not any(fnmatch.fnmatchcase(name, left_out) for left_out in group.exclude)
             ]
@@ -316,7 +316,7 @@ class _Resolution:
                 if re.search("[\ud800-\udfff]", name):
                     hint = "rename it, or list it under 'exclude'"
                     raise self.error(f"the name {name!a} is not UTF-8", "items", number, hint=hint)
-                found.setdefault((root / name).resolve(), name)
+                found.setdefault(os.path.realpath(root / name), name)
         if not group.together:
             yield from ([name] for name in found.values())
             return
@@ -394,7 +394,7 @@ def _matches(root: Path, pattern: str) -> Iterator[str]:
         found = _matches(root / name, after) if after else [""]
         yield from (os.path.join(name, one) for one in found)
         with suppress(OSError):
-            inner = [one for one in os.scandir(real) if one.is_dir() and not one.name.startswith(".")]
+            inner = [one for one in os.scandir(real) if os.path.isdir(one) and one.name[0] != "."]
             # Links are followed last, so that a folder is found under its own name.
             todo.extendleft(os.path.join(name, one.name) for one in inner if not one.is_symlink())
             todo.extend(os.path.join(name, one.name) for one in inner if one.is_symlink())

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -139,7 +140,7 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
 
     The status of an outdated item is returned too, so that its version can be shown.
     """
-    if folder.resolve() != folder:
+    if os.path.realpath(folder) != str(folder):
         # Nothing is read or removed through a link, which may lead to files that are not of the run.
         text = f"its folder {folder} is a symbolic link, or below one: remove the link"
         return "failed", Status(
