@@ -7,13 +7,16 @@ them. Provenance, keys of checkpoints and the states of a batch take the files a
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 #: Maximum size of files whose SHA-256 is computed when they are opened, bytes. That of larger files is
 #: computed when it is needed, because some commands look at many large files and need none.
@@ -122,6 +125,37 @@ def note(path: str | Path, files: Sequence[Path] | None = None, *, at_once: bool
         if at_once or (stamp and stamp[0] <= MAX_AT_ONCE):
             opened.digest()
     now.paths.setdefault(place)
+
+
+@contextmanager
+def watch() -> Iterator[None]:
+    """Note every file that Python code of the user opens in a ``with`` block, such as a table it loads."""
+    _listen()
+    heard: list[str] = []
+    token = _HEARD.set(heard)
+    try:
+        yield
+    finally:
+        _HEARD.reset(token)
+        system = tuple(f"{place}{os.sep}" for place in (sys.prefix, sys.base_prefix, _PACKAGE, "/proc"))
+        for path in map(os.path.abspath, heard):
+            if path.endswith(".pyc"):
+                path = importlib.util.source_from_cache(path)
+            if os.path.isfile(path) and not path.startswith(system):
+                note(path)
+
+
+_HEARD: ContextVar[list[str] | None] = ContextVar("_HEARD", default=None)
+
+
+@cache
+def _listen() -> None:
+    def hear(event: str, arguments: tuple[Any, ...]) -> None:
+        heard = _HEARD.get()
+        if event == "open" and heard is not None and isinstance(arguments[0], str):
+            heard += [arguments[0]] * set(arguments[1] or "").isdisjoint("wax+")
+
+    sys.addaudithook(hear)
 
 
 def known() -> dict[str, Opened]:

@@ -133,15 +133,16 @@ def _run(path: Path) -> ModuleType:
     """Run a user's Python file as a module. Errors are raised as InputError with file and line."""
     if not path.is_file():
         raise InputError("there is no such file", file=path)
-    reading.note(path)
     name = f"swimid_effects_of_{path.stem}_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError("is no Python file", file=path, hint="effects are classes in a file ending in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    reading.note(path)
     try:
-        spec.loader.exec_module(module)
+        with reading.watch():
+            spec.loader.exec_module(module)
     except SyntaxError as error:
         raise InputError(f"is no valid Python: {error.msg}", file=path, line=error.lineno) from error
     except Exception as error:

@@ -324,7 +324,7 @@ def lock(output: Path) -> BaseFileLock:
             file.acquire()
         except Timeout:
             raise UsageError(
-                f"{output} is being written by another run of swimid ({holder_of(path) or 'unknown'})",
+                f"{output} is being written by another run of swimid, {holder_of(path)}",
                 hint=f"wait for it, or name another output; if no such run exists, delete {path}",
             ) from None
     _TAKEN[path] = file, thread
@@ -332,20 +332,25 @@ def lock(output: Path) -> BaseFileLock:
 
 
 def holder_of(path: Path) -> str:
-    """Return the process that holds a lock file, as ``process 7 on node1``; empty if it has ended.
+    """Return the process that holds a lock file, as ``process 7 on node1``; empty without lock or process.
 
-    A process of another machine is assumed to run.
+    Whether a process of another machine runs is unknown. It counts as a holder.
     """
     try:
-        number, host = path.read_text(errors="replace").split()[:2]
-        if host == socket.gethostname() and os.name == "posix":
-            os.kill(int(number), 0)
-            if _has_ended(int(number)):
-                return ""
-    except PermissionError:
-        pass  # The process belongs to another user.
-    except (OSError, ValueError, OverflowError):
+        number, host, *_ = [*path.read_text(errors="replace").split(), "", ""]
+    except OSError:
         return ""
+    if not number.isdecimal() or not host:
+        return "an unknown process"
+    if host == socket.gethostname() and os.name == "posix":
+        try:
+            os.kill(int(number), 0)
+        except PermissionError:
+            pass  # The process belongs to another user.
+        except (OSError, OverflowError):
+            return ""
+        if _has_ended(int(number)):
+            return ""
     return f"process {number} on {host}"
 
 

@@ -132,7 +132,8 @@ def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None)
         lock = folder / f"{states.STATUS}.lock"
         if state in ("missing", "outdated") and (holder := atomic.holder_of(lock)):
             entry.state = "busy"
-            entry.reason = f"is being done by {holder}; if there is no such process, delete {lock}"
+            name = f"items/{item.id}/{lock.name}"
+            entry.reason = f"is done by {holder}; if there is no such process, delete {name}"
         if state in ("missing", "outdated") and item.id in (problems or {}):
             entry.state, entry.reason = "failed", (problems or {})[item.id]
         for name in ("reason", "hint", "log"):
