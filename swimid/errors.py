@@ -19,6 +19,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
+from swimid.reading import note
+
 #: Name of the Python argument for each command-line option of the function that is running. It is None on the
 #: command line, where messages name the options as they are typed.
 _ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
@@ -238,11 +240,12 @@ def extra_needed(task: str, extra: str, *, file: str | Path | None = None) -> It
 
 
 @contextmanager
-def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
+def file_errors(file: str | Path, done: str = "read", *, noted: bool = True) -> Iterator[None]:
     """Convert an error of the operating system in the ``with`` block into an :class:`InputError` for a file.
 
     The message says that the file cannot be ``done`` (``"read"``, ``"written"``), and why. A device or a
-    pipe cannot be read, because it may have no end, and a file may be read several times.
+    pipe cannot be read, because it may have no end, and a file may be read several times. A file that is
+    read is noted as an input of the command (:mod:`swimid.reading`), unless ``noted`` is False.
 
     Examples
     --------
@@ -256,6 +259,8 @@ def file_errors(file: str | Path, done: str = "read") -> Iterator[None]:
         if done == "read" and Path(file).exists() and not (Path(file).is_file() or Path(file).is_dir()):
             hint = "save its content as a file"
             raise InputError("is a device or a pipe; inputs are files", file=file, hint=hint)
+        if done == "read" and noted:
+            note(file)
         yield
     except OSError as error:
         hint = None

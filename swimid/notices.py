@@ -98,6 +98,7 @@ CODES: dict[str, str] = {
     "SWM150": "lines of a checkpoint ignored",
     "SWM151": "a checkpoint cannot be written",
     "SWM152": "compiled kernels are not stored",
+    "SWM176": "an input has changed since it was read",
 }
 
 

@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from swimid import reading
 from swimid.errors import SwimidError, UsageError, naming, suggestion
 
 Returned = TypeVar("Returned")
@@ -246,7 +247,7 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
             if isinstance(mine.get("output"), str):
                 mine["output"] = Path(mine["output"])
             known = [*options.model_fields, *keywords]
-            with naming(arguments):
+            with naming(arguments), reading.record(mine.get("output")):
                 if isinstance(given.get("options"), options) and len(given) == 1:
                     return function(*args, **given, **mine)
                 for name in given:

@@ -223,6 +223,8 @@ def test_a_crash_is_tried_twice_more(spoilt: Callable[..., dict[str, Any]], tmp_
     )
     assert place.read_text() == "xxx"
     assert status["state"] == "failed"
+    assert not [*(tmp_path / "run").rglob("*.lock")]
+    assert str(ROOT) not in status["error"]["log"]
     assert "SIGSEGV" in status["error"]["message"]
     assert "the last words" in status["error"]["log"]
     assert "the last words" in (tmp_path / "run/index.html").read_text()
@@ -235,6 +237,7 @@ def test_an_item_beyond_its_time_fails_once(spoilt: Callable[..., dict[str, Any]
     assert place.read_text() == "x"
     assert status["state"] == "failed"
     assert "limit of 6 s" in status["error"]["message"]
+    assert not [*(tmp_path / "run").rglob("*.lock")]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits private memory")
@@ -407,7 +410,8 @@ def test_an_item_of_another_process_is_left_to_it(lab: Path, swimid: Run) -> Non
     finally:
         process.kill()
         process.wait()
-    assert states(ran)["logs_log0.csv"] == "missing"
+    assert states(ran)["logs_log0.csv"] == "busy"
+    assert ran.status == 4
     ran = swimid("batch", lab / "plan.yaml", "-o", lab / "run", "--json")
     assert states(ran)["logs_log0.csv"] == "done"
 

@@ -21,7 +21,9 @@ posix = pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
 
 
 @posix
-@pytest.mark.parametrize(("mode", "words"), [(0o700, ""), (0o757, "other users"), (0o755, ""), (0o1777, "")])
+@pytest.mark.parametrize(
+    ("mode", "words"), [(0o700, ""), (0o757, "other users"), (0o755, ""), (0o1777, "other users")]
+)
 def test_a_folder_of_kernels_that_others_write_is_not_used(mode: int, words: str, tmp_path: Path) -> None:
     folder = tmp_path / "cache"
     folder.mkdir()
@@ -39,12 +41,21 @@ def test_a_folder_of_another_user_holds_no_kernels(tmp_path: Path) -> None:
 
 @posix
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
-@pytest.mark.parametrize(("mode", "allowed"), [(0o750, True), (0o770, False), (0o1770, True)])
+@pytest.mark.parametrize(("mode", "allowed"), [(0o750, True), (0o770, False), (0o1770, False)])
 def test_a_group_of_several_users_writes_no_kernels(mode: int, allowed: bool, tmp_path: Path) -> None:
     os.chown(tmp_path, -1, 54321)  # a group that has no name, and not that of root
     tmp_path.chmod(mode)
     assert (kernels.find_fault(tmp_path) == "") == allowed
     assert ("users of its group" in kernels.find_fault(tmp_path)) != allowed
+
+
+@posix
+@pytest.mark.parametrize(("mode", "words"), [(0o777, "other users"), (0o1777, "")])
+def test_a_folder_that_others_can_rename_holds_no_kernels(mode: int, words: str, tmp_path: Path) -> None:
+    (tmp_path / "shared" / "mine").mkdir(parents=True, mode=0o700)
+    (tmp_path / "shared").chmod(mode)
+    assert words in kernels.find_fault(tmp_path / "shared" / "mine")
+    assert bool(words) == bool(kernels.find_fault(tmp_path / "shared" / "mine"))
 
 
 @posix

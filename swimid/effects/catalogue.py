@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from swimid import reading
 from swimid.effects.base import STAGES, Effect
 from swimid.errors import InputError, suggestion
 from swimid.fitting.model import Model, Trial
@@ -138,8 +139,10 @@ def _run(path: Path) -> ModuleType:
         raise InputError("is no Python file", file=path, hint="effects are classes in a file ending in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    reading.note(path)
     try:
-        spec.loader.exec_module(module)
+        with reading.watch():
+            spec.loader.exec_module(module)
     except SyntaxError as error:
         raise InputError(f"is no valid Python: {error.msg}", file=path, line=error.lineno) from error
     except Exception as error:

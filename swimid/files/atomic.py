@@ -12,6 +12,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import tempfile
 import threading
 import unicodedata
@@ -322,15 +323,35 @@ def lock(output: Path) -> BaseFileLock:
                 raise Timeout(str(path))
             file.acquire()
         except Timeout:
-            who = "another run of swimid"
-            if file.pid is not None:
-                who = f"{who} (process {file.pid})"
             raise UsageError(
-                f"{output} is being written by {who}",
+                f"{output} is being written by another run of swimid, {holder_of(path)}",
                 hint=f"wait for it, or name another output; if no such run exists, delete {path}",
             ) from None
     _TAKEN[path] = file, thread
     return file
+
+
+def holder_of(path: Path) -> str:
+    """Return the process that holds a lock file, as ``process 7 on node1``; empty without lock or process.
+
+    Whether a process of another machine runs is unknown. It counts as a holder.
+    """
+    try:
+        number, host, *_ = [*path.read_text(errors="replace").split(), "", ""]
+    except OSError:
+        return ""
+    if not number.isdecimal() or not host:
+        return "an unknown process"
+    if host == socket.gethostname() and os.name == "posix":
+        try:
+            os.kill(int(number), 0)
+        except PermissionError:
+            pass  # The process belongs to another user.
+        except (OSError, OverflowError):
+            return ""
+        if _has_ended(int(number)):
+            return ""
+    return f"process {number} on {host}"
 
 
 def _has_ended(process: int | None) -> bool:
@@ -422,7 +443,7 @@ class Checkpoint:
         # Release the lock of the output when the checkpoint object is deleted, so that it is released also
         # after a failed computation.
         self._release = weakref.finalize(self, lock(path.with_suffix("")).release)
-        with file_errors(path):
+        with file_errors(path, noted=False):
             self._read(path)
 
     @classmethod

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from swimid import reading
 from swimid.errors import InputError, SwimidError, first_line
 from swimid.files.memory import physical_bytes
 
@@ -114,9 +115,11 @@ def run(function: Callable[..., Made], *args: Any, file: Path, fork: bool = sys.
             text = f"is not read within {time_s:.0f} s; the file is damaged, or expands too much"
         raise InputError(text, file=file, hint="export or copy the file again")
     try:
-        result, error = pickle.loads(answer)
+        result, error, opened = pickle.loads(answer)
     except (pickle.UnpicklingError, EOFError) as cut:
         raise InputError("crashes its reader; the file is damaged", file=file) from cut
+    for path in opened:
+        reading.note(path)
     if isinstance(error, MemoryError):
         text = f"needs more than {memory / 1e6:.0f} MB of memory, the maximum for a file of {size} bytes"
         raise InputError(text, file=file, hint="divide the recording, or export it again")
@@ -184,15 +187,17 @@ def _limit(time_s: float, memory: int) -> None:
 
 
 def _answer(function: Callable[..., Any], args: tuple[Any, ...]) -> bytes:
-    """Call a function, and return its result or its error, pickled."""
+    """Call a function, and return its result or its error, and the paths of the files it read, pickled."""
     global _is_child
     _is_child = True
     try:
-        return pickle.dumps((function(*args), None), pickle.HIGHEST_PROTOCOL)
+        with reading.record() as record:
+            made = function(*args)
+        return pickle.dumps((made, None, [*record.paths]), pickle.HIGHEST_PROTOCOL)
     except (SwimidError, MemoryError, ImportError) as error:
-        return pickle.dumps((None, error))
+        return pickle.dumps((None, error, []))
     except Exception as error:  # noqa: BLE001 - its class may be unknown to the parent process
-        return pickle.dumps((None, RuntimeError(first_line(error))))
+        return pickle.dumps((None, RuntimeError(first_line(error)), []))
 
 
 def _in_new_process(function: Callable[..., Any], args: tuple[Any, ...], time_s: float) -> tuple[bytes, int]:

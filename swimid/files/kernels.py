@@ -40,11 +40,15 @@ def find_fault(folder: Path) -> str:
     if hasattr(os, "getuid"):
         if about.st_uid not in (os.geteuid(), 0):
             return "belongs to another user"
-        sticky = about.st_mode & stat.S_ISVTX
-        if about.st_mode & stat.S_IWOTH and not sticky:
-            return "can be written by other users"
-        if about.st_mode & stat.S_IWGRP and not sticky and not _is_private(about.st_gid, about.st_uid):
-            return "can be written by other users of its group"
+        for place in (folder.resolve(), *folder.resolve().parents):
+            about = place.stat()
+            # In a sticky folder above, nobody can rename or replace the folder of another user.
+            if place != folder.resolve() and about.st_mode & stat.S_ISVTX:
+                continue
+            if about.st_mode & stat.S_IWOTH:
+                return "can be written by other users"
+            if about.st_mode & stat.S_IWGRP and not _is_private(about.st_gid, about.st_uid):
+                return "can be written by other users of its group"
     if not os.access(folder, os.W_OK):
         return "cannot be written"
     if free < MIN_FREE_BYTES:

@@ -7,13 +7,12 @@ that place is read, because a file of another program may contain the word "swim
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import shlex
 import sys
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,17 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import swimid
-from swimid.errors import UsageError, file_errors
+from swimid import reading
+from swimid.errors import InputError, UsageError, file_errors
 from swimid.files import tabular
+from swimid.notices import warn
 
 
 def sha256(path: str | Path) -> str:
     """Return the SHA-256 of the content of a file, or of the files in a folder, in hexadecimal digits."""
-    if Path(path).is_dir():
-        files = sorted(file for file in Path(path).iterdir() if file.is_file())
-        return next(iter(digest_together(path, files).values()))
-    with file_errors(path), Path(path).open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    with file_errors(path, noted=False):
+        return reading.digest_of(reading.files_of(Path(path)))
 
 
 @dataclass(frozen=True)
@@ -56,67 +54,92 @@ def path_of(given: Input) -> Path:
     return Path(given if isinstance(given, str | Path) else given.name)
 
 
-def digests_of(inputs: Iterable[Input]) -> dict[str, str]:
-    """Return the SHA-256 of the content of each input of a computation. The key is the name of the input.
+class Inputs(dict[str, str]):
+    """SHA-256 of the inputs of a result by the names that the result states (:func:`swimid.reading.name_of`).
 
-    The name of a file is its path relative to the working folder. Different inputs in memory that have the
-    same name are numbered.
+    ``paths`` has the path of each file, relative to the working folder. It is not written to a file.
     """
-    digests: dict[str, str] = {}
-    for given in inputs:
-        if isinstance(given, str | Path):
-            name = os.path.relpath(given)
-            digests[name] = digests.get(name) or sha256(given)
-            continue
-        name, digest, count = given.name, given.digest(), 1
-        while digests.get(name, digest) != digest:
+
+    def __init__(self) -> None:
+        self.paths: dict[str, str] = {}
+
+    def add(self, name: str, digest: str, path: str = "") -> None:
+        """Add an input. A different input of the same name is numbered."""
+        count, key = 1, name
+        while self.get(key, digest) != digest:
             count += 1
-            name = f"{given.name} ({count})"
-        digests[name] = digest
-    return digests
+            key = f"{name} ({count})"
+        self[key] = digest
+        if path:
+            self.paths[key] = path
 
 
-def digest_together(name: str | Path, files: Sequence[str | Path]) -> dict[str, str]:
-    """Return a single SHA-256 for an input that consists of several files. The key is the given name.
+def paths_of(block: Mapping[str, Any]) -> list[str]:
+    """Return the paths of the inputs of a result, as far as they are known, from its provenance."""
+    inputs = block.get("inputs") or {}
+    return [getattr(inputs, "paths", {}).get(name, name) for name in inputs]
 
-    It is computed from the names of the files and the SHA-256 of their contents. For a single file it is the
-    SHA-256 of its content.
+
+def digests_of(inputs: Iterable[Input]) -> Inputs:
+    """Return the SHA-256 of each input of a computation when it was opened. The key is its name.
+
+    Raises
+    ------
+    InputError
+        If a large file has changed while it was read.
+
+    Warns
+    -----
+    SWM176
+        If another file has changed since it was read.
     """
-    if len(files) == 1:
-        return {os.path.relpath(name): sha256(files[0])}
-    lines = "".join(f"{sha256(file)}  {Path(file).name}\n" for file in files)
-    return {os.path.relpath(name): hashlib.sha256(lines.encode()).hexdigest()}
+    digests, known = Inputs(), reading.known()
+    for given in inputs:
+        if not isinstance(given, str | Path):
+            digests.add(given.name, given.digest())
+            continue
+        path, opened = os.path.relpath(given), known.get(os.path.abspath(given))
+        if opened is None:
+            digests.add(reading.name_of(given), sha256(given), path)
+            continue
+        digest, changed = opened.digest()
+        if not digest:
+            hint = "run the command again when nothing writes the file"
+            raise InputError("has changed while it was read", file=path, hint=hint)
+        if changed:
+            warn("SWM176", f"{path} has changed since it was read; the result is of its former content")
+        digests.add(reading.name_of(given), digest, path)
+    return digests
 
 
 def collect(
     inputs: Iterable[Input],
     *,
     settings: dict[str, Any] | None = None,
-    digests: dict[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return the block ``provenance`` of a result file: command, version, inputs, packages and settings.
 
     Parameters
     ----------
     inputs : iterable of paths and objects
-        Every file that was read, and every input in memory.
+        Inputs in memory, and files to name first. All other files that the command has read are added.
     settings : dict, optional
         Options of the command, including defaults.
-    digests : dict, optional
-        Result of :func:`digests_of` for the inputs, if it is known already.
     """
-    inputs = list(inputs)
+    given = list(inputs)
+    listed = {os.path.abspath(one) for one in given if isinstance(one, str | Path)}
+    given += [path for path in reading.paths() if path not in listed]
     block: dict[str, Any] = {
         "command": command_line(),
         "version": swimid.__version__,
         "created": now().isoformat(timespec="seconds"),
-        "inputs": digests or digests_of(inputs),
+        "inputs": digests_of(given),
         "packages": _versions(),
     }
-    if simulated := [os.path.relpath(path_of(given)) for given in inputs if says_simulated(given)]:
+    if simulated := [reading.name_of(path_of(one)) for one in given if says_simulated(one)]:
         block["simulated"] = simulated
     if settings:
-        block["settings"] = settings
+        block["settings"] = _published(settings)
     return block
 
 
@@ -149,7 +172,7 @@ def says_simulated(given: Input) -> bool:
     "synthetic".
     """
     if isinstance(given, str | Path):
-        head = _head(Path(given))
+        head = _head(Path(given)) if Path(given).is_file() else ""
     else:
         head = "".join(f"#{key}: {value}\n" for key, value in getattr(given, "metadata", {}).items())
     return _SIMULATED.match(head) is not None
@@ -164,7 +187,7 @@ def _head(path: Path) -> str:
     """
     if path.is_dir():
         return ""
-    with file_errors(path), path.open("rb") as stream:
+    with file_errors(path, noted=False), path.open("rb") as stream:
         head = stream.read(NEAR)
     if head.startswith(b"PAR1"):
         pyarrow, head = tabular.pyarrow(), b"PAR1"
@@ -182,9 +205,28 @@ def _head(path: Path) -> str:
 
 
 def command_line() -> str:
-    """Return the command line of this process as it was typed, without the folder of the program."""
+    """Return the command line of this process, with paths as results state them.
+
+    The options for the number of threads and for a cluster are left out, because they change no result.
+    """
     program = Path(sys.argv[0]).name.replace("__main__.py", "swimid")
-    return shlex.join([program, *sys.argv[1:]])
+    words = _IDLE.sub("", "\0".join([program, *sys.argv[1:], ""])).split("\0")[:-1]
+    return shlex.join(map(reading.published, words))
+
+
+#: Pattern of options that change no result, in a command line whose words end with a zero.
+_IDLE = re.compile(r"(?<=\0)--(?:jobs|cluster)[=\0][^\0]*\0")
+
+
+def _published(value: Any) -> Any:
+    """Return the settings of a command with paths as results state them."""
+    if isinstance(value, Mapping):
+        return {name: _published(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_published(one) for one in value]
+    if isinstance(value, str):
+        return reading.published(value)
+    return value
 
 
 def _versions() -> dict[str, str]:
@@ -257,7 +299,7 @@ def is_own(path: Path) -> bool:
     if not path.is_file():
         return True
     start = _head(path)
-    with file_errors(path), path.open("rb") as stream:
+    with file_errors(path, noted=False), path.open("rb") as stream:
         stream.seek(max(path.stat().st_size - NEAR, 0))
         tail = stream.read()
     if not tail or tail.endswith(VIDEO_BOX):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.files import atomic, tabular, yamlio
+from swimid.files import atomic, provenance, tabular, yamlio
 from swimid.notices import warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
@@ -143,8 +143,8 @@ class Result:
 
     def next_command(self, file: str) -> str:
         """Return the command that a user may run next on this result in ``file``; empty if there is none."""
-        provenance = getattr(self.evidence, "provenance", {})
-        files = [name for name in provenance.get("inputs") or {} if name.endswith((".yaml", ".yml"))]
+        block = getattr(self.evidence, "provenance", {})
+        files = [path for path in provenance.paths_of(block) if path.endswith((".yaml", ".yml"))]
         trials, *others = files or ["TRIALS.yaml"]
         params = (others or ["PARAMETERS.yaml"])[-1]
         return NEXT.get(self.command, "").format(file=file, trials=trials, params=params)
@@ -264,7 +264,7 @@ class Result:
         UsageError
             If this result cannot be written to a file, or if the path is one of its inputs.
         """
-        inputs = (self.evidence or self.bare()).provenance.get("inputs", {})
+        inputs = provenance.paths_of((self.evidence or self.bare()).provenance)
         target = atomic.check_writable(Path(path), inputs=inputs)
         with atomic.together():
             written = self._write(target)

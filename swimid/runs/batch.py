@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from concurrent.futures import as_completed
@@ -35,14 +36,19 @@ class Batch(Result):
     document : Summary
         Items of the run with their states, verdicts and estimates; None after a dry run.
     exit_status : int
-        Exit status of the command: 4 if an item is refused, failed or without result, 0 otherwise.
+        Exit status of the command: 4 if an item is refused, failed, without result or held by another
+        process, or if a run left an item undone; 0 otherwise.
     """
 
     @property
     def exit_status(self) -> int:
         """Exit status of the command that prints this result."""
-        finished = set(self.data.get("states", {})) <= {"done", *UNFINISHED}
-        return 0 if finished else INCOMPLETE
+        allowed = {"done"}
+        if self.data.get("collected"):
+            allowed |= {*UNFINISHED}
+        if set(self.data.get("states", {})) <= allowed:
+            return 0
+        return INCOMPLETE
 
 
 @takes(BatchOptions)
@@ -91,27 +97,31 @@ def batch(
     >>> [item["id"] for item in planned.data["items"]]
     ['pool_pool.mp4', 'rig_trials.yaml', 'tfish_trials.yaml']
     """
-    path, run = Path(plan), Path(output)
+    path, run = Path(plan), Path(output).resolve()
     if not force:
-        _insist_own(run)
+        _insist_own(Path(output))
     resolved = resolve(path, run)
+    if not force:
+        _insist_same(run, resolved)
     first, step = options.part
     mine = resolved.items[first::step]
     if options.dry_run:
         return _listed(resolved, mine, run, options)
     if options.slurm is not None:
-        return slurm.write(options.slurm, path, run, options, len(mine), force)
+        return slurm.write(options.slurm, path, Path(output), options, len(mine), force)
     run.mkdir(parents=True, exist_ok=True)
     atomic.write_text(run / "plan.json", resolved.model_dump_json(indent=1) + "\n")
+    problems: dict[str, str] = {}
     if not options.collect:
         wanted = {*UNFINISHED, *options.retry}
         todo = [one.id for one in mine if status.state_of(one, folder_of(run, one.id))[0] in wanted]
-        _do(run, todo, len(mine), options, progress)
-    found = summary.of_run(resolved, run)
+        problems = _do(run, todo, len(mine), options, progress)
+        _insist_same(run, resolved)
+    found = summary.of_run(resolved, run, problems)
     outputs: list[Path] = []
     if options.shard is None:
-        outputs = summary.write(found, run)
-    return _answer(found, mine, outputs)
+        outputs = [Path(output) / path.name for path in summary.write(found, run)]
+    return _answer(found, mine, outputs, collected=options.collect)
 
 
 def _insist_own(run: Path) -> None:
@@ -128,10 +138,24 @@ def _insist_own(run: Path) -> None:
         )
 
 
-def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress: Progress) -> None:
-    """Do the items with the given names."""
-    if not todo:
+def _insist_same(run: Path, resolved: Resolved) -> None:
+    """Raise an error if the folder of a run belongs to another plan."""
+    try:
+        place = json.loads((run / "plan.json").read_bytes()).get("place") or resolved.place
+    except (OSError, ValueError, AttributeError):
         return
+    if place != resolved.place:
+        raise UsageError(
+            f"the folder {run} is the run of another plan, {place}",
+            hint="name a new folder; if the plan was renamed, give --force",
+        )
+
+
+def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress: Progress) -> dict[str, str]:
+    """Do the items with the given names. Return the errors of those whose status cannot be written."""
+    problems: dict[str, str] = {}
+    if not todo:
+        return problems
     item.stopping.clear()
     jobs = options.jobs or os.cpu_count() or 1
     counts: Counter[str] = Counter(before=total - len(todo))
@@ -140,10 +164,14 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
             progress("items", total=len(todo)) as step,
             executors.opened(jobs, options.cluster) as pool,
         ):
-            futures = [pool.submit(item.run_item, str(run.resolve()), ident) for ident in todo]
+            futures = {pool.submit(item.run_item, str(run), ident): ident for ident in todo}
             try:
                 for future in as_completed(futures):
-                    counts[future.result()] += 1
+                    try:
+                        counts[future.result()] += 1
+                    except OSError as error:
+                        problems[futures[future]] = f"{error.strerror or error}: {error.filename}"
+                        counts["failed"] += 1
                     show(step, ", ".join(f"{count} {state}" for state, count in counts.items()))
                     step()
             finally:
@@ -157,6 +185,7 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
             f"interrupted; {finished} of {len(todo)} items are finished: the same command goes on from there"
         )
         raise Interrupted(text) from None
+    return problems
 
 
 def _listed(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptions) -> Batch:
@@ -180,7 +209,7 @@ def _listed(resolved: Resolved, mine: list[Item], run: Path, options: BatchOptio
     return Batch("batch", "\n".join(lines), {"items": items})
 
 
-def _answer(found: summary.Summary, mine: list[Item], outputs: list[Path]) -> Batch:
+def _answer(found: summary.Summary, mine: list[Item], outputs: list[Path], *, collected: bool) -> Batch:
     """Return the result of a run for the terminal."""
     names = {one.id for one in mine}
     entries = [entry for entry in found.entries if entry.id in names]
@@ -188,6 +217,7 @@ def _answer(found: summary.Summary, mine: list[Item], outputs: list[Path]) -> Ba
     data: dict[str, Any] = {
         "items": len(entries),
         "states": dict(counts),
+        "collected": collected,
         "entries": [entry.plain() for entry in entries],
     }
     return Batch("batch", summary.text(entries), data, outputs, document=found)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import swimid
+from swimid import reading
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.results import evidence as ev
@@ -64,7 +65,8 @@ def run_item(run: str, ident: str) -> str:
     """Do one item of a run, and return its state.
 
     After a crash the item is tried twice more. Then it is ``failed``, and its status has the end of its log.
-    An item beyond its time or memory limit fails at once.
+    An item beyond its time or memory limit fails at once. An item whose folder is a symbolic link is left
+    alone.
 
     Parameters
     ----------
@@ -72,14 +74,21 @@ def run_item(run: str, ident: str) -> str:
         Folder of the run, with ``plan.json``.
     ident : str
         Name of the item.
+
+    Raises
+    ------
+    OSError
+        If the folder of the item cannot be written.
     """
     item, limits = item_of(run, ident)
     folder = folder_of(Path(run), ident)
+    if os.path.realpath(folder) != str(folder):
+        return "failed"
     folder.mkdir(parents=True, exist_ok=True)
     for attempt in range(1, RETRIES + 2):
         if stopping.is_set():
             return "missing"
-        code, log = _process(run, ident, attempt, limits.time_s)
+        code, log = _process(folder, run, ident, attempt, limits.time_s)
         if code == BUSY:
             return "busy"
         if stopping.is_set() or code == INTERRUPTED:
@@ -96,14 +105,16 @@ def run_item(run: str, ident: str) -> str:
             with suppress(ValueError):
                 message = f"{signal.Signals(-code).name} ended it in each of {attempt} attempts"
     error = {"type": "Failed", "message": message, "log": _end(log)}
-    _status(item, folder, "failed", [], error).write(folder)
+    with reading.record():
+        _status(item, folder, "failed", [], error).write(folder)
     return "failed"
 
 
-def _process(run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | None, bytes]:
+def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | None, bytes]:
     """Do an item in a new process. Return its exit status and the end of its log.
 
-    The exit status is None if the item took longer than its time limit.
+    The exit status is None if the item took longer than its time limit. Locks that the process leaves are
+    removed.
     """
     command = [sys.executable, "-m", "swimid.runs.item", str(Path(run).resolve()), ident, str(attempt)]
     package = str(Path(swimid.__file__).parents[1])
@@ -129,16 +140,18 @@ def _process(run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | 
             _processes.discard(process)
             if process.stdin is not None:
                 process.stdin.close()
+            for lock in folder.glob("*.lock"):
+                if not atomic.holder_of(lock):
+                    lock.unlink(missing_ok=True)
         log.seek(max(log.seek(0, os.SEEK_END) - MAX_LOG, 0))
         return code, log.read()
 
 
 def _end(log: bytes) -> str:
-    return "\n".join(log.decode("utf-8", "replace").splitlines()[-MAX_LINES:])
+    return reading.without_places("\n".join(log.decode("utf-8", "replace").splitlines()[-MAX_LINES:]))
 
 
 def _status(item: Item, folder: Path, state: Any, steps: list[StepStatus], error: dict[str, Any]) -> Status:
-    read = {*item.inputs, *_read_by_steps(folder)}
     own = {STATUS, USAGE, LOG}
     outputs = [
         path.name for path in folder.iterdir() if path.is_file() and path.name not in own and _is_output(path)
@@ -148,28 +161,31 @@ def _status(item: Item, folder: Path, state: Any, steps: list[StepStatus], error
         state=state,
         version=swimid.__version__,
         steps_sha256=item.digest(),
-        inputs=states.digests(folder, sorted(read)),
-        outputs=states.digests(folder, outputs),
+        inputs={name: opened.digest()[0] for name, opened in _read(item, folder).items()},
+        outputs={name: reading.digest_of([folder / name]) for name in sorted(outputs)},
         steps=steps,
         error=error,
     )
 
 
+def _read(item: Item, folder: Path) -> dict[str, reading.Opened]:
+    """Return the inputs that the plan names and the files that the steps have read so far, as they were then.
+
+    A name is a path relative to the folder of the item. Files in this folder and files of swimid are none.
+    """
+    for name in item.inputs:
+        reading.note(folder / name, at_once=True)
+    own = tuple(f"{place}{os.sep}" for place in (folder, Path(swimid.__file__).parent))
+    names = {path: Path(os.path.relpath(path, folder)).as_posix() for path in sorted(reading.known())}
+    return {
+        name: reading.known()[path]
+        for path, name in names.items()
+        if name in item.inputs or (os.path.isfile(path) and not path.startswith(own))
+    }
+
+
 def _is_output(path: Path) -> bool:
     return path.suffix not in (".partial", ".lock") and not path.name.startswith(".")
-
-
-def _read_by_steps(folder: Path) -> set[str]:
-    """Return the inputs outside of the folder of an item that the evidence of its results lists."""
-    names: set[str] = set()
-    for path in folder.glob("*.evidence.json"):
-        with suppress(OSError, ValueError, AttributeError):
-            inputs = json.loads(path.read_bytes()).get("provenance", {}).get("inputs", {})
-            names |= {
-                name for name in inputs if not (folder / name).resolve().is_relative_to(folder.resolve())
-            }
-    package = Path(swimid.__file__).parent
-    return {name for name in names if not (folder / name).resolve().is_relative_to(package)}
 
 
 # ---------------------------------------------------------------- process of an item
@@ -182,8 +198,9 @@ def _main(run: str, ident: str, attempt: str) -> int:
     _limit_memory(limits.memory_mb)
     os.chdir(folder)
     try:
-        with atomic.locked(folder / STATUS):
+        with atomic.locked(folder / STATUS), reading.record():
             _clear(folder)
+            _read(item, folder)
             status = _done(item, folder, limits.memory_mb)
             if status is None:
                 return INTERRUPTED
@@ -192,7 +209,7 @@ def _main(run: str, ident: str, attempt: str) -> int:
                 "memory_mb": _peak_mb(),
                 "attempts": int(attempt),
                 "host": socket.gethostname(),
-                "inputs": {name: states.stamp(folder / name) for name in status.inputs},
+                "inputs": {name: opened.stamp for name, opened in _read(item, folder).items()},
             }
             atomic.write_text(folder / USAGE, json.dumps(costs, indent=1) + "\n")
             status.write(folder)

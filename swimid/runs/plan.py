@@ -13,8 +13,9 @@ import hashlib
 import json
 import os
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args, get_origin
@@ -24,7 +25,7 @@ from pydantic import BaseModel, Field, field_validator
 
 import swimid
 from swimid.cli import main as cli
-from swimid.errors import InputError, SwimidError, suggestion
+from swimid.errors import InputError, SwimidError, UsageError, suggestion
 from swimid.files import atomic, yamlio
 from swimid.options import Declared
 
@@ -43,7 +44,8 @@ ENDINGS = {
 EACH = ("VIDEO", "FILE", "IMU")
 #: Kind of file that a required option takes from an earlier step if the plan does not state it.
 TAKEN = {"params": "parameters", "setup": "setup"}
-#: Maximum length of the name of an item, which is the name of its folder, characters.
+#: Maximum length of the name of an item, which is the name of its folder, and of a result, bytes. The limit
+#: of file systems is 255; commands add endings.
 MAX_NAME = 120
 
 Steps = list[tuple[str, dict[str, Any]]]
@@ -60,12 +62,18 @@ def _step(value: Any) -> tuple[str, dict[str, Any]]:
     raise ValueError("a step is a command, or 'command: {option: value}'")
 
 
+def _steps(value: Any) -> Any:
+    if value is not None and not isinstance(value, list):
+        raise ValueError("steps are a list: begin the line of each step with '- '")
+    return value and [_step(one) for one in value]
+
+
 class Limits(yamlio.Document):
     """Maximum time and memory of one item."""
 
-    time_s: float = Field(default=14400.0, gt=0)
+    time_s: float = Field(default=14400.0, gt=0, le=1e8)
     #: Memory of the process of an item, MB. Only Linux enforces it.
-    memory_mb: float = Field(default=4000.0, gt=0)
+    memory_mb: float = Field(default=4000.0, gt=0, le=1e9)
 
 
 class Group(yamlio.Document):
@@ -84,10 +92,7 @@ class Group(yamlio.Document):
     def _listed(cls, value: Any) -> Any:
         return [value] if isinstance(value, str) else value
 
-    @field_validator("steps", mode="before")
-    @classmethod
-    def _read_steps(cls, value: Any) -> Any:
-        return value and [_step(one) for one in value]
+    _read_steps = field_validator("steps", mode="before")(_steps)
 
 
 class PlanFile(yamlio.Document):
@@ -105,10 +110,7 @@ class PlanFile(yamlio.Document):
     #: Options of a command for the files whose path matches a pattern. Later entries win.
     overrides: dict[str, dict[str, dict[str, Any]]] = {}
 
-    @field_validator("steps", mode="before")
-    @classmethod
-    def _read_steps(cls, value: Any) -> Any:
-        return [_step(one) for one in value]
+    _read_steps = field_validator("steps", mode="before")(_steps)
 
 
 class Step(BaseModel):
@@ -152,6 +154,8 @@ class Resolved(BaseModel):
     format: Literal["swimid-run/1"] = "swimid-run/1"
     version: str
     plan: str
+    #: Path of the plan relative to the folder of the run.
+    place: str = ""
     limits: Limits
     items: list[Item]
 
@@ -179,15 +183,22 @@ def item_of(run: str | Path, ident: str) -> tuple[Item, Limits]:
     """Read one item of the resolved plan of a run, and the limits of the run.
 
     The other items are not validated, because that takes long in a large run.
+
+    Raises
+    ------
+    UsageError
+        If the run has no such item, because the plan was changed in the meantime.
     """
     plan = json.loads((Path(run) / "plan.json").read_bytes())
-    found = next(item for item in plan["items"] if item["id"] == ident)
+    found = next((item for item in plan["items"] if item["id"] == ident), None)
+    if found is None:
+        raise UsageError(f"the plan of {run} was replaced while this run went on: {ident} is not in it")
     return Item.model_validate(found), Limits.model_validate(plan["limits"])
 
 
 def folder_of(run: Path, ident: str) -> Path:
-    """Return the folder of an item in the folder of its run."""
-    return run / "items" / ident
+    """Return the folder of an item in the folder of its run, which is without symbolic links."""
+    return run.resolve() / "items" / ident
 
 
 def resolve(path: Path, run: Path, data: Any = None) -> Resolved:
@@ -211,7 +222,7 @@ def resolve(path: Path, run: Path, data: Any = None) -> Resolved:
     if data is None:
         data = yamlio.load(path)
     plan = yamlio.validate(data, PlanFile, path)
-    return _Resolution(path, data, plan, run).resolved()
+    return _Resolution(path, data, plan, run.resolve(), path.parent.resolve()).resolved()
 
 
 @dataclass
@@ -222,6 +233,8 @@ class _Resolution:
     data: Any
     plan: PlanFile
     run: Path
+    #: Folder of the plan. Both folders are without symbolic links.
+    root: Path
     #: Patterns of the overrides that matched a file, and commands that appear in a group.
     matched: set[str] = field(default_factory=set)
     commands: set[str] = field(default_factory=set)
@@ -247,7 +260,7 @@ class _Resolution:
                 raise self.error(
                     f"{name} would be the name of {count} items", "items", hint="use more groups"
                 )
-        idents = atomic.file_names([_shortened(name) for _, name, _ in named], [""])
+        idents = _file_names([name for _, name, _ in named])
         items = [
             self.item(number, ident, files) for ident, (number, _, files) in zip(idents, named, strict=True)
         ]
@@ -257,7 +270,13 @@ class _Resolution:
                 raise self.error(f"'{pattern}' matches no file of an item", "overrides", pattern, hint=hint)
             self.insist_used(commands, "overrides", pattern)
         self.insist_used(self.plan.defaults, "defaults")
-        return Resolved(version=swimid.__version__, plan=self.path.name, limits=self.plan.limits, items=items)
+        return Resolved(
+            version=swimid.__version__,
+            plan=self.path.name,
+            place=_relative(self.root / self.path.name, self.run),
+            limits=self.plan.limits,
+            items=items,
+        )
 
     def distinct(self, number: int, name: str, counts: Mapping[str, int]) -> str:
         """Return the name of an item, with that of its group if several groups have the item."""
@@ -280,25 +299,29 @@ class _Resolution:
 
         A pattern that ends with ``/`` matches folders, for instance of the pictures of a film.
         """
-        root, own = self.path.parent, self.run.resolve()
-        found: dict[str, None] = {}
+        root, own = self.root, self.run
+        found: dict[str, str] = {}
         for k, pattern in enumerate(group.files):
             names = [
                 name.rstrip("/")
-                for name in sorted(glob.glob(pattern, root_dir=root, recursive=True))
-                if own not in (root / name).resolve().parents
+                for name in sorted(_matches(root, pattern))
+                if not os.path.realpath(root / name).startswith(f"{own}{os.sep}")
                 and (root / name).is_dir() == pattern.endswith("/")
                 and not any(fnmatch.fnmatchcase(name, left_out) for left_out in group.exclude)
             ]
             if not names:
-                hint = f"patterns are relative to {root.resolve()}; 'name/' stands for folders"
+                hint = f"patterns are relative to {root}; 'name/' stands for folders"
                 raise self.error(f"no file matches '{pattern}'", "items", number, "files", k, hint=hint)
-            found |= dict.fromkeys(names)
+            for name in names:
+                if re.search("[\ud800-\udfff]", name):
+                    hint = "rename it, or list it under 'exclude'"
+                    raise self.error(f"the name {name!a} is not UTF-8", "items", number, hint=hint)
+                found.setdefault(os.path.realpath(root / name), name)
         if not group.together:
-            yield from ([name] for name in found)
+            yield from ([name] for name in found.values())
             return
         folders: dict[str, list[str]] = {}
-        for name in found:
+        for name in found.values():
             folders.setdefault(os.path.dirname(name), []).append(name)
         yield from folders.values()
 
@@ -318,7 +341,7 @@ class _Resolution:
             chain.add(command, options, (*place, k))
         return Item(
             id=ident,
-            root=Path(os.path.relpath(self.path.parent, chain.folder)).as_posix(),
+            root=_relative(self.root, chain.folder),
             group=group.name or group.files[0],
             files=files,
             inputs=sorted(chain.inputs),
@@ -354,10 +377,50 @@ def _inside(name: str, patterns: Sequence[str]) -> str:
     return name
 
 
-def _shortened(name: str) -> str:
-    if len(name) <= MAX_NAME:
-        return name
-    return f"{name[: MAX_NAME - 9]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+def _matches(root: Path, pattern: str) -> Iterator[str]:
+    """Yield the paths that match a glob. A folder that several links reach is searched once."""
+    before, deep, after = re.sub(r"(^|/)\*\*$", r"\1**/*", pattern).partition("**/")
+    if not deep or before[-1:] not in ("", "/"):
+        yield from glob.glob(pattern, root_dir=root, recursive=True)
+        return
+    seen: set[str] = set()
+    todo = deque(glob.glob(before, root_dir=root) if before else [""])
+    while todo:
+        name = todo.popleft()
+        real = os.path.realpath(root / name)
+        if real in seen:
+            continue
+        seen.add(real)
+        found = _matches(root / name, after) if after else [""]
+        yield from (os.path.join(name, one) for one in found)
+        with suppress(OSError):
+            inner = [one for one in os.scandir(real) if os.path.isdir(one) and one.name[0] != "."]
+            # Links are followed last, so that a folder is found under its own name.
+            todo.extendleft(os.path.join(name, one.name) for one in inner if not one.is_symlink())
+            todo.extend(os.path.join(name, one.name) for one in inner if one.is_symlink())
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return the path of a file relative to a folder. The way back from a linked folder is its real one."""
+    if ".." in path.parts:
+        path = path.parent.resolve() / path.name
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def _file_names(names: Sequence[str], paths: Sequence[str] | None = None) -> list[str]:
+    """Return a distinct file name for each name. One that is too long or not distinct ends with a digest.
+
+    ``paths`` has what is distinct about equal names.
+    """
+    safe = [atomic.file_names([name], [""])[0] for name in names]
+    counts = Counter(name.casefold() for name in safe)
+    made = []
+    for name, path in zip(safe, paths or names, strict=True):
+        if counts[name.casefold()] > 1 or len(name.encode()) > MAX_NAME or not name.strip("."):
+            cut = name.strip(".").encode()[: MAX_NAME - 9].decode(errors="ignore")
+            name = f"{cut or 'files'}-{hashlib.sha256(path.encode()).hexdigest()[:8]}"
+        made.append(name)
+    return made
 
 
 @dataclass
@@ -385,7 +448,7 @@ class _Chain:
 
     def path_of(self, name: str) -> str:
         """Return the path of an input relative to the folder of the item, and note it as an input."""
-        place = Path(os.path.relpath(self.plan.path.parent / name, self.folder)).as_posix()
+        place = _relative(self.plan.root / name, self.folder)
         self.inputs.add(place)
         return place
 
@@ -407,7 +470,7 @@ class _Chain:
             sources = self.made.pop("log")
         if spec.argument in EACH:
             words = [([source], file) for source, file in zip(sources, self.files, strict=True)]
-            stems = atomic.file_names([Path(file).stem for file in self.files], [""])
+            stems = _file_names([Path(file).stem for file in self.files], self.files)
         else:
             words = [(self.argument(spec, place), self.what)]
             stems = [name]
@@ -435,6 +498,8 @@ class _Chain:
         if name in self.written:
             raise self.plan.error(f"two files would be named {name}", *place, hint="as: NAME names a file")
         self.written.add(name)
+        if name.startswith("-"):
+            name = f"./{name}"  # A command takes a dash for an option.
         return name
 
     def argument(self, spec: cli.CommandSpec, place: tuple[Any, ...]) -> list[str]:
@@ -473,6 +538,9 @@ class _Chain:
                     f"'{spec.command}' has no option '{key}'", *place, spec.command, key, hint=hint
                 )
             entry = by_key[key]
+            if entry.name == "pick" and value:
+                hint = f"run 'swimid {spec.command} --pick' before, and name its file in the plan"
+                raise self.plan.error(f"'{key}' waits for a user", *place, spec.command, key, hint=hint)
             stated.add(entry.name)
             words += _words(entry, key, self.with_paths(entry, value, (*place, spec.command, key)))
         for entry in declared.values():
@@ -504,11 +572,11 @@ class _Chain:
         for step in self.steps:
             if value == step.name and entry.files(value):
                 return step.outputs[-1]
-        root = self.plan.path.parent
+        root = self.plan.root
         if entry.files(value):
             if not (root / value).exists():
                 steps = ", ".join(step.name for step in self.steps) or "none"
-                hint = f"files are relative to {root.resolve()}; steps before it: {steps}"
+                hint = f"files are relative to {root}; steps before it: {steps}"
                 raise self.plan.error(f"there is no file '{value}'", *place, hint=hint)
             return self.path_of(value)
         if "FILE" in (entry.metavar or "") and (root / value).is_file():
@@ -533,15 +601,19 @@ class _Chain:
         """Append the step that writes a trials file with a trial for each log of the item."""
         merged = {**self.plan.plan.defaults.get(TRIALS, {}), **options}
         each = merged.pop("each", {})
-        root = self.plan.path.parent
+        root = self.plan.root
         for key in ("robot", "drag", "table"):
             if isinstance(merged.get(key), str) and (root / merged[key]).is_file():
                 merged[key] = self.path_of(merged[key])
         trials = []
         logs = self.made.get("log", self.sources)
+        stems = Counter(Path(file).stem for file in self.files)
         for log, file in zip(logs, self.files, strict=True):
             own = self.plan.overridden(TRIALS, file)
-            trials.append({"id": Path(file).stem, "log": log, **each, **own})
+            ident = Path(file).stem
+            if stems[ident] > 1:
+                ident = Path(file).name
+            trials.append({"id": ident, "log": log, **each, **own})
         content = {"format": "swimid-trials/1", **merged, "trials": trials}
         name = "trials.yaml"
         self.steps.append(Step(name=TRIALS, command=TRIALS, outputs=[name], text=yamlio.dumps(content)))

@@ -56,8 +56,12 @@ def write(folder: Path, plan: Path, run: Path, options: BatchOptions, items: int
     scripts = {place / "array.sh": _ARRAY, place / "collect.sh": _COLLECT, place / "submit.sh": _SUBMIT}
     named = {"folder": os.getcwd(), "plan": plan, "run": run, "logs": place}
     named |= {path.stem: path for path in scripts}
+    if any(not str(path).isprintable() for path in named.values()):
+        raise UsageError(f"a path of the scripts is not printable: {[*map(str, named.values())]}")
+    # An absolute path does not begin with a dash, which a command takes for an option.
+    named |= {name: path.absolute() for name, path in (("plan", plan), ("run", run)) if str(path)[0] == "-"}
     words = {name: shlex.quote(str(value)) for name, value in named.items()}
-    words["retry"] = "".join(f" --retry {state}" for state in options.retry)
+    words["retry"] = "".join(f" --retry {shlex.quote(state)}" for state in options.retry)
     with atomic.together():
         for path, text in scripts.items():
             if not force and not is_own(path):

@@ -17,9 +17,8 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ValidationError, model_validator
 
-from swimid.errors import InputError
+from swimid import reading
 from swimid.files import atomic, yamlio
-from swimid.files.provenance import sha256
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.runs.plan import Item
@@ -141,6 +140,12 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
 
     The status of an outdated item is returned too, so that its version can be shown.
     """
+    if os.path.realpath(folder) != str(folder):
+        # Nothing is read or removed through a link, which may lead to files that are not of the run.
+        text = f"its folder {folder} is a symbolic link, or below one: remove the link"
+        return "failed", Status(
+            id=item.id, state="failed", version="", steps_sha256="", error={"message": text}
+        )
     status = read(folder)
     if status is None:
         return "missing", None
@@ -148,37 +153,14 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
         return "outdated", status
     stated = usage(folder).get("inputs", {})
     for name, digest in status.inputs.items():
-        place = folder / name
         # As in other tools, an unchanged size and time of modification stand for unchanged content.
-        if stamp(place) != stated.get(name) and _digest(place) != digest:
+        files = reading.files_of(folder / name)
+        now = reading.Opened(files, reading.stamp_of(files))
+        if now.stamp != stated.get(name) and now.digest()[0] != digest:
             return "outdated", status
     if not all((folder / name).exists() for name in status.outputs):
         return "missing", status
     return status.state, status
-
-
-def stamp(path: Path) -> list[int] | None:
-    """Return size in bytes and time of modification in ns of a file; None for a missing file."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return [found.st_size, found.st_mtime_ns]
-
-
-def _digest(path: Path) -> str:
-    try:
-        if path.is_dir():
-            content = "\n".join(f"{name} {stamp(path / name)}" for name in sorted(os.listdir(path)))
-            return hashlib.sha256(content.encode()).hexdigest()
-        return sha256(path)
-    except (InputError, OSError):
-        return ""
-
-
-def digests(folder: Path, names: list[str]) -> dict[str, str]:
-    """Return the SHA-256 of each file relative to a folder; empty for one that cannot be read."""
-    return {name: _digest(folder / name) for name in sorted(names)}
 
 
 # ---------------------------------------------------------------- estimates and sketch of a result

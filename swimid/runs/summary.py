@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import statistics
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ MAX_Z, SD_OF_MAD, MIN_ITEMS = 3.5, 1.4826, 5
 MAX_PANELS, MAX_LISTED = 8, 10
 #: Maximum number of rows, of sketches of a group, and of points of a strip on the page. The tables have all.
 MAX_ROWS, MAX_SKETCHES, MAX_POINTS = 2000, 500, 1000
+#: Pattern of characters that no table and no page can hold.
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 #: First line of the tables, by which swimid recognises them as its own.
 MADE_BY = "# made_by: swimid batch\n"
 
@@ -103,8 +106,11 @@ class Summary:
         return found
 
 
-def of_run(plan: Resolved, run: Path) -> Summary:
-    """Return the summary of a run from the statuses of its items."""
+def of_run(plan: Resolved, run: Path, problems: Mapping[str, str] | None = None) -> Summary:
+    """Return the summary of a run from the statuses of its items.
+
+    ``problems`` has errors of items that just failed without a status.
+    """
     entries = []
     for item in plan.items:
         folder = folder_of(run, item.id)
@@ -123,6 +129,15 @@ def of_run(plan: Resolved, run: Path) -> Summary:
             entry.reason = f"done by swimid {entry.version}; its results are not used"
         elif state == "outdated":
             entry.reason = "its steps or inputs have changed; its results are not used"
+        lock = folder / f"{states.STATUS}.lock"
+        if state in ("missing", "outdated") and (holder := atomic.holder_of(lock)):
+            entry.state = "busy"
+            name = f"items/{item.id}/{lock.name}"
+            entry.reason = f"is done by {holder}; if there is no such process, delete {name}"
+        if state in ("missing", "outdated") and item.id in (problems or {}):
+            entry.state, entry.reason = "failed", (problems or {})[item.id]
+        for name in ("reason", "hint", "log"):
+            setattr(entry, name, _UNPRINTABLE.sub("\ufffd", getattr(entry, name)))
         entries.append(entry)
     found = Summary(plan.plan, entries)
     for members in found.groups.values():

@@ -28,6 +28,7 @@ os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
 
 import cv2
 
+from swimid import reading
 from swimid.errors import InputError
 from swimid.notices import warn
 from swimid.tracking.setup import HsvRange
@@ -90,6 +91,7 @@ def _opened(path: Path) -> cv2.VideoCapture:
         raise InputError("cannot be read: no such file", file=path, hint="check the path")
     if path.stat().st_size == 0:
         raise InputError("is empty", file=path)
+    reading.note(path)
     # Use one thread more than there are processor cores, so that decoding continues while a frame is
     # evaluated.
     threads = min(os.cpu_count() or 1, 16) + 1
@@ -157,6 +159,7 @@ class Video:
         # file exists.
         if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
             self.files = _listed(self.path)
+            reading.note(self.path, self.files)
             self.claimed = len(self.files)
             self._read = _pictures(self.path, self.files)
         else:

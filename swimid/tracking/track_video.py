@@ -233,8 +233,7 @@ def _evaluate(
         methods=methods,
         references=references,
         provenance=provenance.collect(
-            [],
-            digests=provenance.digest_together(video.path, video.files) | provenance.digests_of([source]),
+            [video.path, source],
             settings=options.settings(setup=rules.model_dump(mode="json", exclude_none=True)),
         ),
     )

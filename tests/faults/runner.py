@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from click.testing import Result
 
 from swimid.errors import SwimidError
 
@@ -184,8 +185,8 @@ def mutated(data: bytes, rng: np.random.Generator, pieces: list[str]) -> bytes:
     return bytes(content)
 
 
-def command(*words: str | Path) -> tuple[int, str]:
-    """Run a command of swimid in this process, and return its exit status and its messages.
+def invoked(*words: str | Path) -> Result:
+    """Run a command of swimid in this process.
 
     Raises
     ------
@@ -200,6 +201,12 @@ def command(*words: str | Path) -> tuple[int, str]:
     if ran.exception is not None and not isinstance(ran.exception, SystemExit):
         raise ran.exception
     check_ending(ran.exit_code, ran.stderr)
+    return ran
+
+
+def command(*words: str | Path) -> tuple[int, str]:
+    """Run a command of swimid in this process, and return its exit status and its messages."""
+    ran = invoked(*words)
     return ran.exit_code, ran.stderr
 
 

@@ -292,17 +292,18 @@ class Table:
             known = self.names
         known = [*known, *self.keys]
         names = [*(self.names or self.columns), *self.keys]
-        if isinstance(key, str) and key in known:
-            return key
-        if isinstance(key, int) or key.isdecimal():
-            if not 1 <= int(key) <= len(names):
+        name = str(key)
+        if isinstance(key, int) or (name not in known and name.isdecimal()):
+            if not 1 <= int(name) <= len(names):
                 raise InputError(f"has {len(names)} columns, no column {key}", file=path)
-            key = names[int(key) - 1]
-        loose = [name for name in known if name.strip().lower() == key.strip().lower()]
+            name = names[int(name) - 1]
+        loose = [one for one in known if one.strip().lower() == name.strip().lower()]
+        if name in known:
+            return name
         if len(loose) == 1:
             return loose[0]
-        hint = suggestion(key, known, "the file has")
-        raise InputError("there is no such column", file=path, column=key, hint=hint)
+        hint = suggestion(name, known, "the file has")
+        raise InputError("there is no such column", file=path, column=name, hint=hint)
 
     def place(self, row: int) -> dict[str, int]:
         """Return the place of a row in the file for an :class:`InputError`: line number, or row number."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from swimid.errors import InputError
+from swimid.errors import InputError, file_errors
 from swimid.logs.foreign import Array, Format, Options, Peek, Table, choose, open_table, rows
 from swimid.logs.foreign.keypoints import points
 from swimid.logs.log import TIME
@@ -66,8 +66,9 @@ TRACKPY = Format("trackpy", "table of trackpy", _read_trackpy, _is_trackpy)
 
 def _attributes(path: Path) -> dict[str, Any]:
     """Return the content of ``attributes.json`` beside a table of idtracker.ai; empty if there is none."""
-    with contextlib.suppress(OSError, ValueError):
-        found = json.loads(path.with_name("attributes.json").read_text(encoding="utf-8"))
+    place = path.with_name("attributes.json")
+    with contextlib.suppress(OSError, ValueError, InputError), file_errors(place):
+        found = json.loads(place.read_text(encoding="utf-8"))
         if isinstance(found, dict) and "frames_per_second" in found:
             return found
     return {}
