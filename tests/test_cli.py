@@ -19,11 +19,12 @@ import pytest
 from click.testing import CliRunner
 
 import swimid as package
-from swimid.cli.main import SECTIONS, found, main
+from swimid.cli.main import SECTIONS, main
 from swimid.cli.main import Run as Running
+from swimid.commands import found
 from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
-from swimid.results.result import FORMATS, Result
+from swimid.results.result import Result, formats
 from tests.conftest import ROOT, SAMPLES, Ran
 
 Run = Callable[..., Ran]
@@ -191,7 +192,7 @@ def test_schema_and_doctor_write_over_nothing_of_others(
 def test_schema_lists_every_format(swimid: Run) -> None:
     listed = swimid("schema").out.split()
     assert listed[:6] == ["trials", "robot", "setup", "mapping", "points", "evidence"]
-    assert listed[6:-1] == [form.removeprefix("swimid-").partition("/")[0] for form in FORMATS]
+    assert listed[6:-1] == formats()
     assert listed[-1] == "answer"
 
 

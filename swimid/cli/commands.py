@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,14 @@ from swimid.cli.answers import answer_schema
 from swimid.cli.options import DoctorOptions, ImportLogOptions, SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
+from swimid.logs import import_log as logs
+from swimid.logs.mapping import Draft, guess_mapping
+from swimid.logs.tracks import Logged
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict
-from swimid.results.result import FORMATS, Result
+from swimid.results.result import Result, class_of, formats
 
 # ---------------------------------------------------------------- import
 
@@ -33,7 +37,7 @@ from swimid.results.result import FORMATS, Result
 @takes(ImportLogOptions)
 def import_log(
     file: Path, *, options: ImportLogOptions, output: Path | None, progress: Progress = silent
-) -> Result:
+) -> Logged | Draft:
     """Import a recording of another program as a log, or draft the mapping that the import needs.
 
     The mapping states which column of the recording becomes which column of the log.
@@ -53,13 +57,9 @@ def import_log(
     if options.guess:
         if options.map_path is not None:
             raise UsageError("--guess drafts a mapping, and takes none")
-        from swimid.logs.mapping import guess_mapping
-
         return guess_mapping(file, select=options.select, output=output)
     if output is None:
         raise UsageError("say where the log goes", hint="add -o run.csv")
-    from swimid.logs import import_log as logs
-
     return logs.import_log(file, options=options, output=output, progress=progress)
 
 
@@ -94,9 +94,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     UsageError
         If there is no such format. The hint names the most similar format.
     """
-    results = {form.removeprefix("swimid-").split("/")[0]: place for form, place in FORMATS.items()}
-    places = OTHERS | results
-    names = [*places, ANSWER]
+    names = [*OTHERS, *formats(), ANSWER]
     if name is None:
         return Result("schema", "\n".join(names), {"formats": names})
     if name not in names:
@@ -104,12 +102,8 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     if name == ANSWER:
         content = answer_schema()
     else:
-        module, _, attribute = places[name].partition(":")
-        found = getattr(importlib.import_module(module), attribute)
-        if name == "robot":
-            found = found()
-        # The attribute ``file_type`` of a class of results is the pydantic model of its file.
-        content = TypeAdapter(getattr(found, "file_type", found)).json_schema()
+        found: Any = getattr(class_of(name), "file_type", None) if name in formats() else _other(name)
+        content = TypeAdapter(found).json_schema()
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
@@ -120,6 +114,13 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
         return Result("schema", text, document)
     atomic.write_text(output, text + "\n")
     return Result("schema", "", document, [output])
+
+
+def _other(name: str) -> Any:
+    """Return the pydantic model of a file format that is not the format of a result."""
+    module, _, attribute = OTHERS[name].partition(":")
+    found = getattr(importlib.import_module(module), attribute)
+    return found() if name == "robot" else found
 
 
 # ---------------------------------------------------------------- doctor
@@ -151,8 +152,20 @@ KERNELS = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Installation(Result):
+    """Result of ``doctor``: the findings as data, or the size of the removed kernels."""
+
+    @property
+    def next_step(self) -> str:
+        """Command that usually follows: a sample, or the removal of swimid after ``--clean``."""
+        return "pip uninstall swimid" if self.text else "swimid sample"
+
+
 @takes(DoctorOptions)
-def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
+def doctor(
+    *, options: DoctorOptions, output: Path | None = None, progress: Progress = silent
+) -> Installation:
     """Check the installation of swimid: versions of packages, optional packages and video decoding.
 
     With ``warm_up``, also compile the numerical functions, so that no later command waits for it. With
@@ -170,7 +183,7 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
             raise UsageError("--clean and --warm-up contradict each other: give one of them")
         freed = kernels.remove_cache()
         text = f"removed compiled kernels of {freed / 1e6:.1f} MB"
-        return Result("doctor --clean", text, {"freed_bytes": freed})
+        return Installation("doctor --clean", text, {"freed_bytes": freed})
     findings: dict[str, Any] = {
         "swimid": swimid.__version__,
         "python": sys.version.split()[0],
@@ -212,7 +225,7 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
     if output is not None:
         atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
         outputs.append(output)
-    return Result("doctor", data=findings, outputs=outputs, evidence=evidence)
+    return Installation("doctor", data=findings, outputs=outputs, evidence=evidence)
 
 
 def _required() -> list[str]:

@@ -8,21 +8,18 @@ the standard error.
 
 from __future__ import annotations
 
-import ast
-import importlib
 import inspect
 import json
 import math
 import os
 import re
-import shlex
 import sys
 import textwrap
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
@@ -30,12 +27,13 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
+from swimid.commands import EVIDENCE, CommandSpec, found
 from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, naming
 from swimid.files import atomic, provenance
 from swimid.notices import Notice, Progress, Step, recorded, silent
 
 if TYPE_CHECKING:
-    from swimid.options import Declared, Options
+    from swimid.options import Declared
     from swimid.results.result import Result
 
 #: Terminal codes that erase a progress bar: they move up one line and clear it.
@@ -55,9 +53,6 @@ SHARED = (
     _flag(["--no-progress"], help="No progress bars."),
     _flag(["--debug"], help="Show tracebacks."),
 )
-
-#: Ending of the name of an evidence file, which a command writes next to its result.
-EVIDENCE = ".evidence.json"
 
 # ---------------------------------------------------------------- run of one command
 
@@ -177,12 +172,9 @@ class Run:
         if not self.quiet:
             for line in _warning_lines(notices, (MAX_ALIKE, sys.maxsize)[self.verbose > 0]):
                 click.echo(line, err=True)
-        following = []
-        if outcome is not None:
-            file = shlex.quote(str(outcome.path))
-            line = outcome.next_command(file)
-            if line and (outcome.outputs or file not in line):
-                following.append(line)
+        following: list[str] = []
+        if outcome is not None and (outcome.outputs or "{file}" not in outcome.next_step):
+            following = list(filter(None, [outcome.next_command(outcome.path)]))
         if self.as_json:
             from swimid.files import yamlio
 
@@ -277,63 +269,6 @@ def _bar(description: str, total: int | None = None) -> Iterator[Step]:
 # ---------------------------------------------------------------- commands
 
 
-@dataclass(frozen=True)
-class CommandSpec:
-    """Declaration of a command, which is read from its class of options (:class:`swimid.options.Options`).
-
-    Attributes
-    ----------
-    command, section, output, argument, output_flags, required, stdout, beside, function, module, makes,
-    metrics, lock
-        Class arguments of the class of options.
-    package, options, help : str
-        Name of the package, and name and docstring of the class of options.
-    """
-
-    command: str
-    section: str
-    output: str
-    package: str
-    options: str
-    help: str
-    argument: str = "TRIALS"
-    output_flags: tuple[str, ...] = ("-o", "--output")
-    required: bool = False
-    stdout: Mapping[str, Any] | None = None
-    beside: tuple[str, ...] = (EVIDENCE,)
-    function: str = ""
-    module: str = ""
-    makes: str = ""
-    metrics: tuple[str, ...] = ()
-    lock: bool = True
-
-    def model(self) -> type[Options]:
-        """Import the class of options of the command, and return this class."""
-        loaded: type[Options] = getattr(importlib.import_module(f"{self.package}.options"), self.options)
-        return loaded
-
-    def run(self) -> Any:
-        """Import the function that the command calls, and return this function."""
-        name = self.function or re.sub("[ -]", "_", self.command)
-        return getattr(importlib.import_module(f"{self.package}.{self.module or name}"), name)
-
-
-@cache
-def found() -> dict[str, CommandSpec]:
-    """Find the declarations of all commands in the files ``options.py``, and return them by command name."""
-    specs = {}
-    for path in sorted(Path(__file__).parents[1].glob("*/options.py")):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef) and node.keywords:
-                given = {str(one.arg): ast.literal_eval(one.value) for one in node.keywords}
-                help = ast.get_docstring(node) or ""
-                spec = CommandSpec(
-                    package=f"swimid.{path.parent.name}", options=node.name, help=help, **given
-                )
-                specs[spec.command] = spec
-    return specs
-
-
 class _FilePath(click.Path):
     """Click type of a path. Results state paths in UTF-8, so that a path in another encoding is an error."""
 
@@ -355,7 +290,7 @@ class Command(click.Command):
     def __init__(self, spec: CommandSpec) -> None:
         path = _FilePath()
         output = click.Option(
-            [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output
+            [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output_help
         )
         # Mark the examples in the help with \b, so that click keeps their line breaks.
         help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)

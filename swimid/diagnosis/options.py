@@ -15,8 +15,7 @@ class DiagnoseOptions(
     Options,
     command="diagnose",
     section="Diagnose",
-    output="Gap file to write (YAML).",
-    makes="result",
+    makes="gap|power",
     metrics=("closed.share",),
 ):
     """Name the unmodelled effect behind a gap between trials and simulation.

@@ -34,6 +34,7 @@ class Dataset(Result):
 
     kind = "Dataset"
     ending = ".nc"
+    keys = {"target": str}
 
     def _write(self, path: Path) -> list[Path]:
         with atomic.replacing(path) as temporary:

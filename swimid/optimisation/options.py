@@ -23,8 +23,7 @@ class MapOptions(
     section="Put to work",
     function="performance_map",
     argument="",
-    output="Map file to write (YAML).",
-    makes="result",
+    makes="map",
 ):
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
@@ -53,8 +52,7 @@ class OptimiseStiffnessOptions(
     command="optimise stiffness",
     section="Put to work",
     argument="",
-    output="Rule file to write (YAML).",
-    makes="result",
+    makes="rule",
 ):
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
@@ -97,8 +95,7 @@ class OptimiseGaitOptions(
     command="optimise gait",
     section="Put to work",
     argument="",
-    output="Gait file to write (YAML).",
-    makes="result",
+    makes="gait",
 ):
     r"""Find the best gait within limits.
 

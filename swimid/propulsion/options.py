@@ -12,7 +12,6 @@ class FitPropulsionOptions(
     Options,
     command="fit-propulsion",
     section="Identify",
-    output="Parameter file to write (YAML).",
     makes="parameters",
 ):
     """Identify the propulsion of a caudal fin.

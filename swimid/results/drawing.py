@@ -134,7 +134,7 @@ def paint(
     _spans(axes, panel)
     rows = _legend(axes) if legend else 0
     title = panel.title
-    if panel.equal_aspect and _shape(panel) <= MIN_SHAPE:
+    if panel.equal_aspect and not is_to_scale(panel):
         title = f"{title}, {panel.y_label.partition(' ')[0]} magnified".removeprefix(", ")
     axes.set_title("\n".join(textwrap.wrap(title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
 
@@ -233,7 +233,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
     if panel.x_categories is not None:
         _slant(axes, panel.x_categories)
         axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
-    if panel.equal_aspect and _shape(panel) > MIN_SHAPE:
+    if is_to_scale(panel):
         axes.set_aspect("equal", adjustable="box")
         step = max(float(ticks[1] - ticks[0]) for ticks in (axes.get_xticks(), axes.get_yticks()))
         # Use a common distance of ticks only if both axes then have several ticks.
@@ -328,9 +328,14 @@ def _height(panel: Panel, panels: int = 1) -> float:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
-    if not panel.equal_aspect or _shape(panel) <= MIN_SHAPE:
+    if not is_to_scale(panel):
         return max(min(HEIGHT, TALLEST / panels), LOW)
     return min(max((WIDTH - FRAME) * _shape(panel), 0.8), 4.0) + FRAME
+
+
+def is_to_scale(panel: Panel) -> bool:
+    """Return whether a panel is drawn with equal scales on both axes. A flat path is not."""
+    return panel.equal_aspect and _shape(panel) > MIN_SHAPE
 
 
 def _shape(panel: Panel) -> float:

@@ -252,6 +252,13 @@ class Fitted(FileResult[ParameterFile]):
     file_type = ParameterFile
 
     @property
+    def next_step(self) -> str:  # type: ignore[override]
+        """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
+        if not self._inputs(Path()):
+            return FileResult.next_step
+        return "swimid compare {trials} --params {file} -o {free[comparison.yaml]}"
+
+    @property
     def parameters(self) -> pd.DataFrame:
         """Table of the fitted parameters: value, standard error, 95 % interval, unit and status of each."""
         return _estimates_frame(self.file.parameters)

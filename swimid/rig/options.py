@@ -13,7 +13,6 @@ class FitDragOptions(
     Options,
     command="fit-drag",
     section="Identify",
-    output="Parameter file to write (YAML).",
     makes="parameters",
 ):
     """Identify drag, added mass and friction from a rig.

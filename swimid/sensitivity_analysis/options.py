@@ -15,8 +15,7 @@ class SensitivityOptions(
     Options,
     command="sensitivity",
     section="Diagnose",
-    output="Sensitivity file to write (YAML).",
-    makes="result",
+    makes="sensitivity",
 ):
     """Rank the coefficients of a swimmer by their effect on each output.
 

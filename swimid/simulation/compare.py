@@ -55,6 +55,13 @@ class Comparison(FileResult[ComparisonFile]):
     file_type = ComparisonFile
 
     @property
+    def next_step(self) -> str:  # type: ignore[override]
+        """Command that usually follows: a report of a good comparison, and a diagnosis of another one."""
+        if self.verdict == "good":
+            return FileResult.next_step
+        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repaired}"
+
+    @property
     def scores(self) -> pd.DataFrame:
         """Errors of each channel of each trial: RMSE in the channel's unit, NRMSE, variance accounted for."""
         import pandas as pd

@@ -194,6 +194,8 @@ class Simulation(Result):
     inputs: Sequence[Input] = field(default=(), repr=False)
 
     ending = ".csv"
+    next_step = "swimid plot {file} -o {free[log.svg]}"
+    keys = {"model": str, "robot": str, "runs": list[dict[str, Any]]}
 
     @property
     def runs(self) -> dict[str, Simulated]:
