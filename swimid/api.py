@@ -79,8 +79,7 @@ def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
     Returns
     -------
     Log
-        Log with its columns as arrays of shape (n,), NaN for a missing sample. ``.frame()`` returns a
-        DataFrame.
+        Log with its columns as arrays of shape (n,), NaN for a missing sample. ``.frame`` is a DataFrame.
 
     Raises
     ------
@@ -94,8 +93,10 @@ def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
     ['t_s', 'x_m']
     """
     from swimid.logs import log
+    from swimid.options import explained
 
-    return log.read(path, required=required)
+    with explained(read_log, [path]):
+        return log.read(path, required=required)
 
 
 def load(
@@ -136,7 +137,7 @@ def load(
     --------
     >>> load("sample_logs/rig/trials.yaml").ids[:2]
     ['w10', 'w15']
-    >>> drop = {"id": "w10", "log": read_log("sample_logs/rig/w10.csv").frame(), "pulling_mass_kg": 0.01}
+    >>> drop = {"id": "w10", "log": read_log("sample_logs/rig/w10.csv").frame, "pulling_mass_kg": 0.01}
     >>> load([drop], experiment="falling-weight", robot="boxfish").experiment
     'falling-weight'
     """
@@ -180,9 +181,11 @@ def read_robot(name: str | Path) -> Robot:
     >>> read_robot("boxfish").body.inertial_mass_kg
     1.196
     """
+    from swimid.options import explained
     from swimid.robots import file
 
-    return file.read(str(name))
+    with explained(read_robot, [name]):
+        return file.read(str(Path(name)))
 
 
 def built_in_robots() -> list[str]:

@@ -19,13 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from swimid.errors import InputError, file_errors, first_line
+from swimid.errors import InputError, extra_needed, file_errors, first_line, look_up
 from swimid.files import atomic, isolated, memory, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
+from swimid.results import numbers as texts
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
+
+    from swimid.logs.plot import Drawn
 
 Array = NDArray[np.float64]
 TIME = "t_s"
@@ -58,6 +62,8 @@ class Log:
         Line of the file with the first sample; 0 for Parquet, None for a log in memory.
     time_s : ndarray, shape (n,)
         Sample times, s, strictly increasing.
+    frame : DataFrame
+        Columns of the log, one row per sample.
 
     Examples
     --------
@@ -157,14 +163,27 @@ class Log:
         """Columns of the log by name, without the time ``t_s``."""
         return {name: values for name, values in self.columns.items() if name != TIME}
 
+    @property
     def frame(self) -> pd.DataFrame:
-        """Return the columns of the log as a table, one row per sample."""
+        """Columns of the log as a table, one row per sample."""
         import pandas as pd
 
         return pd.DataFrame(self.columns)
 
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the columns of the log as an ``xarray.Dataset`` over ``t_s``, each with its unit."""
+        return to_xarray(self.frame, [TIME])
+
+    def plot(self, **options: Any) -> Drawn:
+        """Draw the log: channels over time, path and spectra (:func:`swimid.plot`)."""
+        import swimid
+
+        drawn: Drawn = swimid.plot(self, **options)
+        return drawn
+
     def __getitem__(self, column: str) -> NDArray[np.float64]:
-        return self.columns[column]
+        values: NDArray[np.float64] = look_up(column, self.columns, f"the log {self.name}")
+        return values
 
     def __contains__(self, column: str) -> bool:
         return column in self.columns
@@ -203,6 +222,30 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
         return Log.from_frame(given, name=name, required=required)
     _wanted(list(given.columns), required, None, given.path, None)
     return given
+
+
+def to_xarray(frame: pd.DataFrame, dimensions: Sequence[str]) -> xarray.Dataset:
+    """Return a table as an ``xarray.Dataset``. Each variable has the unit of its column as ``units``.
+
+    Parameters
+    ----------
+    frame : DataFrame, shape (n, k)
+        A row for each combination of the values of the dimensions.
+    dimensions : sequence of str
+        Columns that become the dimensions.
+
+    Raises
+    ------
+    UsageError
+        If xarray is not installed.
+    """
+    with extra_needed("xarray", "netcdf"):
+        import xarray  # noqa: F401 - pandas makes the dataset with it
+
+    data = frame.set_index(list(dimensions)).to_xarray()
+    for name in map(str, data.variables):
+        data[name].attrs["units"] = texts.split_unit(name)[1]
+    return data
 
 
 def unread(given: LogLike, *, name: str = "log") -> Path | Log:

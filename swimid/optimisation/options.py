@@ -18,12 +18,7 @@ class GaitOptions(simulations.DriveOptions):
 
 
 class MapOptions(
-    GaitOptions,
-    command="map",
-    section="Put to work",
-    function="performance_map",
-    argument="",
-    makes="map",
+    GaitOptions, command="map", section="Put to work", function="performance_map", argument="", makes="map"
 ):
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
@@ -48,11 +43,7 @@ class MapOptions(
 
 
 class OptimiseStiffnessOptions(
-    GaitOptions,
-    command="optimise stiffness",
-    section="Put to work",
-    argument="",
-    makes="rule",
+    GaitOptions, command="optimise stiffness", section="Put to work", argument="", makes="rule"
 ):
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
@@ -91,11 +82,7 @@ Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]
 
 
 class OptimiseGaitOptions(
-    GaitOptions,
-    command="optimise gait",
-    section="Put to work",
-    argument="",
-    makes="gait",
+    GaitOptions, command="optimise gait", section="Put to work", argument="", makes="gait"
 ):
     r"""Find the best gait within limits.
 

@@ -7,6 +7,7 @@ printed page.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import io
 import math
@@ -49,6 +50,8 @@ FONT = 8.0
 LETTER = 0.58
 #: Resolution of figures that are written as PNG files, pixels per inch.
 DPI = 300
+#: Resolution of figures in a notebook, pixels per inch.
+NOTEBOOK_DPI = 120
 #: Minimum number of points at which a trace of points is drawn as a single SVG path of dots. The path takes a
 #: tenth of the file size of separate markers.
 MIN_CLOUD = 60
@@ -454,6 +457,15 @@ def _numbered(text: str, prefix: str) -> str:
     ids = [f"p{hashlib.sha256(f'{prefix}{k}'.encode()).hexdigest()[:10]}" for k in range(len(names))]
     new = dict(zip(names, ids, strict=True))
     return re.sub(r"\bp[0-9a-f]{10}\b", lambda found: new.get(found[0], found[0]), text)
+
+
+def for_notebook(figure: Figure) -> str:
+    """Return a figure as a picture (PNG) in an HTML element, on a white background."""
+    file = io.BytesIO()
+    with mpl.rc_context(style()):
+        canvas([figure]).savefig(file, format="png", dpi=NOTEBOOK_DPI)
+    text = base64.b64encode(file.getvalue()).decode()
+    return f'<img alt="{escape(figure.title, quote=True)}" src="data:image/png;base64,{text}">'
 
 
 # ---------------------------------------------------------------- on a page

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, PrivateAttr
 
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError, look_up
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
@@ -159,7 +159,11 @@ def _file(source: Source) -> ParameterFile:
         return ParameterFile.read(source)
     if isinstance(source, ParameterFile):
         return source
-    return source.file
+    file = getattr(source, "file", None)
+    if isinstance(file, ParameterFile):
+        return file
+    text = f"a {type(source).__name__} holds no parameters of a model"
+    raise UsageError(text, hint="pass the path of a parameter file, or the result of a fit")
 
 
 def origin(source: Source) -> Path | Held:
@@ -285,7 +289,8 @@ class Fitted(FileResult[ParameterFile]):
         return self.file.fit is not None and self.file.fit.converged
 
     def __getitem__(self, name: str) -> Estimate:
-        return (self.file.parameters | self.file.derived)[name]
+        found: Estimate = look_up(name, self.file.parameters | self.file.derived, "the fit")
+        return found
 
     def _own_facts(self) -> dict[str, str]:
         file = self.file

@@ -21,6 +21,7 @@ from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import atomic, tabular, yamlio
 from swimid.files.provenance import sha256
 from swimid.notices import warn
+from swimid.options import explained
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
@@ -404,9 +405,19 @@ class Result:
     def __str__(self) -> str:
         return self.summary()
 
+    def __dir__(self) -> list[str]:
+        return [name for name in super().__dir__() if name[0] != "_" and name not in _INTERNAL]
+
     def _repr_html_(self) -> str:
-        """Return the HTML that a notebook shows for the result: its summary, and a folded table of checks."""
+        """Return the HTML that a notebook shows: summary, figures (folded after the first), folded checks."""
+        from swimid.results import drawing
+
         shown = f"<pre>{html.escape(self.summary())}</pre>"
+        for k, figure in enumerate(self._shown("figures")):
+            picture = drawing.for_notebook(figure)
+            if k:
+                picture = f"<details><summary>{html.escape(figure.title)}</summary>{picture}</details>"
+            shown += picture
         if self.evidence is not None and self.evidence.checks:
             table = self.checks().to_html(index=False, border=0)
             shown += f"<details><summary>checks</summary>{table}</details>"
@@ -564,7 +575,8 @@ def load_result(path: str | Path) -> Result:
     >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
     '1'
     """
-    path = Path(path)
+    with explained(load_result, [path]):
+        path = Path(path)
     ending = path.suffix.lower()
     if path.name.endswith(".evidence.json"):
         stem = path.name.removesuffix(".evidence.json")
