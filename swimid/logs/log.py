@@ -8,6 +8,7 @@ metadata as YAML ``key: value``. The name of a column ends in its unit.
 from __future__ import annotations
 
 import hashlib
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -40,8 +41,6 @@ FREQUENCY_RTOL = 0.05
 ROWS = 100_000
 #: Number of copies of the content of a file that are in memory while a log is read.
 N_COPIES = 4
-#: Hint of the error that a log does not fit in memory. The placeholder is the name of the file.
-TOO_LONG = "average successive rows: swimid import {} --every 100 -o short.parquet"
 #: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -355,6 +354,11 @@ def _wanted(
     return [name for name in names if optional is None or name in {TIME, *required, *optional}]
 
 
+def _too_long(path: Path) -> str:
+    """Return the hint of the error that a log does not fit in memory."""
+    return f"average successive rows: swimid import {shlex.quote(str(path))} --every 100 -o short.parquet"
+
+
 # ---------------------------------------------------------------- CSV
 
 
@@ -366,7 +370,7 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
     wanted = _wanted(names, required, optional, path, header_line)
     size = path.stat().st_size
-    memory.check_fits(path, f"{size} bytes of text", N_COPIES * size, TOO_LONG.format(path.name))
+    memory.check_fits(path, f"{size} bytes of text", N_COPIES * size, _too_long(path))
     text = path.read_bytes().split(b"\n", header_line)[-1]
     read = partial(tabular.parse, text, names)
     try:
@@ -485,7 +489,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
         rows = file.metadata.num_rows
         what = f"{rows} rows of {len(wanted)} columns"
-        memory.check_fits(path, what, 8.0 * N_COPIES * rows * len(wanted), TOO_LONG.format(path.name))
+        memory.check_fits(path, what, 8.0 * N_COPIES * rows * len(wanted), _too_long(path))
         table = file.read(columns=wanted)
     except (pyarrow.ArrowException, OSError) as error:
         if isinstance(error, PermissionError):

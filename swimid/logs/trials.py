@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import itertools
 import math
 import os
@@ -125,7 +126,7 @@ class Trials(yamlio.Document):
     """Keys that a trials file has for every kind of experiment."""
 
     _in_memory: bool = PrivateAttr(default=False)
-    #: Columns that a log needs: at least one column of each group.
+    #: Columns that a log needs: at least one column of each group, in which ``*`` stands for any text.
     needs: ClassVar[Sequence[Sequence[str]]] = ()
 
     format: Literal["swimid-trials/1"]
@@ -171,7 +172,7 @@ class Cruise(Trials):
 class FreeSwim(Trials):
     """Trials file of a free-swimming experiment."""
 
-    needs = (("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "u_m_s", "joint1_rad", "force_N"),)
+    needs = (("x_m", "*_m", "*_rad", "*_s", "*_N"),)
     experiment: Literal["free-swim"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
@@ -295,8 +296,9 @@ class TrialSet:
                 entry["log"] = str(entry["id"])
                 held = log if isinstance(log, Log) else Log.from_frame(log, name=entry["log"])
                 for group in EXPERIMENTS[experiment].needs:
-                    if not any(column in held for column in group):
-                        raise missing_column(" or ".join(group), list(held.columns), held.path, None)
+                    if not any(fnmatch.filter(held.signals, pattern) for pattern in group):
+                        column = " or ".join(name for name in group if "*" not in name)
+                        raise missing_column(column, list(held.columns), held.path, None)
             logs.append(held)
             plain.append(entry)
         robot_format.locate(robot)

@@ -247,7 +247,7 @@ def render(
     results: Sequence[Result],
     contents: Sequence[ev.Evidence],
     *,
-    folder: Path,
+    folder: Path = Path(),
     template: str,
     title: str,
     created: datetime,
