@@ -70,10 +70,16 @@ class CommandSpec:
         loaded: type[Options] = getattr(importlib.import_module(f"{self.package}.options"), self.options)
         return loaded
 
+    @property
+    def place(self) -> tuple[str, str]:
+        """Module and name of the function that the command calls."""
+        name = self.function or re.sub("[ -]", "_", self.command)
+        return f"{self.package}.{self.module or name}", name
+
     def run(self) -> Any:
         """Import the function that the command calls, and return this function."""
-        name = self.function or re.sub("[ -]", "_", self.command)
-        return getattr(importlib.import_module(f"{self.package}.{self.module or name}"), name)
+        module, name = self.place
+        return getattr(importlib.import_module(module), name)
 
     def returned(self) -> Any:
         """Import the function that the command calls, and return the type of its result."""

@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -125,23 +124,8 @@ def _other(name: str) -> Any:
 
 # ---------------------------------------------------------------- doctor
 
-#: Use of each optional Python package, and the command that installs it.
-OPTIONAL = {
-    "av": "overlay videos that browsers play (pip install 'swimid[video]')",
-    "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
-    "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
-    "mcap": "MCAP recordings of ROS 2 (pip install 'swimid[mcap]')",
-    "rosbags": "db3 recordings of ROS 2 (pip install 'swimid[rosbags]')",
-    "h5netcdf": "datasets of movement (pip install 'swimid[netcdf]')",
-    "c3d": "C3D files (pip install 'swimid[c3d]')",
-    "nptdms": "TDMS files (pip install 'swimid[tdms]')",
-    "openpyxl": "Excel workbooks (pip install 'swimid[excel]')",
-    "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
-    "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
-    "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
-    "distributed": "batches on a cluster (pip install 'swimid[cluster]')",
-    "pymoo": "genetic searches (pip install 'swimid[search]')",
-}
+#: Extras of those who develop swimid.
+NOT_FOR_USERS = ("all", "dev", "docs", "bench")
 #: Modules with functions that numba compiles. The function ``warm_up`` of each module compiles them.
 KERNELS = (
     "swimid.rig.model",
@@ -152,7 +136,6 @@ KERNELS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
 class Installation(Result):
     """Result of ``doctor``: the findings as data, or the size of the removed kernels."""
 
@@ -184,17 +167,18 @@ def doctor(
         freed = kernels.remove_cache()
         text = f"removed compiled kernels of {freed / 1e6:.1f} MB"
         return Installation("doctor --clean", text, {"freed_bytes": freed})
+    known = _dependencies()
     findings: dict[str, Any] = {
         "swimid": swimid.__version__,
         "python": sys.version.split()[0],
         "platform": platform.platform(),
-        "packages": _versions(_required()),
-        "optional": _versions(OPTIONAL),
+        "packages": _versions(name for name, extra in known.items() if not extra),
+        "optional": _versions(name for name, extra in known.items() if extra),
         "video_decoding": _decodes_video(),
     }
     rows = [[name, version or "MISSING", ""] for name, version in findings["packages"].items()]
     for name, version in findings["optional"].items():
-        rows.append([name, version or "not installed", OPTIONAL[name]])
+        rows.append([name, version or "not installed", f"pip install 'swimid[{known[name]}]'"])
     if options.warm_up:
         findings["kernels_s"] = {}
         with progress("compiling", total=len(KERNELS)) as step:
@@ -228,14 +212,19 @@ def doctor(
     return Installation("doctor", data=findings, outputs=outputs, evidence=evidence)
 
 
-def _required() -> list[str]:
-    """Return the Python packages that every command needs, from the metadata of the installed swimid."""
+def _dependencies() -> dict[str, str]:
+    """Return the packages that swimid needs, by name, with the extra that installs an optional one."""
     try:
-        stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
+        stated = metadata.requires("swimid") or ()
     except metadata.PackageNotFoundError:
         # swimid has no package metadata if it runs from its source and is not installed.
-        return ["swimid"]
-    return [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in stated]
+        return {"swimid": ""}
+    found: dict[str, str] = {}
+    for text in stated:
+        extra = "".join(re.findall(r"extra == ['\"](\w+)", text))
+        if extra not in NOT_FOR_USERS:
+            found.setdefault(re.split(r"[^\w.-]", text, maxsplit=1)[0], extra)
+    return found
 
 
 def _versions(names: Iterable[str]) -> dict[str, str | None]:

@@ -7,7 +7,7 @@ import io
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,6 @@ CONVENTIONS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
 class ExportedText(Text):
     """Result of ``export``, whose ``document`` is the text of the exported file."""
 

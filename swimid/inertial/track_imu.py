@@ -29,7 +29,6 @@ from swimid.results import evidence as ev
 from swimid.results.evidence import Check, Evidence, Figure, Panel, Table, Trace, check, judged, leaf_table
 
 
-@dataclass(frozen=True, eq=False)
 class Integrated(Logged):
     """Result of ``track_imu``: log with velocity, position and attitude."""
 

@@ -492,7 +492,7 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
         memory.check_fits(path, what, 8.0 * N_COPIES * rows * len(wanted), _too_long(path))
         table = file.read(columns=wanted)
     except (pyarrow.ArrowException, OSError) as error:
-        if isinstance(error, PermissionError):
+        if isinstance(error, PermissionError) or path.is_dir():
             raise
         raise InputError(f"is no readable Parquet file: {first_line(error)}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")

@@ -974,7 +974,6 @@ _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<o
 _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
 
 
-@dataclass(frozen=True, eq=False)
 class Draft(Text):
     """Draft of a mapping, which ``guess_mapping`` returns. Its ``document`` is YAML text with comments."""
 

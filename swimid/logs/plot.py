@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 PICTURES = (".svg", ".png")
 
 
-@dataclass(frozen=True, eq=False)
 class Drawn(Result):
     """Result of ``plot``: figures of one or several logs, which are saved as one picture."""
 

@@ -88,7 +88,6 @@ class MapFile(StudyFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
 class PerformanceMap(FileResult[MapFile]):
     """Map of the quantities of a robot over a grid of gaits, the result of ``map``.
 

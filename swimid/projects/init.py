@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ MAX_SHOWN = 12
 MAX_LINES = 4
 
 
-@dataclass(frozen=True, eq=False)
 class Drafted(Result):
     """Result of ``init``: what was found, the questions, and the commands.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NotRequired
 
@@ -21,7 +20,6 @@ INDEX, ALL = "samples.yaml", "all"
 PLACES = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
 
 
-@dataclass(frozen=True, eq=False)
 class Sample(Result):
     """Result of ``sample``. Its ``data`` has the folder and the command for the sample, or all samples."""
 

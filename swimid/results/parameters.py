@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -225,7 +224,6 @@ def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path)
 # ---------------------------------------------------------------- result of a fit
 
 
-@dataclass(frozen=True, eq=False)
 class Fitted(FileResult[ParameterFile]):
     """Fitted parameters, returned by ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls``.
 

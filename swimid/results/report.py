@@ -10,7 +10,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,6 @@ MAIN_PANELS, MAIN_TABLES = 3, 1
 MAX_COMPARED = 6
 
 
-@dataclass(frozen=True, eq=False)
 class Page(Text):
     """Result of ``report``, whose ``document`` is the text of the page."""
 

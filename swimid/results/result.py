@@ -424,7 +424,6 @@ class Result:
         return f"<div>{shown}</div>"
 
 
-@dataclass(frozen=True, eq=False)
 class Text(Result):
     """Result whose ``document`` is the text of a file: a page, a draft or an exported model."""
 
@@ -468,7 +467,6 @@ def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFram
     return pd.DataFrame([list(row) for row in rows], columns=list(columns))
 
 
-@dataclass(frozen=True, eq=False)
 class FileResult(Result, Generic[File]):
     """Base class of results that are stored in a YAML file. Each subclass has its own file format."""
 

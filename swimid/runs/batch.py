@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from concurrent.futures import as_completed
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NotRequired
 
@@ -26,7 +25,6 @@ UNFINISHED = ("missing", "outdated")
 INCOMPLETE = 4
 
 
-@dataclass(frozen=True, eq=False)
 class Batch(Result):
     """Result of ``batch``: number of items by state, and the items that need attention.
 

@@ -7,7 +7,6 @@ compared with the mean of their simulations, over time and for each stroke (sea 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, eq=False)
 class Comparison(FileResult[ComparisonFile]):
     """Result of ``compare``: errors between measured trials and their simulation.
 
