@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import math
 import os
 import re
 import sys
@@ -436,19 +435,17 @@ def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
 
 def word_of(entry: Declared) -> dict[str, Any]:
     """Return the keyword arguments by which click knows the type of an option and its number of values."""
-    one, args = entry.kind, get_args(entry.kind)
+    kind = entry.kind
     word: dict[str, Any] = {}
-    if one is bool:
+    if kind is bool:
         return {"is_flag": True}
-    if args and args[-1] is Ellipsis:
-        one, word = args[0], {"multiple": True}
-    if _is_mapping(entry.kind):
-        one, word = str, {"multiple": True}
+    if _is_mapping(kind) or get_args(kind)[-1:] == (Ellipsis,):
+        kind, word = get_args(kind)[0], {"multiple": True}
     if entry.separated or _by_commas(entry):
-        one = str
-    if get_origin(one) is tuple:
-        return word | {"type": get_args(one)[0], "nargs": len(get_args(one))}
-    return word | {"type": _simple(one, entry.limits)}
+        kind = str
+    if get_origin(kind) is tuple:
+        return word | {"type": get_args(kind)[0], "nargs": len(get_args(kind))}
+    return word | {"type": _simple(kind, entry.limits)}
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
@@ -499,6 +496,10 @@ def _by_commas(entry: Declared) -> bool:
     return pair and "," in (entry.metavar or "")
 
 
+#: Pattern of a number that is typed as a part of an option. Infinite numbers and NaN are none.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,2})?")
+
+
 def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> Any:
     """Convert the text of an option into a number, or into a tuple of numbers if the type is a tuple.
 
@@ -508,17 +509,11 @@ def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> An
     count = max(len(get_args(kind)), 1)
     if len(parts) != count:
         raise UsageError(f"{entry.flag}: '{whole}' should be {form}")
-    numbers = []
     for part in parts:
-        try:
-            numbers.append(float(part))
-        except ValueError:
-            numbers.append(math.nan)
-        if not math.isfinite(numbers[-1]):
+        if not _NUMBER.fullmatch(part.strip()):
             raise UsageError(f"{entry.flag}: '{part}' is not a number")
-    if count == 1:
-        return numbers[0]
-    return tuple(numbers)
+    values = tuple(map(float, parts))
+    return values if get_args(kind) else values[0]
 
 
 def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:
