@@ -27,7 +27,8 @@ import ziamath
 from pictures import draw_quick
 
 from swimid.api import NAMES
-from swimid.cli.main import SECTIONS, SHARED, Command, found, main
+from swimid.cli.main import SECTIONS, SHARED, Command, main
+from swimid.commands import found
 
 ROOT = Path(__file__).parents[1]
 PAGES, SITE = ROOT / "build" / "docs", ROOT / "site"

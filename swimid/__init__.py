@@ -33,9 +33,10 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     from swimid.api import NAMES
+    from swimid.errors import suggestion
 
     if name not in NAMES:
-        raise AttributeError(f"swimid has no '{name}'; it has: {', '.join(sorted(NAMES))}")
+        raise AttributeError(f"swimid has no '{name}'; {suggestion(name, sorted(NAMES), 'it has')}")
     return getattr(import_module(NAMES[name]), name)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from swimid.commands import found
 from swimid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -15,44 +16,30 @@ if TYPE_CHECKING:
     from swimid.logs.trials import TrialSet
     from swimid.robots.file import Robot
 
-#: Public names of swimid. The key is the module that defines the names.
+#: Public names of swimid besides the functions of commands. The key is the module that defines the names.
 _NAMES_OF = {
     # Functions that read trials, logs and robots.
     "swimid.api": ("load", "read_log", "read_robot", "built_in_robots"),
     "swimid.logs.log": ("Log",),
     "swimid.logs.trials": ("TrialSet",),
     "swimid.robots.file": ("Robot",),
-    # Functions that create logs from videos and from recordings of other programs.
-    "swimid.tracking.track_video": ("track_video",),
-    "swimid.tracking.track_setup": ("track_setup",),
-    "swimid.inertial.track_imu": ("track_imu",),
+    # Functions that import logs and fit a model of a user.
     "swimid.logs.import_log": ("import_log",),
     "swimid.logs.mapping": ("guess_mapping",),
-    # Functions that identify models.
-    "swimid.rig.fit_drag": ("fit_drag",),
-    "swimid.propulsion.fit_propulsion": ("fit_propulsion",),
-    "swimid.swimmer.fit_graybox": ("fit_graybox",),
-    "swimid.blackbox.rwls": ("rwls",),
     "swimid.fitting.fit_common": ("fit_model",),
-    # Functions for simulation, diagnosis, optimisation and publication, with the classes of their results.
-    "swimid.simulation.simulate": ("simulate", "Simulation"),
-    "swimid.simulation.compare": ("compare", "Comparison"),
-    "swimid.diagnosis.diagnose": ("diagnose",),
+    # Classes of results.
+    "swimid.simulation.simulate": ("Simulation",),
+    "swimid.simulation.compare": ("Comparison",),
     "swimid.diagnosis.evidence": ("Diagnosis",),
     "swimid.diagnosis.power": ("DetectionPower",),
-    "swimid.sensitivity_analysis.sensitivity": ("sensitivity", "Sensitivity"),
-    "swimid.optimisation.performance_map": ("performance_map", "PerformanceMap"),
-    "swimid.optimisation.optimise_stiffness": ("optimise_stiffness", "StiffnessRule"),
-    "swimid.optimisation.optimise_gait": ("optimise_gait", "BestGait"),
-    "swimid.exporters.export": ("export",),
-    "swimid.runs.batch": ("batch", "Batch"),
-    "swimid.runs.compare_runs": ("compare_runs", "ComparedRuns"),
-    "swimid.projects.init": ("init",),
-    "swimid.projects.sample": ("sample",),
-    "swimid.results.report": ("report",),
+    "swimid.sensitivity_analysis.sensitivity": ("Sensitivity",),
+    "swimid.optimisation.performance_map": ("PerformanceMap",),
+    "swimid.optimisation.optimise_stiffness": ("StiffnessRule",),
+    "swimid.optimisation.optimise_gait": ("BestGait",),
+    "swimid.runs.batch": ("Batch",),
+    "swimid.runs.compare_runs": ("ComparedRuns",),
     "swimid.results.result": ("load_result", "Result"),
     "swimid.results.parameters": ("Fitted",),
-    "swimid.logs.plot": ("plot",),
     "swimid.logs.tracks": ("Logged",),
     # Base classes for models and effects that a user writes; classes of errors and warnings.
     "swimid.fitting.model": ("Model", "Parameter", "Channel", "Trial"),
@@ -63,6 +50,7 @@ _NAMES_OF = {
 #: Module of each public name. The module is imported on the first use of the name, so that ``import swimid``
 #: stays fast.
 NAMES = {name: module for module, names in _NAMES_OF.items() for name in names}
+NAMES |= {name: module for module, name in (spec.place for spec in found().values()) if ".cli." not in module}
 
 
 def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
@@ -79,8 +67,7 @@ def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
     Returns
     -------
     Log
-        Log with its columns as arrays of shape (n,), NaN for a missing sample. ``.frame()`` returns a
-        DataFrame.
+        Log with its columns as arrays of shape (n,), NaN for a missing sample. ``.frame`` is a DataFrame.
 
     Raises
     ------
@@ -94,8 +81,10 @@ def read_log(path: str | Path, *, required: Sequence[str] = ()) -> Log:
     ['t_s', 'x_m']
     """
     from swimid.logs import log
+    from swimid.options import explained
 
-    return log.read(path, required=required)
+    with explained(read_log, [path]):
+        return log.read(path, required=required)
 
 
 def load(
@@ -136,7 +125,7 @@ def load(
     --------
     >>> load("sample_logs/rig/trials.yaml").ids[:2]
     ['w10', 'w15']
-    >>> drop = {"id": "w10", "log": read_log("sample_logs/rig/w10.csv").frame(), "pulling_mass_kg": 0.01}
+    >>> drop = {"id": "w10", "log": read_log("sample_logs/rig/w10.csv").frame, "pulling_mass_kg": 0.01}
     >>> load([drop], experiment="falling-weight", robot="boxfish").experiment
     'falling-weight'
     """
@@ -180,9 +169,11 @@ def read_robot(name: str | Path) -> Robot:
     >>> read_robot("boxfish").body.inertial_mass_kg
     1.196
     """
+    from swimid.options import explained
     from swimid.robots import file
 
-    return file.read(str(name))
+    with explained(read_robot, [name]):
+        return file.read(str(Path(name)))
 
 
 def built_in_robots() -> list[str]:

@@ -4,6 +4,7 @@
 
     SwimidError
     +-- UsageError          2  options or arguments are wrong
+        +-- UnknownName     2  a result has nothing of this name         (also a KeyError)
     +-- InputError          3  a file cannot be read or is invalid   (also a ValueError)
         +-- NotEnoughMemory 3  the input does not fit into the memory
     +-- NoTrustworthyResult 4  the computation ended without a result that can be trusted
@@ -27,6 +28,10 @@ _ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
 #: Pattern that finds command-line options in messages. It also matches whole commands, in which the options
 #: are not replaced.
 _OPTION = re.compile(r"swimid [a-z][^\n;]*|(?<![\w-])--?[a-z][a-z-]*")
+
+
+#: Maximum number of files of a folder that a hint lists.
+MAX_FILES = 5
 
 
 @contextmanager
@@ -88,6 +93,10 @@ class SwimidError(Exception):
     def __str__(self) -> str:
         return "\n  hint: ".join(filter(None, [self.message, self.hint]))
 
+    def _render_traceback_(self) -> list[str]:
+        """Return the lines that a notebook shows in place of a traceback."""
+        return f"{type(self).__name__}: {self}".splitlines()
+
     def to_dict(self) -> dict[str, Any]:
         """Return the error and its location as a dictionary for the entry ``error`` of ``--json`` output."""
         return {"type": type(self).__name__, **vars(self), "exit_status": self.exit_status}
@@ -112,6 +121,10 @@ class UsageError(SwimidError, ValueError):
     """
 
     exit_status = 2
+
+
+class UnknownName(UsageError, KeyError):
+    """Error for a name that a result, a log or a simulation does not have."""
 
 
 class InputError(SwimidError, ValueError):
@@ -200,6 +213,19 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
     return min(begun, key=len, default=None)
 
 
+def look_up(name: str, among: Mapping[str, Any], what: str) -> Any:
+    """Return the value of a name in a mapping.
+
+    Raises
+    ------
+    UnknownName
+        If the mapping, which the message calls ``what``, does not have the name.
+    """
+    if name not in among:
+        raise UnknownName(f"{what} has no '{name}'", hint=suggestion(str(name), list(map(str, among))))
+    return among[name]
+
+
 def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:
     """Return a hint for a word that is not allowed: the most similar allowed word, or all allowed words.
 
@@ -264,6 +290,10 @@ def file_errors(file: str | Path, done: str = "read", *, noted: bool = True) -> 
         yield
     except OSError as error:
         hint = None
+        if done == "read" and Path(file).is_dir():
+            names = sorted(one.name for one in Path(file).iterdir() if one.is_file())
+            hint = f"name one of its files: {', '.join(names[:MAX_FILES]) or 'it has none'}"
+            raise InputError("is a folder; a file is needed here", file=file, hint=hint) from error
         if isinstance(error, FileNotFoundError):
             hint = "check the path"
         elif isinstance(error, IsADirectoryError):

@@ -7,10 +7,13 @@ The caller of a long loop decides whether and how the progress of the loop is sh
 
 from __future__ import annotations
 
+import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 from swimid.errors import in_words_of_the_caller
@@ -174,6 +177,8 @@ def recorded(*, repeat: bool = False) -> Iterator[list[Notice]]:
 
 # ---------------------------------------------------------------- progress
 
+#: Minimum time between two updates of a progress bar in a notebook, s.
+REFRESH_S = 0.2
 #: Type of a function that advances one progress bar by one step, or by a number of steps: ``step(3)``.
 Step = Callable[..., None]
 #: Type of a function that opens a progress bar: ``with progress("tracking", total=600) as step: step()``.
@@ -189,9 +194,55 @@ def show(step: Step, text: str) -> None:
 
 
 def silent(description: str, total: int | None = None) -> AbstractContextManager[Step]:
-    """Return a progress bar that shows nothing. It is the default of all library functions."""
+    """Return a progress bar that shows nothing."""
 
     def step(amount: int = 1) -> None:
         return None
 
     return nullcontext(step)
+
+
+class Automatic:
+    """Default of the argument ``progress`` of public functions: a bar in a notebook, nothing elsewhere."""
+
+    def __call__(self, description: str, total: int | None = None) -> AbstractContextManager[Step]:
+        """Return the progress bar."""
+        shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+        if hasattr(shell, "kernel"):
+            return _in_notebook(description, total)
+        return silent(description, total)
+
+    def __repr__(self) -> str:
+        return "automatic"
+
+
+automatic = Automatic()
+
+
+@contextmanager
+def _in_notebook(description: str, total: int | None) -> Iterator[Step]:
+    """Show a progress bar below the cell of a notebook during the ``with`` block."""
+    from IPython.display import HTML, display
+
+    place = display(HTML(""), display_id=True)
+    done, shown_s, note = 0, 0.0, ""
+
+    def step(amount: int = 1) -> None:
+        nonlocal done, shown_s
+        done += amount
+        if time.monotonic() - shown_s > REFRESH_S:
+            shown_s = time.monotonic()
+            most = "" if total is None else f" max={total}"
+            count = f"{done}" if total is None else f"{done} of {total}"
+            text = escape(f"{description}{note}: ")
+            place.update(HTML(f"{text}<progress value={done}{most}></progress> {count}"))
+
+    def remark(text: str) -> None:
+        nonlocal note
+        note = f", {text}"
+
+    step.note = remark  # type: ignore[attr-defined]
+    try:
+        yield step
+    finally:
+        place.update(HTML(""))

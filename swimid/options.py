@@ -13,7 +13,8 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, cast, get_args, get_origin
@@ -23,6 +24,7 @@ from pydantic.fields import FieldInfo
 
 from swimid import reading
 from swimid.errors import SwimidError, UsageError, naming, suggestion
+from swimid.notices import automatic
 
 Returned = TypeVar("Returned")
 
@@ -247,7 +249,9 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
             if isinstance(mine.get("output"), str):
                 mine["output"] = Path(mine["output"])
             known = [*options.model_fields, *keywords]
-            with naming(arguments), reading.record(mine.get("output")):
+            if "progress" in keywords:
+                mine.setdefault("progress", automatic)
+            with naming(arguments), explained(function, args), reading.record(mine.get("output")):
                 if isinstance(given.get("options"), options) and len(given) == 1:
                     return function(*args, **given, **mine)
                 for name in given:
@@ -267,12 +271,53 @@ def takes(options: type[Options]) -> Callable[[Callable[..., Returned]], Callabl
             for entry in options.declared().values()
         ]
         rest = [p for p in own if p.kind is p.KEYWORD_ONLY]
+        rest = [p.replace(default=automatic) if p.name == "progress" else p for p in rest]
         call.__signature__ = signature.replace(parameters=[*positional, *shown, *rest])  # type: ignore[attr-defined]
         call.options = options  # type: ignore[attr-defined]
         call.__doc__ = _documented(function.__doc__, options, [p.name for p in rest])
         return call
 
     return decorate
+
+
+@contextmanager
+def explained(function: Callable[..., Any], args: Sequence[Any]) -> Iterator[None]:
+    """Convert an exception in the ``with`` block into a :class:`UsageError` if an argument has a wrong type.
+
+    Parameters
+    ----------
+    function : callable
+        Function whose annotations and docstring state the types of its arguments.
+    args : sequence
+        Positional arguments with which it is called.
+    """
+    try:
+        yield
+    except SwimidError:
+        raise
+    except Exception as error:
+        for name, value in zip(inspect.signature(function).parameters, args, strict=False):
+            wanted = set(re.findall(r"\w+", str(inspect.get_annotations(function).get(name, "Any"))))
+            if "LogLike" in wanted:
+                wanted |= {"str", "Path", "Log", "DataFrame"}
+            several = isinstance(value, list | tuple) and "Sequence" in wanted
+            for one in value if several else [value]:
+                kinds = {kind.__name__ for kind in type(one).__mro__}
+                if "Any" not in wanted and not kinds & wanted:
+                    raise _wrong_type(function, name, one, wanted) from error
+        raise
+
+
+def _wrong_type(function: Callable[..., Any], name: str, value: Any, wanted: set[str]) -> UsageError:
+    """Return the error for an argument of a wrong type. The hint is the description in the docstring."""
+    text = inspect.getdoc(function) or ""
+    match = re.search(rf"^{name} : (.+)\n((?:    .+\n?)+)", text, re.MULTILINE)
+    kind, about = match.groups() if match else (" or ".join(sorted(wanted)), "")
+    hint = re.sub(r":\w+:`~?(.+?)`|``(.+?)``", r"\1\2", " ".join(about.split()))
+    if "TrialSet" in wanted and type(value).__name__ in ("DataFrame", "Log"):
+        hint = "swimid.load([{'log': table, ...}], experiment=..., robot=...) makes trials of tables"
+    text = f"{function.__name__} takes {name} as {kind}, not as {type(value).__name__}"
+    return UsageError(text, hint=hint or None)
 
 
 def _documented(text: str | None, options: type[Options], rest: Sequence[str]) -> str | None:

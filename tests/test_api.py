@@ -8,6 +8,7 @@ import runpy
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib as mpl
@@ -295,3 +296,110 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     friction = drag["pulley_friction"]
     both = np.hypot(cause["stderr"], friction.stderr)
     assert abs(cause["value"] - friction.value) < 3 * both
+
+
+class TestNotebook:
+    """What a notebook shows: figures, progress, and an error as one line."""
+
+    LOG = SAMPLES / "rig" / "w10.csv"
+
+    def test_a_plot_shows_its_figures(self) -> None:
+        log = swimid.read_log(self.LOG)
+        for drawn in (swimid.plot(log), log.plot(), swimid.plot(log.frame)):
+            assert drawn._repr_html_().count("<img ") == len(drawn.figure_names) > 0
+
+    def test_other_results_show_their_figures_too(self, drag: swimid.Fitted) -> None:
+        shown = drag._repr_html_()
+        assert shown.count('src="data:image/png;base64,') == len(drag.figure_names)
+        assert shown.count("<details>") == len(drag.figure_names)  # the first is open; the checks are folded
+
+    def test_frame_is_a_property_everywhere(self) -> None:
+        log, made = swimid.read_log(self.LOG), swimid.load_result(self.LOG)
+        assert log.frame.equals(made.frame)
+
+    def test_series_are_xarray_too(self) -> None:
+        xarray = pytest.importorskip("xarray")
+        made = swimid.simulate(robot="tfish", frequency_hz=1.4, amplitude_deg=20.0, duration_s=1.0)
+        log = swimid.read_log(self.LOG)
+        for one in (log, swimid.load_result(self.LOG), made):
+            data = one.to_xarray()
+            assert isinstance(data, xarray.Dataset)
+            assert list(data.dims) == ["t_s"]
+            assert data["x_m"].attrs["units"] == "m"
+            assert np.array_equal(data["x_m"], one.frame["x_m"])
+
+    def test_only_public_names_are_listed(self, drag: swimid.Fitted) -> None:
+        listed = set(dir(drag))
+        assert {"parameters", "summary", "plot", "save", "verdict"} <= listed
+        assert not {"bare", "ending", "of", "content", "file_type", "kind", "exit_status"} & listed
+        assert not [name for name in listed if name.startswith("_")]
+
+    @pytest.mark.parametrize(
+        "call, text, hint",
+        [
+            (lambda t: swimid.fit_drag(t), "fit_drag takes trials as path or TrialSet", "swimid.load"),
+            (lambda t: swimid.compare(5, params="a.yaml"), "compare takes trials as path or", "swimid.load"),
+            (lambda t: swimid.read_log(t), "read_log takes path as path, not as DataFrame", "CSV or"),
+            (lambda t: swimid.report([t]), "report takes inputs as sequence of", "Parameter files"),
+            (lambda t: swimid.plot({"x": 1}), "plot takes logs as path, Log or DataFrame", "Several"),
+            (lambda t: swimid.simulate(params=t), "a DataFrame holds no parameters", "parameter file"),
+        ],
+    )
+    def test_a_wrong_type_is_one_line_that_says_what_to_pass(self, call: Any, text: str, hint: str) -> None:
+        with pytest.raises(swimid.UsageError, match=re.escape(text)) as caught:
+            call(pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [0.0, 0.1]}))
+        assert hint in str(caught.value.hint)
+
+    def test_a_wrong_name_is_met_with_the_nearest(self, drag: swimid.Fitted) -> None:
+        log = swimid.read_log(self.LOG)
+        for call, near in ((lambda: drag["added_masss"], "added_mass"), (lambda: log["x_mm"], "x_m")):
+            with pytest.raises(KeyError, match=f"did you mean '{near}'"):
+                call()
+        with pytest.raises(swimid.UsageError, match="did you mean 'overlay-x_m'"):
+            drag.plot("overlay-xm")
+        with pytest.raises(AttributeError, match="did you mean 'fit_drag'"):
+            _ = swimid.fit_dragg
+
+    @pytest.mark.parametrize(
+        "experiment, columns, missing",
+        [
+            ("falling-weight", ["x"], "x_m"),
+            ("towed", ["x_m"], "force_N"),
+            ("towed", ["force_N"], "x_m or u_m_s"),
+            ("free-decay", ["roll"], "roll_rad"),
+            ("free-swim", ["x", "y", "yaw"], "x_m"),
+        ],
+    )
+    def test_a_table_without_a_needed_column_is_no_trial(
+        self, experiment: str, columns: list[str], missing: str
+    ) -> None:
+        table = pd.DataFrame({"t_s": [0.0, 0.1], **dict.fromkeys(columns, 1.0)})
+        with pytest.raises(swimid.InputError, match=missing):
+            swimid.load([{"log": table}], experiment=experiment, robot="boxfish")
+
+    def test_an_error_is_shown_without_its_traceback(self, capsys: pytest.CaptureFixture[str]) -> None:
+        shells = pytest.importorskip("IPython.core.interactiveshell")
+        shell = shells.InteractiveShell()
+        shell.run_cell("import swimid; swimid.fit_drag('absent.yaml')")
+        shown = capsys.readouterr()
+        lines = [line for line in (shown.out + shown.err).splitlines() if line.strip()]
+        assert lines == [
+            "InputError: absent.yaml: cannot be read: No such file or directory", "  hint: check the path"
+        ]  # fmt: skip
+
+    def test_progress_is_shown_by_default(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        display = pytest.importorskip("IPython.display")
+        shown: list[str] = []
+        place = SimpleNamespace(update=lambda one: shown.append(one.data))
+        monkeypatch.setattr(display, "display", lambda *_, **__: place)
+        swimid.load_result(SAMPLES / "gap" / "params.yaml")
+        swimid.report([SAMPLES / "rig" / "w10.csv"])
+        assert shown == []  # no notebook
+        monkeypatch.setattr("IPython.get_ipython", lambda: SimpleNamespace(kernel=1))
+        swimid.report([SAMPLES / "rig" / "w10.csv"])
+        assert re.match(r"drawing: <progress value=1 max=\d+></progress> 1 of \d+", shown[0])
+        assert shown[-1] == ""
+
+    def test_help_shows_the_default_of_progress(self) -> None:
+        for public in (swimid.fit_drag, swimid.fit_model, swimid.diagnose):
+            assert str(inspect.signature(public).parameters["progress"].default) == "automatic"

@@ -19,11 +19,12 @@ import pytest
 from click.testing import CliRunner
 
 import swimid as package
-from swimid.cli.main import SECTIONS, found, main
+from swimid.cli.main import SECTIONS, main
 from swimid.cli.main import Run as Running
+from swimid.commands import found
 from swimid.files.atomic import Checkpoint
 from swimid.notices import warn
-from swimid.results.result import FORMATS, Result
+from swimid.results.result import Result, formats
 from tests.conftest import ROOT, SAMPLES, Ran
 
 Run = Callable[..., Ran]
@@ -191,7 +192,7 @@ def test_schema_and_doctor_write_over_nothing_of_others(
 def test_schema_lists_every_format(swimid: Run) -> None:
     listed = swimid("schema").out.split()
     assert listed[:6] == ["trials", "robot", "setup", "mapping", "points", "evidence"]
-    assert listed[6:-1] == [form.removeprefix("swimid-").partition("/")[0] for form in FORMATS]
+    assert listed[6:-1] == formats()
     assert listed[-1] == "answer"
 
 
@@ -209,7 +210,7 @@ def test_doctor(swimid: Run, tmp_path: Path) -> None:
 def test_unwritable_and_unreadable(swimid: Run, samples: Path, tmp_path: Path) -> None:
     ran = swimid("fit-drag", tmp_path)
     assert ran.status == 3
-    assert "Is a directory" in ran.err
+    assert "is a folder; a file is needed here" in ran.err
     ran = swimid("fit-drag", samples / "rig" / "trials.yaml", "-o", tmp_path)
     assert ran.status == 2
     assert "is a folder" in ran.err
@@ -353,3 +354,77 @@ class TestInterrupts:
         assert ran.exit_code == 130
         assert f"a search cut short: wrote {tmp_path / 'out.yaml'}" in ran.stderr
         assert ran.stdout == ""
+
+
+class TestFolders:
+    """A folder in place of a file is one clear message for every command."""
+
+    @pytest.mark.parametrize(
+        "words",
+        [
+            "fit-drag F", "fit-graybox F", "fit-propulsion F", "diagnose F", "sensitivity F",
+            "plot F -o x.svg", "compare F --params F", "rwls F --input a --output b", "import F -o x.csv",
+            "batch F -o run", "import log.csv --map F -o x.csv", "track imu F -o x.csv",
+            "track video log.csv --setup F -o x.csv", "export F --to json",
+            "export F --to movement -o x.nc", "simulate --params F", "simulate --robot F",
+            "map --params F --over frequency_hz=1:2:3", "import F.parquet -o x.csv",
+            "plot F.parquet -o x.svg", "import F.mat -o x.csv", "import F.h5 -o x.csv",
+            "import F.xlsx -o x.csv", "import F.tdms -o x.csv",
+        ],
+    )  # fmt: skip
+    def test_is_named(self, swimid: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str) -> None:
+        monkeypatch.chdir(tmp_path)
+        for ending in ("", ".parquet", ".mat", ".h5", ".xlsx", ".tdms"):
+            Path(f"F{ending}").mkdir()
+            Path(f"F{ending}", "inside.yaml").touch()
+        Path("log.csv").write_text("t_s,x_m\n0,0\n1,1\n")
+        ran = swimid(*words.split())
+        assert ran.status == 3
+        assert re.search(r"F(\.\w+)?: is a folder; a file is needed here", ran.err), ran.err
+        assert "name one of its files: inside.yaml" in ran.err
+
+
+@pytest.mark.parametrize(
+    "line, value",
+    [
+        ("{id: a, log: w10.csv, pulling_mass_kg: 0,010}", "0.010"),
+        ("{pulling_mass_kg: 1,5e-2, id: a, log: w10.csv}", "1.5e-2"),
+        ("{id: a, log: w10.csv, start_s: -0,5, pulling_mass_kg: 0.01}", "-0.5"),
+    ],
+)
+def test_a_decimal_comma_in_a_flow_mapping_is_named(
+    swimid: Run, tmp_path: Path, line: str, value: str
+) -> None:
+    path = tmp_path / "trials.yaml"
+    path.write_text(
+        f"format: swimid-trials/1\nexperiment: falling-weight\nrobot: boxfish\ntrials:\n  - {line}\n"
+    )
+    ran = swimid("fit-drag", path)
+    assert ran.status == 3
+    typed = value.replace(".", ",")
+    assert f"trials.yaml, line 5: '{typed}' is read as two items; write {value}" in ran.err
+
+
+def test_a_decimal_comma_elsewhere_is_named_too(swimid: Run, tmp_path: Path) -> None:
+    path = tmp_path / "trials.yaml"
+    head = "format: swimid-trials/1\nexperiment: falling-weight\nrobot: boxfish\ntrials:\n"
+    path.write_text(f"{head}  - log: w10.csv\n    pulling_mass_kg: 0,010\n")
+    assert "write the decimal point as a dot: 0.010" in swimid("fit-drag", path).err
+    log = tmp_path / "run.csv"
+    log.write_text("# drive: {frequency_hz: 1,5, amplitude_deg: 20}\nt_s,x_m\n0,0\n1,1\n")
+    assert "'1,5' is read as two items; write 1.5" in swimid("plot", log, "-o", tmp_path / "x.svg").err
+    robot = tmp_path / "robot.yaml"
+    robot.write_text("format: swimid-robot/1\nname: a\nbody: {inertial_mass_kg: 1,2}\n")
+    ran = swimid("simulate", "--robot", robot, "--frequency-hz", "1", "--amplitude-deg", "2")
+    assert "robot.yaml, line 3: '1,2' is read as two items; write 1.2" in ran.err
+
+
+@pytest.mark.parametrize("command", ["fit-drag", "diagnose"])
+def test_a_misspelt_robot_is_named_with_its_place(swimid: Run, tmp_path: Path, command: str) -> None:
+    path = tmp_path / "trials.yaml"
+    text = (SAMPLES / "rig" / "trials.yaml").read_text().replace("robot: boxfish", "robot: boxfsh")
+    path.write_text(text)
+    ran = swimid(command, path)
+    assert ran.status == 3
+    assert "trials.yaml, line 4, 'robot': there is no robot 'boxfsh'" in ran.err
+    assert "did you mean 'boxfish'?" in ran.err

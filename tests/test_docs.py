@@ -18,7 +18,8 @@ import click
 import pytest
 
 from swimid.api import NAMES
-from swimid.cli.main import found, main
+from swimid.cli.main import main
+from swimid.commands import found
 from tests.conftest import ROOT, SAMPLES, Ran
 
 DOCS = ROOT / "docs"

@@ -15,7 +15,8 @@ import pytest
 from click.shell_completion import ShellComplete
 
 import swimid as package
-from swimid.cli.main import CommandSpec, found, main, value_of
+from swimid.cli.main import main, value_of
+from swimid.commands import CommandSpec, found
 from swimid.errors import UsageError
 from swimid.logs.options import ImportOptions
 from swimid.notices import SwimidWarning

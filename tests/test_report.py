@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -11,21 +12,26 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from swimid.cli.main import main
+from swimid.diagnosis.evidence import Diagnosis
+from swimid.diagnosis.gap_file import GapFile
 from swimid.errors import InputError, UsageError
 from swimid.files.provenance import collect
 from swimid.logs import log
 from swimid.notices import SwimidWarning, recorded
 from swimid.results import drawing, evidence, parameters
-from swimid.results.evidence import MAX_POINTS, Check, Figure, Panel, Table, Trace, Verdict
+from swimid.results.evidence import MAX_POINTS, Check, Evidence, Figure, Panel, Table, Trace, Verdict
 from swimid.results.parameters import Fitted
 from swimid.results.report import render, report
-from swimid.results.result import cell_text, load_result
+from swimid.results.result import Result, cell_text, load_result
+from tests import gap_cases
 from tests import report_cases as cases
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "path", "use", "rect", "circle"}
@@ -69,7 +75,7 @@ def outline(path: Path) -> Outline:
     return parsed
 
 
-def quietly(**options: object) -> object:
+def quietly(**options: object) -> Any:
     with recorded():
         return report(**options)  # type: ignore[arg-type]
 
@@ -618,3 +624,83 @@ def test_fits_with_other_parameters_or_units_are_not_compared(tmp_path: Path) ->
 def test_a_terminal_line_has_at_most_100_characters(tmp_path: Path) -> None:
     for path in (cases.drag(tmp_path), cases.arma(tmp_path)):
         assert max(map(len, load_result(path).summary().splitlines())) <= 100
+
+
+# ---------------------------------------------------------------- what the head of a page says
+
+
+def _of_model(name: str, level: str, params: str, *inputs: str) -> Result:
+    """A comparison of trials with the model of a parameter file."""
+    proof = Evidence(
+        command="compare",
+        title="Measured against simulated: tfish, free-swim",
+        verdict=Verdict(level=level, text=f"The error of {name}."),  # type: ignore[arg-type]
+        provenance={"inputs": {one: f"sha of {one}" for one in (params, *inputs)}},
+    )
+    document = SimpleNamespace(params=params)
+    return Result("compare", "", {}, [Path(name)], evidence=proof, document=document)
+
+
+def _diagnosis(gap: GapFile, *inputs: str) -> Diagnosis:
+    made = Diagnosis.of(gap, gap_cases.evidence(gap))
+    origin = {"inputs": {one: f"sha of {one}" for one in inputs}}
+    assert made.evidence is not None
+    proof = made.evidence.model_copy(update={"provenance": origin})
+    return dataclasses.replace(made, evidence=proof, outputs=[Path("gap.yaml")])
+
+
+class TestHead:
+    """The head of a page says what a diagnosis found, and cards of several models differ."""
+
+    OLD = _of_model("comparison.yaml", "bad", "march.yaml", "trials.yaml")
+    NEW = _of_model("repaired-comparison.yaml", "good", "repaired.yaml", "trials.yaml")
+
+    def test_a_gap_that_is_explained_is_no_bad_page(self) -> None:
+        found = _diagnosis(gap_cases.EXPLAINED, "march.yaml", "trials.yaml")
+        page = quietly(inputs=[found, self.NEW, self.OLD])
+        verdict = page.data["verdict"]
+        assert (verdict["level"], verdict["word"]) == ("good", "Explained")
+        assert verdict["text"].startswith("servo-backlash")
+        assert verdict["text"].endswith("Before the repair: comparison.yaml.")
+
+    def test_other_bad_results_still_count(self) -> None:
+        found = _diagnosis(gap_cases.EXPLAINED, "march.yaml", "trials.yaml")
+        other = _of_model("tuesday.yaml", "bad", "march.yaml", "tuesday-trials.yaml")
+        verdict = quietly(inputs=[found, self.NEW, self.OLD, other]).data["verdict"]
+        assert (verdict["level"], verdict["word"]) == ("bad", "")
+        assert "1 of 3 results should not be used. Bad: tuesday.yaml." in verdict["text"]
+
+    def test_a_gap_that_is_not_explained_excuses_nothing(self) -> None:
+        found = _diagnosis(gap_cases.UNEXPLAINED, "march.yaml", "trials.yaml")
+        verdict = quietly(inputs=[found, self.OLD]).data["verdict"]
+        assert verdict["level"] == "bad"
+        assert "Bad: gap.yaml, comparison.yaml." in verdict["text"]
+
+    def test_without_a_diagnosis_the_doubtful_results_are_named(self) -> None:
+        verdict = quietly(inputs=[self.NEW, self.OLD]).data["verdict"]
+        assert verdict["text"] == "1 of 2 results should not be used. Bad: comparison.yaml."
+
+    def test_titles_name_the_parameter_file_or_else_the_result(self) -> None:
+        again = _of_model("again.yaml", "good", "march.yaml", "tuesday-trials.yaml")
+        page = quietly(inputs=[self.OLD, self.NEW, again]).document
+        titles = re.findall(r'<a href="#r\d+">(Measured.*?)</a></p>', page)
+        start = "Measured against simulated: tfish, free-swim"
+        ends = ("march.yaml, comparison.yaml", "repaired.yaml", "march.yaml, again.yaml")
+        assert titles == [f"{start}, {end}" for end in ends]
+
+
+@pytest.mark.parametrize(
+    "heights, said",
+    [
+        ((1.0,), "Both axes have the same scale."),
+        ((0.05,), "The vertical axis is magnified"),
+        ((1.0, 0.05), "unless the title says that one is magnified"),
+    ],
+)
+def test_the_caption_of_a_path_says_how_it_is_drawn(heights: tuple[float, ...], said: str) -> None:
+    panels = [_panel(traces=[Trace(x=[0.0, 1.0], y=[0.0, high])], equal_aspect=True) for high in heights]
+    figure = Figure(id="path", title="Path", caption="The path.", panels=panels)
+    proof = Evidence(command="import", title="t", verdict=Verdict(level="good", text="x"), figures=[figure])
+    page = quietly(inputs=[Result("import", evidence=proof)]).document
+    assert said in page.partition("<figcaption")[2]
+    assert ("magnified</text>" in page) == (min(heights) < 0.1)

@@ -17,7 +17,6 @@ class RwlsOptions(
     command="rwls",
     section="Identify",
     argument="LOG...",
-    output="Parameter file to write.",
     output_flags=("-o", "--result"),
     makes="parameters",
 ):

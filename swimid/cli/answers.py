@@ -1,221 +1,69 @@
 """JSON Schema of the answers that commands print with ``--json``.
 
-The result of a command that writes a YAML file has the schema of this file. The other results are described
-here. They may have further keys.
+The result of a command that writes a YAML file has the schema of this file. Every other class of results
+states the keys of its data (:attr:`swimid.results.result.Result.keys`). It may have further keys.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any, NotRequired
+from typing import Annotated, Any, Literal, NotRequired, get_args
 
-from pydantic import ConfigDict, TypeAdapter
+from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
-from swimid.cli.main import found
-from swimid.results.result import FORMATS
+from swimid.commands import found
+from swimid.notices import Notice
 
 
-class _Open(TypedDict):
-    """Base class of results, which may have further keys."""
+class Verdict(TypedDict):
+    """Verdict on a result, with the reasons of the checks that do not pass."""
 
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
-
-
-class Film(_Open):
-    """Result of ``track video``."""
-
-    frames: int
-    found: int
-    found_share: float
-    duration_s: float
-    interpolated: int
-    gaps: int
-    longest_gap_s: float
-    unit: str
-    swimming: dict[str, Any]
+    level: Literal["good", "caution", "bad"]
+    text: str
+    reasons: list[str]
 
 
-class Setup(_Open):
-    """Result of ``track setup``."""
+class Failure(TypedDict):
+    """Error that ended a command. It may have further keys, such as ``file`` and ``line``."""
 
-    video: str
-    markers: list[dict[str, Any]]
-    head: str
-    tail: str | None
-    found_share: dict[str, float]
+    type: str
+    message: str
+    exit_status: int
 
 
-class Inertial(_Open):
-    """Result of ``track imu``."""
+class Answer(TypedDict):
+    """Answer of a command to --json."""
 
-    method: str
-    attitude_from: str
-    still_periods: list[dict[str, Any]]
-    faults: list[dict[str, Any]]
-    stroke: dict[str, Any] | None
-
-
-class Imported(_Open):
-    """Result of ``import``; with ``--guess`` the drafted mapping."""
-
-    file: str
-    samples: NotRequired[int]
-    duration_s: NotRequired[float]
-    median_rate_hz: NotRequired[float]
-    columns: NotRequired[list[str]]
-    missing: NotRequired[dict[str, int]]
-    stroke: NotRequired[dict[str, Any]]
-    speed: NotRequired[dict[str, Any] | None]
-    checks: NotRequired[list[dict[str, Any]]]
-    mapping: NotRequired[str]
-    open: NotRequired[int]
-
-
-class Simulated(_Open):
-    """Result of ``simulate``."""
-
-    model: str
-    robot: str
-    runs: list[dict[str, Any]]
-
-
-class Exported(_Open):
-    """Result of ``export``."""
-
-    target: NotRequired[str]
-    limits: NotRequired[list[str]]
-
-
-class Plotted(_Open):
-    """Result of ``plot``."""
-
-    logs: list[str]
-    figures: list[str]
-
-
-class Reported(_Open):
-    """Result of ``report``."""
-
-    title: str
-    verdict: dict[str, Any]
-    results: list[dict[str, Any]]
-
-
-class BatchRun(_Open):
-    """Result of ``batch``. In a dry run ``items`` is the list of items."""
-
-    items: NotRequired[int | list[dict[str, Any]]]
-    states: NotRequired[dict[str, int]]
-    entries: NotRequired[list[dict[str, Any]]]
-    jobs: NotRequired[int]
-
-
-class Project(_Open):
-    """Result of ``init``."""
-
-    recordings: list[dict[str, str]]
-    others: list[str]
-    files: list[str]
-    questions: list[dict[str, Any]]
-    missing: list[str]
-    commands: list[str]
-    next: str
-
-
-class Sample(_Open):
-    """Result of ``sample``: one copied sample, or the list of all samples."""
-
-    samples: NotRequired[dict[str, dict[str, str]]]
-    sample: NotRequired[str]
-    folder: NotRequired[str]
-    about: NotRequired[str]
-    command: NotRequired[str]
-
-
-#: Type of the result of a command: a type of this module, or the format of a result file. The result of a
-#: command that is not listed is any object.
-RESULTS: dict[str, Any] = {
-    **dict.fromkeys(("fit-drag", "fit-propulsion", "fit-graybox", "rwls"), "swimid-parameters/1"),
-    "compare": "swimid-comparison/1",
-    "diagnose": "swimid-gap/1",
-    "sensitivity": "swimid-sensitivity/2",
-    "map": "swimid-map/1",
-    "optimise stiffness": "swimid-rule/2",
-    "optimise gait": "swimid-gait/2",
-    "compare-runs": "swimid-run-comparison/1",
-    "track video": Film,
-    "track setup": Setup,
-    "track imu": Inertial,
-    "import": Imported,
-    "simulate": Simulated,
-    "export": Exported,
-    "plot": Plotted,
-    "report": Reported,
-    "batch": BatchRun,
-    "init": Project,
-    "sample": Sample,
-}
+    schema: Literal[1]
+    ok: bool
+    command: str
+    result: NotRequired[dict[str, Any]]
+    error: NotRequired[Failure]
+    verdict: Annotated[Verdict | None, Field(description="null if nothing was checked")]
+    warnings: list[Notice]
+    outputs: list[str]
+    next: Annotated[list[str], Field(description="commands that can be typed")]
 
 
 def answer_schema() -> dict[str, Any]:
     """Return the JSON Schema of the answer of any command to ``--json``."""
-    definitions: dict[str, Any] = {}
-    rules = []
-    for command in found():
-        kind = RESULTS.get(command, dict[str, Any])
-        name = kind if isinstance(kind, str) else command
-        if isinstance(kind, str):
-            module, _, attribute = FORMATS[kind].partition(":")
-            kind = getattr(import_module(module), attribute).file_type
-        place = name.replace("/", "-").replace(" ", "-")
-        if place not in definitions:
-            schema = TypeAdapter(kind).json_schema(ref_template=f"#/$defs/{place}/$defs/{{model}}")
+    document = TypeAdapter(Answer).json_schema()
+    document["properties"]["command"] = {"enum": list(found())}
+    document["allOf"] = []
+    for command, spec in found().items():
+        kinds = spec.returned()
+        shown = []
+        for kind in get_args(kinds) or (kinds,):
+            name = kind.__name__
+            of_file = getattr(kind, "file_type", None)
+            adapter = TypeAdapter(of_file or TypedDict(name, dict(kind.keys)))  # type: ignore[operator]
+            schema = adapter.json_schema(ref_template=f"#/$defs/{name}/$defs/{{model}}")
             # An answer may have more keys than the file.
             schema.pop("additionalProperties", None)
-            definitions[place] = schema
-        rules.append({
+            document["$defs"][name] = schema
+            shown.append({"$ref": f"#/$defs/{name}"})
+        document["allOf"].append({
             "if": {"properties": {"command": {"const": command}}, "required": ["result"]},
-            "then": {"properties": {"result": {"$ref": f"#/$defs/{place}"}}},
+            "then": {"properties": {"result": {"anyOf": shown}}},
         })  # fmt: skip
-    text = {"type": "string"}
-    return {
-        "title": "Answer of a command to --json",
-        "type": "object",
-        "required": ["schema", "ok", "command", "verdict", "warnings", "outputs", "next"],
-        "properties": {
-            "schema": {"const": 1},
-            "ok": {"type": "boolean"},
-            "command": {"enum": list(found())},
-            "result": {"type": "object"},
-            "error": {
-                "type": "object",
-                "required": ["type", "message", "exit_status"],
-                "properties": {"type": text, "message": text, "exit_status": {"type": "integer"}},
-            },
-            "verdict": {
-                "description": "null if nothing was checked",
-                "anyOf": [{"type": "null"}, {
-                    "type": "object",
-                    "required": ["level", "text", "reasons"],
-                    "properties": {
-                        "level": {"enum": ["good", "caution", "bad"]},
-                        "text": text,
-                        "reasons": {"type": "array", "items": text},
-                    },
-                }],
-            },
-            "warnings": {
-                "type": "array",
-                "items": {
-                    "type": "object",
-                    "required": ["code", "text"],
-                    "properties": {"code": text, "text": text},
-                },
-            },
-            "outputs": {"type": "array", "items": text},
-            "next": {"description": "commands that can be typed", "type": "array", "items": text},
-        },
-        "allOf": rules,
-        "$defs": definitions,
-    }  # fmt: skip
+    return document

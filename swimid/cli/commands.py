@@ -21,11 +21,14 @@ from swimid.cli.answers import answer_schema
 from swimid.cli.options import DoctorOptions, ImportLogOptions, SchemaOptions
 from swimid.errors import UsageError, suggestion
 from swimid.files import atomic
+from swimid.logs import import_log as logs
+from swimid.logs.mapping import Draft, guess_mapping
+from swimid.logs.tracks import Logged
 from swimid.notices import Progress, silent
 from swimid.options import takes
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict
-from swimid.results.result import FORMATS, Result
+from swimid.results.result import Result, class_of, formats
 
 # ---------------------------------------------------------------- import
 
@@ -33,7 +36,7 @@ from swimid.results.result import FORMATS, Result
 @takes(ImportLogOptions)
 def import_log(
     file: Path, *, options: ImportLogOptions, output: Path | None, progress: Progress = silent
-) -> Result:
+) -> Logged | Draft:
     """Import a recording of another program as a log, or draft the mapping that the import needs.
 
     The mapping states which column of the recording becomes which column of the log.
@@ -53,13 +56,9 @@ def import_log(
     if options.guess:
         if options.map_path is not None:
             raise UsageError("--guess drafts a mapping, and takes none")
-        from swimid.logs.mapping import guess_mapping
-
         return guess_mapping(file, select=options.select, output=output)
     if output is None:
         raise UsageError("say where the log goes", hint="add -o run.csv")
-    from swimid.logs import import_log as logs
-
     return logs.import_log(file, options=options, output=output, progress=progress)
 
 
@@ -94,9 +93,7 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     UsageError
         If there is no such format. The hint names the most similar format.
     """
-    results = {form.removeprefix("swimid-").split("/")[0]: place for form, place in FORMATS.items()}
-    places = OTHERS | results
-    names = [*places, ANSWER]
+    names = [*OTHERS, *formats(), ANSWER]
     if name is None:
         return Result("schema", "\n".join(names), {"formats": names})
     if name not in names:
@@ -104,12 +101,8 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     if name == ANSWER:
         content = answer_schema()
     else:
-        module, _, attribute = places[name].partition(":")
-        found = getattr(importlib.import_module(module), attribute)
-        if name == "robot":
-            found = found()
-        # The attribute ``file_type`` of a class of results is the pydantic model of its file.
-        content = TypeAdapter(getattr(found, "file_type", found)).json_schema()
+        found: Any = getattr(class_of(name), "file_type", None) if name in formats() else _other(name)
+        content = TypeAdapter(found).json_schema()
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$comment": f"written by swimid {swimid.__version__}",
@@ -122,29 +115,17 @@ def schema(name: str | None = None, *, options: SchemaOptions, output: Path | No
     return Result("schema", "", document, [output])
 
 
+def _other(name: str) -> Any:
+    """Return the pydantic model of a file format that is not the format of a result."""
+    module, _, attribute = OTHERS[name].partition(":")
+    found = getattr(importlib.import_module(module), attribute)
+    return found() if name == "robot" else found
+
+
 # ---------------------------------------------------------------- doctor
 
-#: Use of each optional Python package, and the command that installs it.
-OPTIONAL = {
-    "av": "overlay videos that browsers play (pip install 'swimid[video]')",
-    "pyarrow": "Parquet files (pip install 'swimid[parquet]')",
-    "h5py": "HDF5, MATLAB and SLEAP files (pip install 'swimid[hdf5]')",
-    "mcap": "MCAP recordings of ROS 2 (pip install 'swimid[mcap]')",
-    "rosbags": "bags of ROS (pip install 'swimid[rosbags]')",
-    "pymavlink": "binary logs of ArduPilot and MAVLink (pip install 'swimid[mavlink]')",
-    "gpxpy": "GPX files (pip install 'swimid[gps]')",
-    "pynmeagps": "NMEA sentences (pip install 'swimid[gps]')",
-    "h5netcdf": "netCDF files, datasets of movement (pip install 'swimid[netcdf]')",
-    "sleap_io": "projects of SLEAP (pip install 'swimid[sleap]')",
-    "c3d": "C3D files (pip install 'swimid[c3d]')",
-    "nptdms": "TDMS files (pip install 'swimid[tdms]')",
-    "openpyxl": "Excel workbooks (pip install 'swimid[excel]')",
-    "pyulog": "recordings of PX4 (pip install 'swimid[ulog]')",
-    "tables": "HDF5 tables of DeepLabCut (pip install 'swimid[deeplabcut]')",
-    "vqf": "attitude in swimid track imu (pip install 'swimid[imu]')",
-    "distributed": "batches on a cluster (pip install 'swimid[cluster]')",
-    "pymoo": "genetic searches (pip install 'swimid[search]')",
-}
+#: Extras of those who develop swimid.
+NOT_FOR_USERS = ("all", "dev", "docs", "bench")
 #: Modules with functions that numba compiles. The function ``warm_up`` of each module compiles them.
 KERNELS = (
     "swimid.rig.model",
@@ -155,8 +136,19 @@ KERNELS = (
 )
 
 
+class Installation(Result):
+    """Result of ``doctor``: the findings as data, or the size of the removed kernels."""
+
+    @property
+    def next_step(self) -> str:
+        """Command that usually follows: a sample, or the removal of swimid after ``--clean``."""
+        return "pip uninstall swimid" if self.text else "swimid sample"
+
+
 @takes(DoctorOptions)
-def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Progress = silent) -> Result:
+def doctor(
+    *, options: DoctorOptions, output: Path | None = None, progress: Progress = silent
+) -> Installation:
     """Check the installation of swimid: versions of packages, optional packages and video decoding.
 
     With ``warm_up``, also compile the numerical functions, so that no later command waits for it. With
@@ -174,18 +166,19 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
             raise UsageError("--clean and --warm-up contradict each other: give one of them")
         freed = kernels.remove_cache()
         text = f"removed compiled kernels of {freed / 1e6:.1f} MB"
-        return Result("doctor --clean", text, {"freed_bytes": freed})
+        return Installation("doctor --clean", text, {"freed_bytes": freed})
+    known = _dependencies()
     findings: dict[str, Any] = {
         "swimid": swimid.__version__,
         "python": sys.version.split()[0],
         "platform": platform.platform(),
-        "packages": _versions(_required()),
-        "optional": _versions(OPTIONAL),
+        "packages": _versions(name for name, extra in known.items() if not extra),
+        "optional": _versions(name for name, extra in known.items() if extra),
         "video_decoding": _decodes_video(),
     }
     rows = [[name, version or "MISSING", ""] for name, version in findings["packages"].items()]
     for name, version in findings["optional"].items():
-        rows.append([name, version or "not installed", OPTIONAL[name]])
+        rows.append([name, version or "not installed", f"pip install 'swimid[{known[name]}]'"])
     if options.warm_up:
         findings["kernels_s"] = {}
         with progress("compiling", total=len(KERNELS)) as step:
@@ -216,17 +209,22 @@ def doctor(*, options: DoctorOptions, output: Path | None = None, progress: Prog
     if output is not None:
         atomic.write_text(output, json.dumps(findings, indent=2) + "\n")
         outputs.append(output)
-    return Result("doctor", data=findings, outputs=outputs, evidence=evidence)
+    return Installation("doctor", data=findings, outputs=outputs, evidence=evidence)
 
 
-def _required() -> list[str]:
-    """Return the Python packages that every command needs, from the metadata of the installed swimid."""
+def _dependencies() -> dict[str, str]:
+    """Return the packages that swimid needs, by name, with the extra that installs an optional one."""
     try:
-        stated = [text for text in metadata.requires("swimid") or () if "extra ==" not in text]
+        stated = metadata.requires("swimid") or ()
     except metadata.PackageNotFoundError:
         # swimid has no package metadata if it runs from its source and is not installed.
-        return ["swimid"]
-    return [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in stated]
+        return {"swimid": ""}
+    found: dict[str, str] = {}
+    for text in stated:
+        extra = "".join(re.findall(r"extra == ['\"](\w+)", text))
+        if extra not in NOT_FOR_USERS:
+            found.setdefault(re.split(r"[^\w.-]", text, maxsplit=1)[0], extra)
+    return found
 
 
 def _versions(names: Iterable[str]) -> dict[str, str | None]:

@@ -8,21 +8,17 @@ the standard error.
 
 from __future__ import annotations
 
-import ast
-import importlib
 import inspect
 import json
-import math
 import os
 import re
-import shlex
 import sys
 import textwrap
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
@@ -30,12 +26,13 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 import swimid
+from swimid.commands import EVIDENCE, CommandSpec, found
 from swimid.errors import InputError, Interrupted, NotEnoughMemory, SwimidError, UsageError, naming
 from swimid.files import atomic, provenance
 from swimid.notices import Notice, Progress, Step, recorded, silent
 
 if TYPE_CHECKING:
-    from swimid.options import Declared, Options
+    from swimid.options import Declared
     from swimid.results.result import Result
 
 #: Terminal codes that erase a progress bar: they move up one line and clear it.
@@ -55,9 +52,6 @@ SHARED = (
     _flag(["--no-progress"], help="No progress bars."),
     _flag(["--debug"], help="Show tracebacks."),
 )
-
-#: Ending of the name of an evidence file, which a command writes next to its result.
-EVIDENCE = ".evidence.json"
 
 # ---------------------------------------------------------------- run of one command
 
@@ -177,12 +171,9 @@ class Run:
         if not self.quiet:
             for line in _warning_lines(notices, (MAX_ALIKE, sys.maxsize)[self.verbose > 0]):
                 click.echo(line, err=True)
-        following = []
-        if outcome is not None:
-            file = shlex.quote(str(outcome.path))
-            line = outcome.next_command(file)
-            if line and (outcome.outputs or file not in line):
-                following.append(line)
+        following: list[str] = []
+        if outcome is not None and (outcome.outputs or "{file}" not in outcome.next_step):
+            following = list(filter(None, [outcome.next_command(outcome.path)]))
         if self.as_json:
             from swimid.files import yamlio
 
@@ -277,63 +268,6 @@ def _bar(description: str, total: int | None = None) -> Iterator[Step]:
 # ---------------------------------------------------------------- commands
 
 
-@dataclass(frozen=True)
-class CommandSpec:
-    """Declaration of a command, which is read from its class of options (:class:`swimid.options.Options`).
-
-    Attributes
-    ----------
-    command, section, output, argument, output_flags, required, stdout, beside, function, module, makes,
-    metrics, lock
-        Class arguments of the class of options.
-    package, options, help : str
-        Name of the package, and name and docstring of the class of options.
-    """
-
-    command: str
-    section: str
-    output: str
-    package: str
-    options: str
-    help: str
-    argument: str = "TRIALS"
-    output_flags: tuple[str, ...] = ("-o", "--output")
-    required: bool = False
-    stdout: Mapping[str, Any] | None = None
-    beside: tuple[str, ...] = (EVIDENCE,)
-    function: str = ""
-    module: str = ""
-    makes: str = ""
-    metrics: tuple[str, ...] = ()
-    lock: bool = True
-
-    def model(self) -> type[Options]:
-        """Import the class of options of the command, and return this class."""
-        loaded: type[Options] = getattr(importlib.import_module(f"{self.package}.options"), self.options)
-        return loaded
-
-    def run(self) -> Any:
-        """Import the function that the command calls, and return this function."""
-        name = self.function or re.sub("[ -]", "_", self.command)
-        return getattr(importlib.import_module(f"{self.package}.{self.module or name}"), name)
-
-
-@cache
-def found() -> dict[str, CommandSpec]:
-    """Find the declarations of all commands in the files ``options.py``, and return them by command name."""
-    specs = {}
-    for path in sorted(Path(__file__).parents[1].glob("*/options.py")):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef) and node.keywords:
-                given = {str(one.arg): ast.literal_eval(one.value) for one in node.keywords}
-                help = ast.get_docstring(node) or ""
-                spec = CommandSpec(
-                    package=f"swimid.{path.parent.name}", options=node.name, help=help, **given
-                )
-                specs[spec.command] = spec
-    return specs
-
-
 class _FilePath(click.Path):
     """Click type of a path. Results state paths in UTF-8, so that a path in another encoding is an error."""
 
@@ -355,7 +289,7 @@ class Command(click.Command):
     def __init__(self, spec: CommandSpec) -> None:
         path = _FilePath()
         output = click.Option(
-            [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output
+            [*spec.output_flags, "output"], type=path, required=spec.required, help=spec.output_help
         )
         # Mark the examples in the help with \b, so that click keeps their line breaks.
         help = re.sub(r"\n\n(Examples?:)", "\n\n\b\n\\1", spec.help)
@@ -501,19 +435,17 @@ def _protect_beside(output: Path, spec: CommandSpec, run: Run) -> None:
 
 def word_of(entry: Declared) -> dict[str, Any]:
     """Return the keyword arguments by which click knows the type of an option and its number of values."""
-    one, args = entry.kind, get_args(entry.kind)
+    kind = entry.kind
     word: dict[str, Any] = {}
-    if one is bool:
+    if kind is bool:
         return {"is_flag": True}
-    if args and args[-1] is Ellipsis:
-        one, word = args[0], {"multiple": True}
-    if _is_mapping(entry.kind):
-        one, word = str, {"multiple": True}
+    if _is_mapping(kind) or get_args(kind)[-1:] == (Ellipsis,):
+        kind, word = get_args(kind)[0], {"multiple": True}
     if entry.separated or _by_commas(entry):
-        one = str
-    if get_origin(one) is tuple:
-        return word | {"type": get_args(one)[0], "nargs": len(get_args(one))}
-    return word | {"type": _simple(one, entry.limits)}
+        kind = str
+    if get_origin(kind) is tuple:
+        return word | {"type": get_args(kind)[0], "nargs": len(get_args(kind))}
+    return word | {"type": _simple(kind, entry.limits)}
 
 
 def value_of(entry: Declared, typed: Any) -> Any:
@@ -564,6 +496,10 @@ def _by_commas(entry: Declared) -> bool:
     return pair and "," in (entry.metavar or "")
 
 
+#: Pattern of a number that is typed as a part of an option. Infinite numbers and NaN are none.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,2})?")
+
+
 def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> Any:
     """Convert the text of an option into a number, or into a tuple of numbers if the type is a tuple.
 
@@ -573,17 +509,11 @@ def _numbers(text: str, kind: Any, entry: Declared, whole: str, form: str) -> An
     count = max(len(get_args(kind)), 1)
     if len(parts) != count:
         raise UsageError(f"{entry.flag}: '{whole}' should be {form}")
-    numbers = []
     for part in parts:
-        try:
-            numbers.append(float(part))
-        except ValueError:
-            numbers.append(math.nan)
-        if not math.isfinite(numbers[-1]):
+        if not _NUMBER.fullmatch(part.strip()):
             raise UsageError(f"{entry.flag}: '{part}' is not a number")
-    if count == 1:
-        return numbers[0]
-    return tuple(numbers)
+    values = tuple(map(float, parts))
+    return values if get_args(kind) else values[0]
 
 
 def _named(texts: tuple[str, ...], entry: Declared) -> dict[str, Any]:

@@ -7,15 +7,16 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from swimid.diagnosis import answer, evidence, nominal, readings, repaired, search
+from swimid.diagnosis import answer, evidence, nominal, power, readings, repaired, search
 from swimid.diagnosis.context import FitContext
 from swimid.diagnosis.evidence import Diagnosis
 from swimid.diagnosis.gap_file import ROBOT_FILE
 from swimid.diagnosis.options import DiagnoseOptions
+from swimid.diagnosis.power import DetectionPower
 from swimid.diagnosis.proposals import Limits
 from swimid.effects import catalogue as effect_catalogue
 from swimid.effects.base import Affected
@@ -34,9 +35,6 @@ from swimid.simulation import catalogue as experiment_catalogue
 from swimid.simulation import compare_series
 from swimid.simulation.catalogue import Loaded
 from swimid.simulation.compare_series import ChannelScore
-
-if TYPE_CHECKING:
-    from swimid.diagnosis.power import DetectionPower
 
 #: Text that says why a diagnosis without a parameter file cannot find a changed parameter.
 NOT_GIVEN = (
@@ -243,14 +241,12 @@ def diagnose(
             "provenance": origin,
         }
         if options.power:
-            from swimid.diagnosis import power
-
             with threadpool_limits(limits=1, user_api="blas"):
                 rows, without = power.shown(context, applicable, asked, seed=options.seed)
             keep.done()
             could = power.PowerFile(**about, effects=rows, left_out=without)
             shown = power.evidence(could, ev.notices(notices))
-            return power.DetectionPower.of(could, shown).saved(output)
+            return DetectionPower.of(could, shown).saved(output)
         others, alike = readings.others(experiment, fitted)
         effects = [*applicable, *others, *begun.changes]
         state = search.run(

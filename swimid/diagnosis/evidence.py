@@ -565,6 +565,7 @@ class Diagnosis(FileResult[GapFile]):
     repaired: ParameterFile | None = field(default=None, repr=False)
 
     file_type = GapFile
+    leads_page = True
 
     def save(self, path: str | Path, repaired: str | Path | None = None) -> Self:
         """Write the gap file, its evidence, and the parameter file of the model with the causes.

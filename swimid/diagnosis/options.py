@@ -12,12 +12,7 @@ from swimid.swimmer import options as swimmers
 
 
 class DiagnoseOptions(
-    Options,
-    command="diagnose",
-    section="Diagnose",
-    output="Gap file to write (YAML).",
-    makes="result",
-    metrics=("closed.share",),
+    Options, command="diagnose", section="Diagnose", makes="gap|power", metrics=("closed.share",)
 ):
     """Name the unmodelled effect behind a gap between trials and simulation.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -108,7 +107,6 @@ def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evi
     )
 
 
-@dataclass(frozen=True, eq=False)
 class DetectionPower(FileResult[PowerFile]):
     """Detection power of trials: the result of ``diagnose`` with ``power=True``.
 

@@ -44,10 +44,16 @@ CONVENTIONS = (
 )
 
 
+class ExportedText(Text):
+    """Result of ``export``, whose ``document`` is the text of the exported file."""
+
+    keys = {"target": str, "limits": list[str]}
+
+
 @takes(ExportOptions)
 def export(
     params: parameters.Source | LogLike, *, options: ExportOptions, output: str | Path | None = None
-) -> Text | movement.Dataset:
+) -> ExportedText | movement.Dataset:
     """Write the coefficients and causes of a parameter file in the format of a simulator.
 
     Causes are the effects that a diagnosis found. The robot file that the parameter file names is searched in
@@ -95,7 +101,7 @@ def export(
     return movement.export(params, output)
 
 
-def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None) -> Text:
+def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None) -> ExportedText:
     """Write a parameter file in the format of a simulator."""
     source = load(params)
     title, write = _format_of(source, options.to)
@@ -132,7 +138,7 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
     }
     if out is None:
         texts = {"text": text, "filters": filters}
-        return Text("export", text.rstrip("\n"), result | texts, document=text)
+        return ExportedText("export", text.rstrip("\n"), result | texts, document=text)
     files = {out: text}
     beside = out.with_name(f"{out.stem}_{options.to}_causes.py")
     if filters:
@@ -149,7 +155,7 @@ def _to_simulator(params: Any, options: ExportOptions, output: str | Path | None
     if limits:
         carried = f"{len(limits)} limits, see the warnings"
     summary = f"{source.robot.name} as {title}: {carried}"
-    return Text("export", summary, result, list(files), document=text)
+    return ExportedText("export", summary, result, list(files), document=text)
 
 
 def _format_of(source: Source, target: str) -> tuple[str, Callable[[Any, ExportOptions], Exported]]:

@@ -9,7 +9,6 @@ has the dataset. In the vertical plane this is the direction of -z. All other co
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +27,12 @@ REFERENCE = "reference"
 _COORDINATE = re.compile(r"((?P<point>.+)_)?(?P<axis>[xyz])_(?P<unit>m|px)")
 
 
-@dataclass(frozen=True, eq=False)
 class Dataset(Result):
     """Result of ``export`` to ``movement``, whose ``document`` is an ``xarray.Dataset``."""
 
     kind = "Dataset"
     ending = ".nc"
+    keys = {"target": str}
 
     def _write(self, path: Path) -> list[Path]:
         with atomic.replacing(path) as temporary:

@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import math
+import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -176,13 +177,29 @@ def load(path: str | Path) -> CommentedMap:
         raise InputError("is empty", file=path)
     if not isinstance(data, CommentedMap):
         raise InputError("its top level must be 'key: value' lines", file=path, line=1)
+    if found := _decimal_comma(data, text):
+        raise InputError(found[0], file=path, line=line_of(data, found[1]))
     _refuse_open(data, path)
     return data
 
 
+def _decimal_comma(data: Any, text: str) -> tuple[str, tuple[Any, ...]] | None:
+    """Return the message on the first decimal comma in a flow mapping, and the path of its key; None if none.
+
+    In ``{pulling_mass_kg: 0,010}`` the comma separates two items, of which the second is a key without value.
+    """
+    for *place, key in _places(data, (), lambda key, value: value is None and isinstance(key, int | float)):
+        line = line_of(data, (*place, key))
+        for match in re.finditer(r"[+-]?\d+,(\d[\d.eE+-]*)", text.splitlines()[line - 1] if line else text):
+            if float(match[1].rstrip("+-.eE")) == key:
+                point = match[0].replace(",", ".", 1)
+                return f"'{match[0]}' is read as two items; write {point}", (*place, key)
+    return None
+
+
 def _refuse_open(data: Any, path: str | Path) -> None:
     """Raise an error that names the first value that is still the placeholder :data:`ASK`."""
-    places = list(_open_places(data, ()))
+    places = list(_places(data, (), lambda key, value: isinstance(value, str) and value == ASK))
     if places:
         key = [part for part in places[0] if isinstance(part, str)]
         text = f"is still {ASK}: state it, or delete the line"
@@ -191,18 +208,20 @@ def _refuse_open(data: Any, path: str | Path) -> None:
         raise InputError(text, file=path, line=line_of(data, places[0]), column=".".join(key) or None)
 
 
-def _open_places(data: Any, place: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
-    """Yield the path of keys and indices of each value that is the placeholder :data:`ASK`."""
+def _places(
+    data: Any, place: tuple[Any, ...], is_bad: Callable[[Any, Any], bool]
+) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of keys and indices of each entry for whose key and value ``is_bad`` is true."""
     parts: Any = ()
     if isinstance(data, Mapping):
         parts = data.items()
     elif isinstance(data, list | tuple):
         parts = enumerate(data)
     for key, value in parts:
-        if isinstance(value, str) and value == ASK:
+        if is_bad(key, value):
             yield (*place, key)
         else:
-            yield from _open_places(value, (*place, key))
+            yield from _places(value, (*place, key), is_bad)
 
 
 def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
@@ -329,6 +348,10 @@ def _explain(problem: Any, data: Any, model: type[BaseModel]) -> tuple[str, str 
     expected = str(problem.get("ctx", {}).get("expected", "")).replace(" or ", ",")
     if close := nearest(str(value), [word.strip(" '") for word in expected.split(",")]):
         hint = f"did you mean '{close}'?"
+    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+,\d+", value):
+        hint = f"write the decimal point as a dot: {value.replace(',', '.')}"
+    elif kind == "too_long" and all(isinstance(one, int) for one in value):
+        hint = "a decimal comma separates two items; write the decimal point as a dot"
     shown = type(value).__name__
     if value is None or isinstance(value, str | int | float):
         shown = textwrap.shorten(repr(value), MAX_SHOWN, placeholder=" ...")
@@ -423,9 +446,12 @@ def parse_scalar(text: str) -> Any:
     if len(text) > MAX_SCALAR:
         raise ValueError(f"it has {len(text)} characters; at most {MAX_SCALAR} are allowed")
     try:
-        return plain(_parsed(YAML(typ="safe", pure=True), text.strip()))
+        data = _parsed(YAML(typ="safe", pure=True), text.strip())
     except Exception as error:
         raise ValueError(first_line(error)) from error
+    if found := _decimal_comma(data, text):
+        raise ValueError(found[0])
+    return plain(data)
 
 
 def limits(bounds: tuple[float | None, float | None]) -> tuple[float, float]:

@@ -37,7 +37,7 @@ from swimid.logs.log import FREQUENCY_RTOL, Log
 from swimid.logs.sampling import LONG_HOLD, find_frozen, find_held
 from swimid.logs.trials import Trial as TrialEntry
 from swimid.logs.trials import Trials
-from swimid.notices import Progress, recorded, silent, warn
+from swimid.notices import Progress, automatic, recorded, warn
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.parameters import Correlation, Estimate, Fit, Fitted, ParameterFile, spoken
@@ -876,7 +876,7 @@ def fit_model(
     robot: str = "",
     inputs: Sequence[Path | Held] = (),
     output: str | Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = automatic,
 ) -> Fitted:
     """Estimate the parameters of any model from trials in memory, with all checks and figures of a fit.
 

@@ -29,10 +29,19 @@ from swimid.results import evidence as ev
 from swimid.results.evidence import Check, Evidence, Figure, Panel, Table, Trace, check, judged, leaf_table
 
 
+class Integrated(Logged):
+    """Result of ``track_imu``: log with velocity, position and attitude."""
+
+    keys = {
+        "method": str, "attitude_from": str, "still_periods": list[dict[str, Any]],
+        "faults": list[dict[str, Any]], "stroke": dict[str, Any] | None,
+    }  # fmt: skip
+
+
 @takes(TrackImuOptions)
 def track_imu(
     imu: LogLike, *, options: TrackImuOptions, output: str | Path | None = None, progress: Progress = silent
-) -> Logged:
+) -> Integrated:
     """Compute velocity, position and attitude from an inertial recording, with 95 % bands.
 
     The other log (``other``) can be a table with positions (m), angles (rad), or both. The mapping
@@ -53,7 +62,7 @@ def track_imu(
 
     Returns
     -------
-    Logged
+    Integrated
         ``.frame`` has one row for each sample: position (m), attitude (rad), velocity along body axes and
         along world axes (m/s), all with standard deviations, and turn rates (rad/s) and accelerations
         (m/s^2).
@@ -376,7 +385,7 @@ FAIL = ("Possible motion", "Lasting errors of fixes", "Fixes left out")
 Test = tuple[str, str, str, str, bool, str]
 
 
-def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Logged:
+def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> Integrated:
     """Return the motion log with its evidence. Warn of the checks that do not pass.
 
     Parameters
@@ -415,7 +424,7 @@ def _result(run: Run, notices: Sequence[Notice], provenance: dict[str, Any]) -> 
     )
     document = Log(Path(record.name).with_suffix(".csv"), metadata, log.numeric(columns), None)
     data = _data(run) | {"checks": [check.model_dump() for check in checks]}
-    return Logged("track imu", "", data, evidence=evidence, document=document, table=columns)
+    return Integrated("track imu", "", data, evidence=evidence, document=document, table=columns)
 
 
 def _still_periods(run: Run) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ metadata as YAML ``key: value``. The name of a column ends in its unit.
 from __future__ import annotations
 
 import hashlib
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,13 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from swimid.errors import InputError, file_errors, first_line
+from swimid.errors import InputError, extra_needed, file_errors, first_line, look_up
 from swimid.files import atomic, isolated, memory, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
+from swimid.results import numbers as texts
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
+
+    from swimid.logs.plot import Drawn
 
 Array = NDArray[np.float64]
 TIME = "t_s"
@@ -36,8 +41,6 @@ FREQUENCY_RTOL = 0.05
 ROWS = 100_000
 #: Number of copies of the content of a file that are in memory while a log is read.
 N_COPIES = 4
-#: Hint of the error that a log does not fit in memory. The placeholder is the name of the file.
-TOO_LONG = "average successive rows: swimid import {} --every 100 -o short.parquet"
 #: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -58,6 +61,8 @@ class Log:
         Line of the file with the first sample; 0 for Parquet, None for a log in memory.
     time_s : ndarray, shape (n,)
         Sample times, s, strictly increasing.
+    frame : DataFrame
+        Columns of the log, one row per sample.
 
     Examples
     --------
@@ -157,14 +162,27 @@ class Log:
         """Columns of the log by name, without the time ``t_s``."""
         return {name: values for name, values in self.columns.items() if name != TIME}
 
+    @property
     def frame(self) -> pd.DataFrame:
-        """Return the columns of the log as a table, one row per sample."""
+        """Columns of the log as a table, one row per sample."""
         import pandas as pd
 
         return pd.DataFrame(self.columns)
 
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the columns of the log as an ``xarray.Dataset`` over ``t_s``, each with its unit."""
+        return to_xarray(self.frame, [TIME])
+
+    def plot(self, **options: Any) -> Drawn:
+        """Draw the log: channels over time, path and spectra (:func:`swimid.plot`)."""
+        import swimid
+
+        drawn: Drawn = swimid.plot(self, **options)
+        return drawn
+
     def __getitem__(self, column: str) -> NDArray[np.float64]:
-        return self.columns[column]
+        values: NDArray[np.float64] = look_up(column, self.columns, f"the log {self.name}")
+        return values
 
     def __contains__(self, column: str) -> bool:
         return column in self.columns
@@ -203,6 +221,30 @@ def of(given: LogLike, *, name: str = "log", required: Sequence[str] = ()) -> Lo
         return Log.from_frame(given, name=name, required=required)
     _wanted(list(given.columns), required, None, given.path, None)
     return given
+
+
+def to_xarray(frame: pd.DataFrame, dimensions: Sequence[str]) -> xarray.Dataset:
+    """Return a table as an ``xarray.Dataset``. Each variable has the unit of its column as ``units``.
+
+    Parameters
+    ----------
+    frame : DataFrame, shape (n, k)
+        A row for each combination of the values of the dimensions.
+    dimensions : sequence of str
+        Columns that become the dimensions.
+
+    Raises
+    ------
+    UsageError
+        If xarray is not installed.
+    """
+    with extra_needed("xarray", "netcdf"):
+        import xarray  # noqa: F401 - pandas makes the dataset with it
+
+    data = frame.set_index(list(dimensions)).to_xarray()
+    for name in map(str, data.variables):
+        data[name].attrs["units"] = texts.split_unit(name)[1]
+    return data
 
 
 def unread(given: LogLike, *, name: str = "log") -> Path | Log:
@@ -312,6 +354,11 @@ def _wanted(
     return [name for name in names if optional is None or name in {TIME, *required, *optional}]
 
 
+def _too_long(path: Path) -> str:
+    """Return the hint of the error that a log does not fit in memory."""
+    return f"average successive rows: swimid import {shlex.quote(str(path))} --every 100 -o short.parquet"
+
+
 # ---------------------------------------------------------------- CSV
 
 
@@ -323,7 +370,7 @@ def _read_csv(path: Path, required: Sequence[str], optional: Sequence[str] | Non
         raise InputError("the header line with the column names is missing", file=path, line=header_line)
     wanted = _wanted(names, required, optional, path, header_line)
     size = path.stat().st_size
-    memory.check_fits(path, f"{size} bytes of text", N_COPIES * size, TOO_LONG.format(path.name))
+    memory.check_fits(path, f"{size} bytes of text", N_COPIES * size, _too_long(path))
     text = path.read_bytes().split(b"\n", header_line)[-1]
     read = partial(tabular.parse, text, names)
     try:
@@ -442,10 +489,10 @@ def _read_parquet(path: Path, required: Sequence[str], optional: Sequence[str] |
         wanted = _wanted(list(file.schema_arrow.names), required, optional, path, None)
         rows = file.metadata.num_rows
         what = f"{rows} rows of {len(wanted)} columns"
-        memory.check_fits(path, what, 8.0 * N_COPIES * rows * len(wanted), TOO_LONG.format(path.name))
+        memory.check_fits(path, what, 8.0 * N_COPIES * rows * len(wanted), _too_long(path))
         table = file.read(columns=wanted)
     except (pyarrow.ArrowException, OSError) as error:
-        if isinstance(error, PermissionError):
+        if isinstance(error, PermissionError) or path.is_dir():
             raise
         raise InputError(f"is no readable Parquet file: {first_line(error)}", file=path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"swimid", b"")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from collections import Counter, abc
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from swimid.errors import InputError, suggestion
-from swimid.files import atomic, isolated, memory, yamlio
+from swimid.files import isolated, memory, yamlio
 from swimid.files.provenance import path_of
 from swimid.files.tabular import repeated
 from swimid.files.yamlio import ASK
@@ -49,7 +48,7 @@ from swimid.logs.kinematics import AXES, rearranged
 from swimid.logs.log import TIME, Log, LogLike, cells_to_numbers, longest_run, metadata_of, written_by
 from swimid.logs.sampling import PAUSE, usual_step
 from swimid.notices import Progress, silent, warn
-from swimid.results.result import Result
+from swimid.results.result import Text
 
 Array = NDArray[np.float64]
 FORMAT: Literal["swimid-mapping/1"] = "swimid-mapping/1"
@@ -1173,9 +1172,11 @@ _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<o
 _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
 
 
-@dataclass(frozen=True, eq=False)
-class Draft(Result):
+class Draft(Text):
     """Draft of a mapping, which ``guess_mapping`` returns. Its ``document`` is YAML text with comments."""
+
+    next_step = "swimid import {data[file]} --map {file} -o {free[run.csv]}"
+    keys = {"file": str, "mapping": str, "open": int}
 
     @property
     def mapping(self) -> Mapping:
@@ -1187,14 +1188,6 @@ class Draft(Result):
             A value is still ``ASK``.
         """
         return of(yamlio.parse_scalar(self.document))
-
-    def next_command(self, file: str) -> str:
-        """Return the command that imports the recording with the mapping in ``file``."""
-        return f"swimid import {shlex.quote(self.data['file'])} --map {file} -o run.csv"
-
-    def _write(self, path: Path) -> list[Path]:
-        atomic.write_text(path, self.document)
-        return [path]
 
 
 def guess_mapping(source: LogLike, *, select: str | None = None, output: str | Path | None = None) -> Draft:

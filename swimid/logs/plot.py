@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -28,11 +28,12 @@ Array = NDArray[np.float64]
 PICTURES = (".svg", ".png")
 
 
-@dataclass(frozen=True, eq=False)
 class Drawn(Result):
     """Result of ``plot``: figures of one or several logs, which are saved as one picture."""
 
     kind = "Log"
+    next_step = "python -m webbrowser {file}"
+    keys = {"logs": list[str], "figures": list[str]}
 
     def save(self, path: str | Path) -> Self:
         """Write the figures to a file that ends in ``.svg`` or ``.png``.
@@ -245,7 +246,9 @@ def track(logs: Sequence[Log]) -> Figure | None:
     if not traces:
         return None
     title = {"y_m": "Path from above", "z_m": "Path from the side"}[across]
-    caption, y_label = "The path, with arrows along the heading.", numbers.column_title(across)
+    caption, y_label = "The path.", numbers.column_title(across)
+    if any(trace.style == "arrows" for trace in traces):
+        caption = "The path, with arrows along the heading."
     return ev.figure("path", title, caption, "x (m)", y_label, traces, equal_aspect=True)
 
 

@@ -24,6 +24,7 @@ from swimid.results.result import Result
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -532,6 +533,12 @@ class Logged(Result):
 
     kind = "Log"
     ending = ".csv"
+    next_step = "swimid plot {file} -o {free[log.svg]}"
+    keys = {
+        "file": str, "samples": int, "duration_s": float, "median_rate_hz": float, "columns": list[str],
+        "missing": dict[str, int], "stroke": dict[str, Any], "speed": dict[str, Any] | None,
+        "checks": list[dict[str, Any]],
+    }  # fmt: skip
 
     @property
     def log(self) -> Log:
@@ -545,6 +552,10 @@ class Logged(Result):
         import pandas as pd
 
         return pd.DataFrame(dict(self.table or self.log.columns))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the log as an ``xarray.Dataset`` over ``t_s``, each variable with its unit."""
+        return self.log.to_xarray()
 
     def _write(self, path: Path) -> list[Path]:
         log.write(path, self.table or self.log.columns, self.log.metadata)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import itertools
 import math
 import os
@@ -9,13 +10,13 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args
 
 from pydantic import Discriminator, Field, PositiveFloat, PrivateAttr, Tag, model_validator
 
 from swimid.errors import InputError, UsageError, nearest, suggestion
 from swimid.files import provenance, yamlio
-from swimid.files.tabular import repeated
+from swimid.files.tabular import missing_column, repeated
 from swimid.logs.log import Log
 from swimid.notices import warn
 from swimid.robots import file as robot_format
@@ -125,6 +126,8 @@ class Trials(yamlio.Document):
     """Keys that a trials file has for every kind of experiment."""
 
     _in_memory: bool = PrivateAttr(default=False)
+    #: Columns that a log needs: at least one column of each group, in which ``*`` stands for any text.
+    needs: ClassVar[Sequence[Sequence[str]]] = ()
 
     format: Literal["swimid-trials/1"]
     robot: str
@@ -133,6 +136,7 @@ class Trials(yamlio.Document):
 class FallingWeight(Trials):
     """Trials file of a falling-weight experiment."""
 
+    needs = (("x_m",),)
     experiment: Literal["falling-weight"]
     trials: Annotated[list[FallingWeightTrial], Field(min_length=1)]
 
@@ -140,6 +144,7 @@ class FallingWeight(Trials):
 class Towed(Trials):
     """Trials file of an experiment with a measured force on the towed robot."""
 
+    needs = (("force_N",), ("x_m", "u_m_s"))
     experiment: Literal["towed"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
 
@@ -147,6 +152,7 @@ class Towed(Trials):
 class FreeDecay(Trials):
     """Trials file of a free-decay experiment: the robot is displaced and released."""
 
+    needs = (("x_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"),)
     experiment: Literal["free-decay"]
     trials: Annotated[list[RigTrial], Field(min_length=1)]
 
@@ -166,6 +172,7 @@ class Cruise(Trials):
 class FreeSwim(Trials):
     """Trials file of a free-swimming experiment."""
 
+    needs = (("x_m", "*_m", "*_rad", "*_s", "*_N"),)
     experiment: Literal["free-swim"]
     trials: Annotated[list[FreeSwimTrial], Field(min_length=1)]
 
@@ -288,8 +295,13 @@ class TrialSet:
             elif log is not None:
                 entry["log"] = str(entry["id"])
                 held = log if isinstance(log, Log) else Log.from_frame(log, name=entry["log"])
+                for group in EXPERIMENTS[experiment].needs:
+                    if not any(fnmatch.filter(held.signals, pattern) for pattern in group):
+                        column = " or ".join(name for name in group if "*" not in name)
+                        raise missing_column(column, list(held.columns), held.path, None)
             logs.append(held)
             plain.append(entry)
+        robot_format.locate(robot)
         given = {"format": FORMAT, "experiment": experiment, "robot": robot, **keys}
         if plain:
             given["trials"] = plain
@@ -362,6 +374,9 @@ def read(
         text, line = f"{what}; here: {', '.join(names)}", yamlio.line_of(data, ["experiment"])
         raise InputError(text, file=path, line=line, column="experiment", hint=hint)
     trials: Any = held or yamlio.validate(data, EXPERIMENTS[experiment], path)
+    robot_format.locate(
+        trials.robot, path.parent, {"file": path, "line": yamlio.line_of(data, ["robot"]), "column": "robot"}
+    )
     if uses is not None:
         _refuse_unused(trials, path, uses[experiment], data)
     listed: list[Trial] = getattr(trials, "trials", [])

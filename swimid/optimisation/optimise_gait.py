@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -92,7 +91,6 @@ class GaitFile(StudyFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
 class BestGait(FileResult[GaitFile]):
     """Best gait, the result of ``optimise gait``.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -158,7 +158,6 @@ def fit_curve(amplitude_deg: float, frequency_hz: Array, stiffness: Array) -> Cu
     return Curve(amplitude_deg=amplitude_deg, coefficients=tuple(found.tolist()), rms=rms)
 
 
-@dataclass(frozen=True, eq=False)
 class StiffnessRule(FileResult[RuleFile]):
     """Stiffness rule, the result of ``optimise stiffness``.
 

@@ -18,13 +18,7 @@ class GaitOptions(simulations.DriveOptions):
 
 
 class MapOptions(
-    GaitOptions,
-    command="map",
-    section="Put to work",
-    function="performance_map",
-    argument="",
-    output="Map file to write (YAML).",
-    makes="result",
+    GaitOptions, command="map", section="Put to work", function="performance_map", argument="", makes="map"
 ):
     r"""Map speed, cost of transport and turning over a grid of gaits.
 
@@ -49,12 +43,7 @@ class MapOptions(
 
 
 class OptimiseStiffnessOptions(
-    GaitOptions,
-    command="optimise stiffness",
-    section="Put to work",
-    argument="",
-    output="Rule file to write (YAML).",
-    makes="result",
+    GaitOptions, command="optimise stiffness", section="Put to work", argument="", makes="rule"
 ):
     r"""Find the best stiffness of a passive joint over frequency and amplitude.
 
@@ -93,12 +82,7 @@ Goal = Literal["speed", "radius", "turn-rate", "cost-of-transport", "power"]
 
 
 class OptimiseGaitOptions(
-    GaitOptions,
-    command="optimise gait",
-    section="Put to work",
-    argument="",
-    output="Gait file to write (YAML).",
-    makes="result",
+    GaitOptions, command="optimise gait", section="Put to work", argument="", makes="gait"
 ):
     r"""Find the best gait within limits.
 

@@ -22,6 +22,7 @@ from swimid.files.atomic import Checkpoint
 from swimid.files.yamlio import Rows
 from swimid.fitting.model import Array
 from swimid.logs.kinematics import UNSTEADY
+from swimid.logs.log import to_xarray
 from swimid.notices import Notice, Progress, recorded, silent
 from swimid.optimisation import study as studies
 from swimid.optimisation.options import MapOptions
@@ -34,6 +35,7 @@ from swimid.simulation.cases import value_text
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
 #: Maximum number of grid points of a map.
 MAX_POINTS = 100_000
@@ -86,7 +88,6 @@ class MapFile(StudyFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
 class PerformanceMap(FileResult[MapFile]):
     """Map of the quantities of a robot over a grid of gaits, the result of ``map``.
 
@@ -108,6 +109,10 @@ class PerformanceMap(FileResult[MapFile]):
         points = points_of({axis.name: axis.values for axis in self.file.axes})
         columns = {name: np.array(q.values, dtype=float).ravel() for name, q in self.file.quantities.items()}
         return pd.DataFrame({**pd.DataFrame(points), **columns})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the map as an ``xarray.Dataset`` over its axes, each quantity with its unit."""
+        return to_xarray(self.frame, [axis.name for axis in self.file.axes])
 
 
 @takes(MapOptions)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ MAX_SHOWN = 12
 MAX_LINES = 4
 
 
-@dataclass(frozen=True, eq=False)
 class Drafted(Result):
     """Result of ``init``: what was found, the questions, and the commands.
 
@@ -36,7 +34,12 @@ class Drafted(Result):
         Text of each drafted file.
     """
 
-    def next_command(self, file: str) -> str:
+    keys = {
+        "recordings": list[dict[str, str]], "others": list[str], "files": list[str],
+        "questions": list[dict[str, Any]], "missing": list[str], "commands": list[str], "next": str,
+    }  # fmt: skip
+
+    def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the first command of the project."""
         return str(self.data["next"])
 

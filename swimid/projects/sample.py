@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NotRequired
 
 from swimid.errors import InputError, UsageError, suggestion
 from swimid.files import atomic, yamlio
@@ -20,11 +20,15 @@ INDEX, ALL = "samples.yaml", "all"
 PLACES = (Path(__file__).parents[1] / "sample_logs", Path(__file__).parents[2] / "sample_logs")
 
 
-@dataclass(frozen=True, eq=False)
 class Sample(Result):
     """Result of ``sample``. Its ``data`` has the folder and the command for the sample, or all samples."""
 
-    def next_command(self, file: str) -> str:
+    keys = {
+        "samples": NotRequired[dict[str, dict[str, str]]], "sample": NotRequired[str],
+        "folder": NotRequired[str], "about": NotRequired[str], "command": NotRequired[str],
+    }  # fmt: skip
+
+    def next_command(self, file: str | Path, folder: Path = Path()) -> str:
         """Return the command for the copied sample, or the command that copies the first sample."""
         return str(self.data.get("command", "swimid sample rig"))
 
@@ -32,7 +36,7 @@ class Sample(Result):
 @takes(SampleOptions)
 def sample(
     name: str | None = None, *, options: SampleOptions, output: Path | None = None, force: bool = False
-) -> Result:
+) -> Sample:
     """Copy a sample to a folder, or list the samples.
 
     Parameters

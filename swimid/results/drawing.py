@@ -7,6 +7,7 @@ printed page.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import io
 import math
@@ -49,6 +50,8 @@ FONT = 8.0
 LETTER = 0.58
 #: Resolution of figures that are written as PNG files, pixels per inch.
 DPI = 300
+#: Resolution of figures in a notebook, pixels per inch.
+NOTEBOOK_DPI = 120
 #: Minimum number of points at which a trace of points is drawn as a single SVG path of dots. The path takes a
 #: tenth of the file size of separate markers.
 MIN_CLOUD = 60
@@ -134,7 +137,7 @@ def paint(
     _spans(axes, panel)
     rows = _legend(axes) if legend else 0
     title = panel.title
-    if panel.equal_aspect and _shape(panel) <= MIN_SHAPE:
+    if panel.equal_aspect and not is_to_scale(panel):
         title = f"{title}, {panel.y_label.partition(' ')[0]} magnified".removeprefix(", ")
     axes.set_title("\n".join(textwrap.wrap(title, 52)), pad=5 + rows * 1.6 * (FONT - 1))
 
@@ -233,7 +236,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
     if panel.x_categories is not None:
         _slant(axes, panel.x_categories)
         axes.set_xlim(-0.6, len(panel.x_categories) - 0.4)
-    if panel.equal_aspect and _shape(panel) > MIN_SHAPE:
+    if is_to_scale(panel):
         axes.set_aspect("equal", adjustable="box")
         step = max(float(ticks[1] - ticks[0]) for ticks in (axes.get_xticks(), axes.get_yticks()))
         # Use a common distance of ticks only if both axes then have several ticks.
@@ -328,9 +331,14 @@ def _height(panel: Panel, panels: int = 1) -> float:
         return 1.0 + 0.2 * len(panel.heat.rows)
     if panel.y_categories is not None:
         return max(1.0 + 0.16 * len(panel.y_categories), 1.6)
-    if not panel.equal_aspect or _shape(panel) <= MIN_SHAPE:
+    if not is_to_scale(panel):
         return max(min(HEIGHT, TALLEST / panels), LOW)
     return min(max((WIDTH - FRAME) * _shape(panel), 0.8), 4.0) + FRAME
+
+
+def is_to_scale(panel: Panel) -> bool:
+    """Return whether a panel is drawn with equal scales on both axes. A flat path is not."""
+    return panel.equal_aspect and _shape(panel) > MIN_SHAPE
 
 
 def _shape(panel: Panel) -> float:
@@ -449,6 +457,15 @@ def _numbered(text: str, prefix: str) -> str:
     ids = [f"p{hashlib.sha256(f'{prefix}{k}'.encode()).hexdigest()[:10]}" for k in range(len(names))]
     new = dict(zip(names, ids, strict=True))
     return re.sub(r"\bp[0-9a-f]{10}\b", lambda found: new.get(found[0], found[0]), text)
+
+
+def for_notebook(figure: Figure) -> str:
+    """Return a figure as a picture (PNG) in an HTML element, on a white background."""
+    file = io.BytesIO()
+    with mpl.rc_context(style()):
+        canvas([figure]).savefig(file, format="png", dpi=NOTEBOOK_DPI)
+    text = base64.b64encode(file.getvalue()).decode()
+    return f'<img alt="{escape(figure.title, quote=True)}" src="data:image/png;base64,{text}">'
 
 
 # ---------------------------------------------------------------- on a page

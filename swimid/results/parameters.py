@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, PrivateAttr
 
-from swimid.errors import InputError
+from swimid.errors import InputError, UsageError, look_up
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
@@ -159,7 +158,11 @@ def _file(source: Source) -> ParameterFile:
         return ParameterFile.read(source)
     if isinstance(source, ParameterFile):
         return source
-    return source.file
+    file = getattr(source, "file", None)
+    if isinstance(file, ParameterFile):
+        return file
+    text = f"a {type(source).__name__} holds no parameters of a model"
+    raise UsageError(text, hint="pass the path of a parameter file, or the result of a fit")
 
 
 def origin(source: Source) -> Path | Held:
@@ -221,7 +224,6 @@ def require(parameters: ParameterFile, names: tuple[str, ...], path: str | Path)
 # ---------------------------------------------------------------- result of a fit
 
 
-@dataclass(frozen=True, eq=False)
 class Fitted(FileResult[ParameterFile]):
     """Fitted parameters, returned by ``fit_drag``, ``fit_propulsion``, ``fit_graybox`` and ``rwls``.
 
@@ -252,6 +254,13 @@ class Fitted(FileResult[ParameterFile]):
     file_type = ParameterFile
 
     @property
+    def next_step(self) -> str:  # type: ignore[override]
+        """Command that usually follows: a comparison if the fit has a trials file, and a report otherwise."""
+        if not self._inputs(Path()):
+            return FileResult.next_step
+        return "swimid compare {trials} --params {file} -o {free[comparison.yaml]}"
+
+    @property
     def parameters(self) -> pd.DataFrame:
         """Table of the fitted parameters: value, standard error, 95 % interval, unit and status of each."""
         return _estimates_frame(self.file.parameters)
@@ -278,7 +287,8 @@ class Fitted(FileResult[ParameterFile]):
         return self.file.fit is not None and self.file.fit.converged
 
     def __getitem__(self, name: str) -> Estimate:
-        return (self.file.parameters | self.file.derived)[name]
+        found: Estimate = look_up(name, self.file.parameters | self.file.derived, "the fit")
+        return found
 
     def _own_facts(self) -> dict[str, str]:
         file = self.file

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -44,6 +45,13 @@ MAIN_PANELS, MAIN_TABLES = 3, 1
 MAX_COMPARED = 6
 
 
+class Page(Text):
+    """Result of ``report``, whose ``document`` is the text of the page."""
+
+    next_step = "python -m webbrowser {file}"
+    keys = {"title": str, "verdict": dict[str, Any], "results": list[dict[str, Any]]}
+
+
 @takes(ReportOptions)
 def report(
     inputs: Sequence[str | Path | Result],
@@ -51,7 +59,7 @@ def report(
     options: ReportOptions,
     output: str | Path | None = None,
     progress: Progress = silent,
-) -> Text:
+) -> Page:
     """Create one report page about any number of results. No result is computed again.
 
     The default title is the title of a single result, or "Identification report" for several results.
@@ -98,7 +106,7 @@ def report(
         if isinstance(source, Path):
             source = _read(source)
         results.append(source)
-    contents = [result.content() for result in results]
+    contents = _titled(results)
     heading = options.title or "Identification report"
     if options.title is None and len(contents) == 1:
         heading = contents[0].title
@@ -108,13 +116,14 @@ def report(
     text = render(
         results,
         contents,
+        folder=Path() if target is None else target.parent,
         template=f"report.{kind}",
         title=heading,
         created=created,
         digests=digests,
         progress=progress,
     )
-    whole = overall(contents)
+    whole = overall(results, contents)
     lines = [f"{whole.level}: {whole.text}"]
     verdicts = []
     for result, content in zip(results, contents, strict=True):
@@ -122,9 +131,9 @@ def report(
         verdicts.append({"file": str(result.path), **content.verdict.model_dump()})
     data = {"title": heading, "verdict": whole.model_dump(), "results": verdicts}
     if target is None:
-        return Text("report", text.rstrip("\n"), data, document=text)
+        return Page("report", text.rstrip("\n"), data, document=text)
     atomic.write_text(target, text)
-    return Text("report", "\n".join(lines), data, [target], document=text)
+    return Page("report", "\n".join(lines), data, [target], document=text)
 
 
 def _sources(given: str | Path | Result) -> list[Path | Result]:
@@ -164,11 +173,61 @@ def _read(path: Path) -> Result:
 # ---------------------------------------------------------------- page
 
 
-def overall(contents: Sequence[ev.Evidence]) -> ev.Verdict:
+def _titled(results: Sequence[Result]) -> list[ev.Evidence]:
+    """Return the content of each result. On a page of several results the titles differ.
+
+    They name the parameter file that the result is about, and the result file if that is not enough.
+    """
+    contents = [result.content() for result in results]
+    titles = [content.title for content in contents]
+    if len(results) > 1:
+        about = [getattr(result.document, "params", None) for result in results]
+        titles = [f"{one}, {Path(of).name}" if of else one for one, of in zip(titles, about, strict=True)]
+    for k, result in enumerate(results):
+        title = titles[k] if titles.count(titles[k]) == 1 else f"{titles[k]}, {result.path.name}"
+        contents[k] = contents[k].model_copy(update={"title": title})
+    return contents
+
+
+def overall(results: Sequence[Result], contents: Sequence[ev.Evidence]) -> ev.Verdict:
     """Return the verdict on all results of a report together.
 
-    Its level is the worst level among the results. Its text states how many results have this level.
+    It begins with the verdict of a diagnosis. Results that have no other inputs than a diagnosis with a good
+    verdict describe the model before the repair: they are named, but do not count. The level is the worst of
+    the other results.
     """
+    found = [content for result, content in zip(results, contents, strict=True) if result.leads_page]
+    solved = [content for content in found if content.verdict.level == "good"]
+    doubts: dict[str, list[str]] = {}
+    counted = []
+    for result, content in zip(results, contents, strict=True):
+        level: str = content.verdict.level
+        inputs = _digests(content)
+        if not result.leads_page and inputs and any(inputs <= _digests(one) for one in solved):
+            level = "before the repair"
+        else:
+            counted.append(content)
+        doubts.setdefault(level, []).append(result.path.name)
+    whole = _worst(counted)
+    if len(contents) == 1:
+        return whole
+    parts = [content.verdict.text for content in found]
+    if not found or whole.level != "good":
+        parts.append(whole.text)
+    for kind in ("bad", "caution", "before the repair"):
+        if kind in doubts:
+            parts.append(f"{kind.capitalize()}: {', '.join(doubts[kind])}.")
+    word = "".join(content.verdict.word for content in found[:1] if content.verdict.level == whole.level)
+    return ev.Verdict(level=whole.level, text=" ".join(parts), word=word)
+
+
+def _digests(content: ev.Evidence) -> set[str]:
+    """Return the SHA-256 of each input of a result."""
+    return set(content.provenance.get("inputs", {}).values())
+
+
+def _worst(contents: Sequence[ev.Evidence]) -> ev.Verdict:
+    """Return the worst level among results, and a sentence that says how many results have this level."""
     levels = [shown.verdict.level for shown in contents]
     worst = max(levels, key=list(LEVELS).index)
     count = levels.count(worst)
@@ -187,6 +246,7 @@ def render(
     results: Sequence[Result],
     contents: Sequence[ev.Evidence],
     *,
+    folder: Path = Path(),
     template: str,
     title: str,
     created: datetime,
@@ -201,6 +261,8 @@ def render(
         Results in the report, at least one.
     contents : sequence of Evidence
         Evidence of each result, as :meth:`Result.content` returns it.
+    folder : Path
+        Folder of the page, in which the next commands are typed.
     template : str
         Name of the template, ``"report.html"`` or ``"report.md"``.
     title : str
@@ -240,19 +302,41 @@ def render(
             section = _parts(content, pictures) | {"anchor": f"r{k}", "folded": result in folded}
             section |= {"kind": "Side by side", "path": None, "next": ""}
             if result is not None:
-                command = result.next_command(result.path.name)
+                command = _next_command(result, content, contents, folder, digests)
                 section |= {"kind": result.kind, "path": result.path, "next": command}
             sections.append(section)
     return environment.get_template(template).render(
         title=title,
         version=swimid.__version__,
         created=created,
-        verdict=overall(contents),
+        verdict=overall(results, contents),
         results=sections,
         references=list(dict.fromkeys(text for content in contents for text in content.references)),
         warnings=_warnings(results, contents),
         digests=digests,
     )
+
+
+def _next_command(
+    result: Result,
+    content: ev.Evidence,
+    contents: Sequence[ev.Evidence],
+    folder: Path,
+    digests: Mapping[str, str],
+) -> str:
+    """Return the command that a user may run next in the folder of the page; empty if there is none.
+
+    There is none for a result in memory, none that makes a page, and none whose result is on the page.
+    """
+    if not result.path.exists() or "{trials}" not in result.next_step:
+        return ""
+    used = _digests(content)
+    if "{file}" in result.next_step:
+        used = {digests[str(result.path)]}
+    command = result.next_step.split()[1]
+    if any(other.command == command and used <= _digests(other) for other in contents):
+        return ""
+    return result.next_command(os.path.relpath(result.path, folder), folder)
 
 
 def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> dict[str, Any]:
@@ -276,10 +360,18 @@ def _parts(content: ev.Evidence, figures: list[tuple[ev.Figure, list[str]]]) -> 
 
 
 def _explained(figure: ev.Figure) -> ev.Figure:
-    """Add a remark to the caption of a figure if traces are so long that they are drawn as envelopes."""
-    if all(len(trace.x) <= ev.MAX_POINTS for panel in figure.panels for trace in panel.traces):
-        return figure
-    caption = f"{figure.caption} Long traces are drawn as their envelope."
+    """Add remarks to the caption of a figure on how it is drawn: scales of a path, envelopes of traces."""
+    caption = figure.caption
+    paths = [drawing.is_to_scale(panel) for panel in figure.panels if panel.equal_aspect]
+    if paths:
+        remark = "Both axes have the same scale."
+        if not any(paths):
+            remark = "The vertical axis is magnified: it has another scale than the horizontal axis."
+        elif not all(paths):
+            remark = "Both axes have the same scale, unless the title says that one is magnified."
+        caption = f"{caption} {remark}"
+    if any(len(trace.x) > ev.MAX_POINTS for panel in figure.panels for trace in panel.traces):
+        caption += " Long traces are drawn as their envelope."
     return figure.model_copy(update={"caption": caption})
 
 
@@ -348,7 +440,7 @@ def _side_by_side(fits: Sequence[Fitted]) -> ev.Evidence:
     return ev.Evidence(
         command="report",
         title=f"{len(fits)} fits of {fits[0].file.model} side by side",
-        verdict=overall([fit.content() for fit in fits]),
+        verdict=_worst([fit.content() for fit in fits]),
         tables=[ev.Table(id="compared", title="Parameters", columns=["parameter", *names], rows=rows)],
         figures=[ev.panels("compared", "Estimates", caption, panels[:MAX_COMPARED])],
     )

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import html
+import itertools
+import os
 import re
+import shlex
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -13,9 +16,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
+from swimid.commands import KINDS, found
 from swimid.errors import InputError, UsageError, suggestion
-from swimid.files import atomic, provenance, tabular, yamlio
+from swimid.files import atomic, tabular, yamlio
+from swimid.files.provenance import paths_of, sha256
 from swimid.notices import warn
+from swimid.options import explained
 from swimid.results import evidence as ev
 from swimid.results import numbers
 
@@ -28,20 +34,12 @@ if TYPE_CHECKING:
 
 File = TypeVar("File", bound="ResultFile")
 
-#: Class of the result, as ``module:class``, for each format of a result file in YAML.
-FORMATS = {
-    "swimid-parameters/1": "swimid.results.parameters:Fitted",
-    "swimid-comparison/1": "swimid.simulation.compare:Comparison",
-    "swimid-gap/1": "swimid.diagnosis.evidence:Diagnosis",
-    "swimid-power/1": "swimid.diagnosis.power:DetectionPower",
-    "swimid-sensitivity/2": "swimid.sensitivity_analysis.sensitivity:Sensitivity",
-    "swimid-map/1": "swimid.optimisation.performance_map:PerformanceMap",
-    "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
-    "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
-    "swimid-run-comparison/1": "swimid.runs.compare_runs:ComparedRuns",
-}
+#: Class of the results of each format, such as ``gap`` for ``swimid-gap/1``. A class adds itself when it is
+#: defined.
+_CLASSES: dict[str, type[FileResult[Any]]] = {}
+#: Modules with the classes of the two results that several packages make: parameters, and logs.
+PARAMETERS, LOG = "swimid.results.parameters", "swimid.logs.tracks"
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
-LOG = "swimid.logs.tracks:Logged"
 
 #: Maximum width of a line on a terminal, and minimum width of a table column with shortened texts,
 #: characters.
@@ -50,25 +48,43 @@ WIDTH, MIN_CUT = 100, 16
 #: dash, or an empty text.
 _NUMBER = re.compile(r"(> )?[(−-]?\d[\d.]*( ± [\d.]+)?\)?( × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?( ?[°%])?|–|")
 
-#: Command that is suggested to the user after each command. ``{file}`` is the result file, ``{trials}`` the
-#: first YAML file among the inputs of the result, and ``{params}`` the last.
-NEXT = {
-    **dict.fromkeys(
-        ("fit-drag", "fit-propulsion", "fit-graybox"),
-        "swimid compare {trials} --params {file} -o comparison.yaml",
-    ),
-    "compare": "swimid diagnose {trials} --params {params} -o gap.yaml",
-    **dict.fromkeys(("track video", "track imu", "import", "simulate"), "swimid plot {file} -o log.svg"),
-    **dict.fromkeys(
-        (
-            "diagnose", "rwls", "map", "sensitivity", "optimise stiffness", "optimise gait", "compare-runs",
-        ),
-        "swimid report {file} -o report.html",
-    ),
-    **dict.fromkeys(("plot", "report", "batch"), "python -m webbrowser {file}"),
-    "doctor": "swimid sample",
-    "doctor --clean": "pip uninstall swimid",
-}  # fmt: skip
+#: Members of results that the commands and reports use, and that :func:`dir` does not list.
+_INTERNAL = frozenset((
+    "bare", "content", "ending", "exit_status", "file_type", "keys", "kind", "leads_page", "next_command",
+    "next_step", "of", "saved", "text",
+))  # fmt: skip
+
+
+def typed(name: str | Path) -> str:
+    """Return a file name as it is typed in a command: quoted for the shell, and never taken for an option.
+
+    >>> typed("my $(run).yaml"), typed("-x.yaml")
+    ("'my $(run).yaml'", './-x.yaml')
+    """
+    text = str(name)
+    if text.startswith("-"):
+        text = f"./{text}"
+    return shlex.quote(text)
+
+
+class _Free(dict[str, str]):
+    """Names of outputs. A name that a file in the folder already has is numbered: ``gap-2.yaml``."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.folder = folder
+
+    def __missing__(self, name: str) -> str:
+        stem, dot, ending = name.rpartition(".")
+        names = itertools.chain([name], (f"{stem}-{k}{dot}{ending}" for k in itertools.count(2)))
+        places = (self.folder / one for one in names)
+        return next(one.name for one in places if not (one.exists() or ev.sidecar(one).exists()))
+
+    @property
+    def repaired(self) -> str:
+        """Option for the second output of ``diagnose``; empty if its usual name is free."""
+        name = self["repaired.yaml"]
+        return "" if name == "repaired.yaml" else f" --repaired {name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +133,13 @@ class Result:
     kind: ClassVar[str] = "Result"
     #: Ending of the name of a result file that is not written yet.
     ending: ClassVar[str] = ".yaml"
+    #: Whether a report of several results begins with the verdict of this result.
+    leads_page: ClassVar[bool] = False
+    #: Type of each key of :attr:`data`, for ``swimid schema answer``, if the result is no YAML file.
+    keys: ClassVar[Mapping[str, Any]] = {}
+    #: Command that a user may run next. ``{file}`` stands for the result file, ``{trials}`` and ``{params}``
+    #: for two of its inputs, ``{data[key]}`` for a name in :attr:`data`, ``{free[gap.yaml]}`` for an output.
+    next_step: ClassVar[Any] = ""
 
     @property
     def exit_status(self) -> int:
@@ -141,13 +164,44 @@ class Result:
             verdict += f" {passed} {('checks pass', 'check passes')[passed == 1]}."
         return "\n".join([*parts, "", textwrap.fill(verdict, WIDTH)])
 
-    def next_command(self, file: str) -> str:
-        """Return the command that a user may run next on this result in ``file``; empty if there is none."""
-        block = getattr(self.evidence, "provenance", {})
-        files = [path for path in provenance.paths_of(block) if path.endswith((".yaml", ".yml"))]
-        trials, *others = files or ["TRIALS.yaml"]
-        params = (others or ["PARAMETERS.yaml"])[-1]
-        return NEXT.get(self.command, "").format(file=file, trials=trials, params=params)
+    def next_command(self, file: str | Path, folder: Path = Path()) -> str:
+        """Return the command that a user may run next on this result; empty if there is none.
+
+        All its names are quoted for the shell, and its outputs replace no file.
+
+        Parameters
+        ----------
+        file : path
+            Path of the result file from ``folder``.
+        folder : Path
+            Folder in which the command is typed. It must contain the inputs of the result, or the folder of
+            the result file or one above it must. Otherwise there is no command.
+        """
+        words: dict[str, Any] = {"file": typed(file), "free": _Free(folder)}
+        words["data"] = {name: typed(value) for name, value in self.data.items() if isinstance(value, str)}
+        if "{trials}" in self.next_step:
+            given = self._inputs(folder)
+            about = getattr(self.document, "params", None)
+            params = [place for name, place in given.items() if Path(name).name == Path(str(about)).name]
+            if not given or ("{params}" in self.next_step and not params):
+                return ""
+            words |= {"trials": typed(next(iter(given.values()))), "params": "".join(map(typed, params[:1]))}
+        return self.next_step.format(**words)
+
+    def _inputs(self, folder: Path) -> dict[str, str]:
+        """Return the path of each YAML file among the inputs of the result from a folder, by its name.
+
+        The names of inputs are relative to the folder of the result. The folder is searched for that has
+        these files with their content. The result is empty if there is none.
+        """
+        known = getattr(self.evidence, "provenance", {}).get("inputs", {})
+        paths = getattr(known, "paths", {})
+        digests = {name: digest for name, digest in known.items() if name.endswith((".yaml", ".yml"))}
+        for base in (Path(), *self.path.absolute().parents):
+            files = {name: base / paths.get(name, name) for name in digests}
+            if all(file.is_file() and sha256(file) == digests[name] for name, file in files.items()):
+                return {name: os.path.relpath(file, folder) for name, file in files.items()}
+        return {}
 
     def content(self) -> ev.Evidence:
         """Return the content of a report on the result: its evidence, and facts and tables of its file.
@@ -230,8 +284,7 @@ class Result:
 
         figures = {figure.id: figure for figure in self._shown("figures")}
         if name not in figures:
-            known = ", ".join(figures) or "none"
-            raise UsageError(f"there is no figure '{name}'", hint=f"there are: {known}")
+            raise UsageError(f"there is no figure '{name}'", hint=suggestion(name, list(figures)))
         figure = figures[name]
         if axes is None:
             from matplotlib import pyplot
@@ -264,7 +317,7 @@ class Result:
         UsageError
             If this result cannot be written to a file, or if the path is one of its inputs.
         """
-        inputs = provenance.paths_of((self.evidence or self.bare()).provenance)
+        inputs = paths_of((self.evidence or self.bare()).provenance)
         target = atomic.check_writable(Path(path), inputs=inputs)
         with atomic.together():
             written = self._write(target)
@@ -353,18 +406,27 @@ class Result:
     def __str__(self) -> str:
         return self.summary()
 
+    def __dir__(self) -> list[str]:
+        return [name for name in super().__dir__() if name[0] != "_" and name not in _INTERNAL]
+
     def _repr_html_(self) -> str:
-        """Return the HTML that a notebook shows for the result: its summary, and a folded table of checks."""
+        """Return the HTML that a notebook shows: summary, figures (folded after the first), folded checks."""
+        from swimid.results import drawing
+
         shown = f"<pre>{html.escape(self.summary())}</pre>"
+        for k, figure in enumerate(self._shown("figures")):
+            picture = drawing.for_notebook(figure)
+            if k:
+                picture = f"<details><summary>{html.escape(figure.title)}</summary>{picture}</details>"
+            shown += picture
         if self.evidence is not None and self.evidence.checks:
             table = self.checks().to_html(index=False, border=0)
             shown += f"<details><summary>checks</summary>{table}</details>"
         return f"<div>{shown}</div>"
 
 
-@dataclass(frozen=True, eq=False)
 class Text(Result):
-    """Result of ``report`` or ``export``, whose ``document`` is the text of a page or of an exported file."""
+    """Result whose ``document`` is the text of a file: a page, a draft or an exported model."""
 
     def _write(self, path: Path) -> list[Path]:
         atomic.write_text(path, self.document)
@@ -406,15 +468,16 @@ def _frame(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFram
     return pd.DataFrame([list(row) for row in rows], columns=list(columns))
 
 
-@dataclass(frozen=True, eq=False)
 class FileResult(Result, Generic[File]):
     """Base class of results that are stored in a YAML file. Each subclass has its own file format."""
 
     file_type: ClassVar[type[ResultFile]]
+    next_step = "swimid report {file} -o {free[report.html]}"
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         cls.kind = cls.file_type.kind.capitalize()
+        _CLASSES[_format_name(cls.file_type.model_fields["format"].default)] = cls
 
     @property
     def file(self) -> File:
@@ -511,26 +574,45 @@ def load_result(path: str | Path) -> Result:
     >>> load_result("sample_logs/gap/params.yaml").parameters.loc["c_ma", "unit"]
     '1'
     """
-    path = Path(path)
+    with explained(load_result, [path]):
+        path = Path(path)
     ending = path.suffix.lower()
-    place = LOG
     if path.name.endswith(".evidence.json"):
         stem = path.name.removesuffix(".evidence.json")
         there = [e for e in (".yaml", ".yml", *LOG_ENDINGS) if path.with_name(stem + e).exists()]
         result = stem + (there or [".yaml"])[0]
         raise InputError("is the evidence of a result", file=path, hint=f"name the result itself: {result}")
-    if ending in (".yaml", ".yml"):
-        form = yamlio.load(path).get("format")
-        if not isinstance(form, str) or form not in FORMATS:
-            reason = f"its format '{form}' is that of no result"
-            if form is None:
-                reason = "has no 'format'"
-            hint = suggestion(str(form), sorted(FORMATS), "known")
-            raise InputError(reason, file=path, line=1, column="format", hint=hint)
-        place = FORMATS[form]
-    elif ending not in LOG_ENDINGS:
+    if ending in LOG_ENDINGS:
+        log: Result = import_module(LOG).Logged.load(path)
+        return log
+    if ending not in (".yaml", ".yml"):
         allowed = ", ".join([".yaml", *LOG_ENDINGS])
         raise InputError(f"is no result file: its ending must be one of {allowed}", file=path)
-    module, _, name = place.partition(":")
-    loaded: Result = getattr(import_module(module), name).load(path)
-    return loaded
+    form = yamlio.load(path).get("format")
+    name = _format_name(str(form))
+    if name not in formats():
+        reason = f"its format '{form}' is that of no result"
+        if form is None:
+            reason = "has no 'format'"
+        hint = suggestion(name, formats(), "known")
+        raise InputError(reason, file=path, line=1, column="format", hint=hint)
+    return class_of(name).load(path)
+
+
+def _format_name(form: str) -> str:
+    return form.removeprefix("swimid-").partition("/")[0]
+
+
+def formats() -> list[str]:
+    """Return the names of the formats of all result files, such as ``gap`` for ``swimid-gap/1``."""
+    names = [name for spec in found().values() for name in spec.makes.split("|") if name not in KINDS]
+    return ["parameters", *names]
+
+
+def class_of(name: str) -> type[FileResult[Any]]:
+    """Return the class of the results of a format; the module of its command is imported if need be."""
+    import_module(PARAMETERS)
+    for spec in found().values():
+        if name not in _CLASSES and name in spec.makes.split("|"):
+            spec.run()
+    return _CLASSES[name]

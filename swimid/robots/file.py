@@ -211,8 +211,10 @@ def built_in() -> list[str]:
     return sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml"))
 
 
-def locate(name: str, relative_to: Path | None = None) -> Path:
+def locate(name: str, relative_to: Path | None = None, said: Mapping[str, Any] | None = None) -> Path:
     """Return the path of a robot file, given the name of a built-in robot or the path itself.
+
+    ``said`` is the place of the name for the error: ``file``, ``line`` and ``column``.
 
     Raises
     ------
@@ -222,13 +224,13 @@ def locate(name: str, relative_to: Path | None = None) -> Path:
     if name in built_in():
         return Path(str(resources.files("swimid") / "robots" / f"{name}.yaml"))
     path = Path(name) if relative_to is None or Path(name).is_absolute() else relative_to / name
-    if path.is_file():
+    if path.is_file() or path.is_dir():
         return path
     close = nearest(name, built_in())
     hint = f"did you mean '{close}'? " if close else ""
     raise InputError(
         f"there is no robot '{name}'",
-        file=path if path.suffix in (".yaml", ".yml") else None,
+        **(said or {"file": path if path.suffix in (".yaml", ".yml") else None}),
         hint=f"{hint}built-in robots: {', '.join(built_in())}; or give the path of a robot file",
     )
 

@@ -6,9 +6,8 @@ import json
 import os
 from collections import Counter
 from concurrent.futures import as_completed
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired
 
 from swimid import executors
 from swimid.errors import Interrupted, UsageError
@@ -16,7 +15,7 @@ from swimid.files import atomic
 from swimid.files.provenance import is_own
 from swimid.notices import Progress, show, silent
 from swimid.options import takes
-from swimid.results.result import Result
+from swimid.results.result import Result, Text
 from swimid.runs import item, slurm, status, summary
 from swimid.runs.options import BatchOptions
 from swimid.runs.plan import Item, Resolved, folder_of, resolve
@@ -27,7 +26,6 @@ UNFINISHED = ("missing", "outdated")
 INCOMPLETE = 4
 
 
-@dataclass(frozen=True, eq=False)
 class Batch(Result):
     """Result of ``batch``: number of items by state, and the items that need attention.
 
@@ -39,6 +37,12 @@ class Batch(Result):
         Exit status of the command: 4 if an item is refused, failed, without result or held by another
         process, or if a run left an item undone; 0 otherwise.
     """
+
+    next_step = "python -m webbrowser {file}"
+    keys = {
+        "items": NotRequired[int | list[dict[str, Any]]], "states": NotRequired[dict[str, int]],
+        "entries": NotRequired[list[dict[str, Any]]], "jobs": NotRequired[int],
+    }  # fmt: skip
 
     @property
     def exit_status(self) -> int:
@@ -59,7 +63,7 @@ def batch(
     options: BatchOptions,
     force: bool = False,
     progress: Progress = silent,
-) -> Result:
+) -> Batch | Text:
     """Take many films, logs or trials files through chains of commands.
 
     Each item is done in a process of its own and leaves its results and its state in

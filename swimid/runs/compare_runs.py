@@ -53,7 +53,6 @@ class RunComparison(yamlio.ResultFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
 class ComparedRuns(FileResult[RunComparison]):
     """Result of ``compare-runs``: estimates of all runs side by side, and those that changed.
 

@@ -86,6 +86,7 @@ class CompareRunsOptions(
     section="Many at once",
     argument="RUN...",
     output="Comparison of runs to write (YAML).",
+    makes="run-comparison",
 ):
     """Compare runs, or results of one robot from several days.
 

@@ -24,7 +24,8 @@ import click
 from pydantic import BaseModel, Field, field_validator
 
 import swimid
-from swimid.cli import main as cli
+from swimid.cli.main import check_words
+from swimid.commands import CommandSpec, found
 from swimid.errors import InputError, SwimidError, UsageError, suggestion
 from swimid.files import atomic, yamlio
 from swimid.options import Declared
@@ -457,9 +458,9 @@ class _Chain:
         if command == TRIALS:
             self.add_trials(options)
             return
-        specs = cli.found()
-        if command not in specs or specs[command].section == "Many at once":
-            known = [TRIALS, *(name for name, spec in specs.items() if spec.makes)]
+        specs = {name: spec for name, spec in found().items() if spec.section != "Many at once"}
+        if command not in specs:
+            known = [TRIALS, *(name for name, spec in specs.items() if spec.kind)]
             raise self.plan.error(f"there is no command '{command}'", *place, hint=suggestion(command, known))
         spec = specs[command]
         name = str(options.get("as", command.replace(" ", "-")))
@@ -483,18 +484,18 @@ class _Chain:
             step.argv.append(argv)
             step.outputs.append(str(output))
         self.steps.append(step)
-        self.made.setdefault(spec.makes, []).extend(step.outputs)
+        self.made.setdefault(spec.kind, []).extend(step.outputs)
 
-    def named(self, spec: cli.CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
+    def named(self, spec: CommandSpec, stem: str, stated: Any, place: tuple[Any, ...]) -> str:
         """Return the name of the output of a step, with the usual ending if the stated name has none."""
         name = str(stated or stem)
         if Path(name).name != name or name.startswith("."):
             raise self.plan.error(f"'as: {name}' must be the name of a file without a folder", *place)
         if stated is None or not Path(name).suffix:
-            if spec.makes not in ENDINGS:
+            if spec.kind not in ENDINGS:
                 hint = "add as: NAME.ENDING"
                 raise self.plan.error(f"'{spec.command}' needs a name for its file", *place, hint=hint)
-            name += ENDINGS[spec.makes]
+            name += ENDINGS[spec.kind]
         if name in self.written:
             raise self.plan.error(f"two files would be named {name}", *place, hint="as: NAME names a file")
         self.written.add(name)
@@ -502,7 +503,7 @@ class _Chain:
             name = f"./{name}"  # A command takes a dash for an option.
         return name
 
-    def argument(self, spec: cli.CommandSpec, place: tuple[Any, ...]) -> list[str]:
+    def argument(self, spec: CommandSpec, place: tuple[Any, ...]) -> list[str]:
         """Return the files of the positional argument of a command."""
         made = self.made
         chosen = {
@@ -523,7 +524,7 @@ class _Chain:
             raise self.plan.error(f"no step before '{spec.command}' makes a result", *place)
         return chosen
 
-    def typed(self, spec: cli.CommandSpec, options: Mapping[str, Any], place: tuple[Any, ...]) -> list[str]:
+    def typed(self, spec: CommandSpec, options: Mapping[str, Any], place: tuple[Any, ...]) -> list[str]:
         """Return the options of a step as words of a command line."""
         declared = spec.model().declared()
         by_key: dict[str, Declared] = {}
@@ -550,7 +551,7 @@ class _Chain:
                 words += [entry.flag, self.taken(entry, spec, place)]
         return words
 
-    def taken(self, entry: Declared, spec: cli.CommandSpec, place: tuple[Any, ...]) -> str:
+    def taken(self, entry: Declared, spec: CommandSpec, place: tuple[Any, ...]) -> str:
         """Return the file that a required option takes from an earlier step."""
         made = self.made.get(TAKEN.get(entry.name, ""), [])
         if not made:
@@ -584,7 +585,7 @@ class _Chain:
         return value
 
     def check(
-        self, spec: cli.CommandSpec, argv: list[str], options: Mapping[str, Any], place: tuple[Any, ...]
+        self, spec: CommandSpec, argv: list[str], options: Mapping[str, Any], place: tuple[Any, ...]
     ) -> None:
         """Raise an error if a command does not accept the values of its options."""
         key = f"{spec.command} {options}"
@@ -592,7 +593,7 @@ class _Chain:
             return
         self.plan.checked.add(key)
         try:
-            cli.check_words(spec, argv)
+            check_words(spec, argv)
         except (click.UsageError, SwimidError) as error:
             text = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise self.plan.error(f"{spec.command}: {text}", *place) from error

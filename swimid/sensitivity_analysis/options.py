@@ -11,13 +11,7 @@ from swimid.simulation import options as simulations
 from swimid.swimmer import options as swimmers
 
 
-class SensitivityOptions(
-    Options,
-    command="sensitivity",
-    section="Diagnose",
-    output="Sensitivity file to write (YAML).",
-    makes="result",
-):
+class SensitivityOptions(Options, command="sensitivity", section="Diagnose", makes="sensitivity"):
     """Rank the coefficients of a swimmer by their effect on each output.
 
     TRIALS is a trials file of a free-swim or multibody experiment. All coefficients vary at once over their

@@ -132,7 +132,6 @@ class SensitivityFile(yamlio.ResultFile):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
 class Sensitivity(FileResult[SensitivityFile]):
     """Result of ``sensitivity``: Sobol indices of the coefficients of a robot for each output.
 

@@ -7,7 +7,6 @@ compared with the mean of their simulations, over time and for each stroke (sea 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, eq=False)
 class Comparison(FileResult[ComparisonFile]):
     """Result of ``compare``: errors between measured trials and their simulation.
 
@@ -53,6 +51,13 @@ class Comparison(FileResult[ComparisonFile]):
     """
 
     file_type = ComparisonFile
+
+    @property
+    def next_step(self) -> str:  # type: ignore[override]
+        """Command that usually follows: a report of a good comparison, and a diagnosis of another one."""
+        if self.verdict == "good":
+            return FileResult.next_step
+        return "swimid diagnose {trials} --params {params} -o {free[gap.yaml]}{free.repaired}"
 
     @property
     def scores(self) -> pd.DataFrame:

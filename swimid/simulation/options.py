@@ -31,8 +31,7 @@ class CompareOptions(
     Options,
     command="compare",
     section="Simulate and compare",
-    output="Comparison file to write (YAML).",
-    makes="result",
+    makes="comparison",
     metrics=("channels.*.nrmse",),
 ):
     """Compare recorded trials with their simulation.

@@ -33,6 +33,7 @@ from swimid.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
 #: File name endings of the logs that ``simulate`` can write.
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
@@ -194,6 +195,8 @@ class Simulation(Result):
     inputs: Sequence[Input] = field(default=(), repr=False)
 
     ending = ".csv"
+    next_step = "swimid plot {file} -o {free[log.svg]}"
+    keys = {"model": str, "robot": str, "runs": list[dict[str, Any]]}
 
     @property
     def runs(self) -> dict[str, Simulated]:
@@ -217,6 +220,10 @@ class Simulation(Result):
             If there are several simulations. Use :attr:`frames` in that case.
         """
         return self._only("frames")
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the log of the only simulation as an ``xarray.Dataset`` over ``t_s``, with units."""
+        return log_format.to_xarray(self.frame, [log_format.TIME])
 
     @property
     def quantities(self) -> dict[str, Quantity]:

@@ -51,7 +51,6 @@ class FitGrayboxOptions(
     Options,
     command="fit-graybox",
     section="Identify",
-    output="Parameter file to write (YAML).",
     beside=(".evidence.json", ".front.csv"),
     makes="parameters",
 ):

@@ -7,7 +7,6 @@ proposals and trials from it with the functions that ``track setup`` uses, and k
 from __future__ import annotations
 
 import math
-import shlex
 from bisect import bisect_left
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -281,7 +280,7 @@ class Session:
         markers, common = self._chosen(choice)
         self.draft = self._finish(markers, common, self.progress)
         outputs = [str(path) for path in self.draft.outputs]
-        following = "".join(self.draft.next_command(shlex.quote(path)) for path in outputs[:1])
+        following = "".join(self.draft.next_command(path) for path in outputs[:1])
         return {"text": self.draft.text, "outputs": outputs, "next": following}
 
     def _markers(self, choice: Choice) -> list[Marker]:

@@ -239,7 +239,7 @@ def _robot_places(setup: Setup, name: str, path: Path) -> dict[str, tuple[float,
     def refuse(text: str, hint: str | None = None) -> InputError:
         return InputError(f"the robot '{name}' {text}", file=path, column="robot", hint=hint)
 
-    robot = robot_format.read(name, path.parent)
+    robot = robot_format.read(str(robot_format.locate(name, path.parent, {"file": path, "column": "robot"})))
     if robot.multilink is not None and robot.multilink.plane != setup.plane:
         raise refuse(f"moves in the {robot.multilink.plane} plane, the film shows another")
     places = robot.marker_places(setup.plane)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -16,7 +15,7 @@ from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance, yamlio
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
-from swimid.results.result import Result
+from swimid.results.result import Text
 from swimid.tracking import frames, picking
 from swimid.tracking import setup as setup_format
 from swimid.tracking.frames import Video
@@ -58,7 +57,7 @@ _MORE = """\
 
 
 @dataclass(frozen=True, eq=False)
-class SetupDraft(Result):
+class SetupDraft(Text):
     """Draft of a setup, which ``track_setup`` returns. Its ``document`` is YAML text with comments.
 
     Attributes
@@ -69,24 +68,26 @@ class SetupDraft(Result):
 
     sheet: NDArray[np.uint8] | None = None
 
+    next_step = "swimid track video {data[video]} --setup {file} -o {free[run.csv]}"
+    keys = {
+        "video": str, "markers": list[dict[str, Any]], "head": str, "tail": str | None,
+        "found_share": dict[str, float],
+    }  # fmt: skip
+
     @property
     def setup(self) -> Setup:
         """Setup of the draft, which can be passed to ``track_video``."""
         return setup_format.of(yamlio.parse_scalar(self.document))
 
-    def next_command(self, file: str) -> str:
-        """Return the command that tracks the film with the setup in ``file``."""
-        return f"swimid track video {shlex.quote(self.data['video'])} --setup {file} -o run.csv"
-
     def _write(self, path: Path) -> list[Path]:
-        atomic.write_text(path, self.document)
+        written = super()._write(path)
         if self.sheet is None:
-            return [path]
+            return written
         picture = path.with_suffix(".markers.png")
         _, data = cv2.imencode(".png", cv2.cvtColor(self.sheet, cv2.COLOR_RGB2BGR))
         with atomic.replacing(picture) as temporary:
             temporary.write_bytes(provenance.mark_png(data.tobytes()))
-        return [path, picture]
+        return [*written, picture]
 
 
 @takes(TrackSetupOptions)

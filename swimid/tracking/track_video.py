@@ -83,6 +83,11 @@ class Track(Logged):
     pose: Pose | None = None
     setup: Setup | None = None
 
+    keys = {
+        "frames": int, "found": int, "found_share": float, "duration_s": float, "interpolated": int,
+        "gaps": int, "longest_gap_s": float, "unit": str, "swimming": dict[str, Any],
+    }  # fmt: skip
+
     def _write(self, path: Path) -> list[Path]:
         written = super()._write(path)
         if self.evidence is None or atomic.is_device(path):
@@ -776,7 +781,7 @@ def _figures(pose: Pose, setup: Setup, found: Swimming) -> list[ev.Figure]:
         ev.Trace(x=x, y=y, label="smoothed", group=0),
         ev.Trace(x=x[first], y=y[first], style="points", label="start", group=1),
     ]
-    about = "Path of the reference point with equal scales."
+    about = "Path of the reference point."
     if pose.gaps:
         about += " The line without points is a gap."
     seen = np.ones(len(t), dtype=bool)
