@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -260,7 +261,7 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
         if change is not None and change <= limits[1]:
             rigid[pair] = (max(change, limits[0]), -sum(tried[name].score for name in pair))
     if rigid:
-        names = list(min(rigid, key=lambda pair: rigid[pair]))
+        names = list(min(rigid.items(), key=itemgetter(1))[0])
     first = names[0]
     for name in good:
         change = changes.get((first, name), changes.get((name, first), 0.0))

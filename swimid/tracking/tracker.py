@@ -283,10 +283,10 @@ class Group:
             return ""
         (frame, (x, y), new), count = moving[-1], len(self.targets)
         name, total = self.marker.name, count + len(new)
-        places = " and ".join(f"{x:.0f}, {y:.0f}" for x, y in new)
+        listed = " and ".join(f"{x:.0f}, {y:.0f}" for x, y in new)
         return (
             f"{total} objects of the colour of '{name}' move, and {count} is followed: in frame {frame} that "
-            f"at {x:.0f}, {y:.0f} px, not that at {places} px. To follow the other, give start_px of "
+            f"at {x:.0f}, {y:.0f} px, not that at {listed} px. To follow the other, give start_px of "
             f"'{name}' in the setup, or number: {total} and choose head and tail by number. To leave it "
             "out, give ignore_px: [[left, top, right, bottom]]"
         )
