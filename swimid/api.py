@@ -25,6 +25,7 @@ _NAMES_OF = {
     # Functions that create logs from videos and from recordings of other programs.
     "swimid.tracking.track_video": ("track_video",),
     "swimid.tracking.track_setup": ("track_setup",),
+    "swimid.tracking.track_camera": ("track_camera", "Calibration"),
     "swimid.inertial.track_imu": ("track_imu",),
     "swimid.logs.import_log": ("import_log",),
     "swimid.logs.mapping": ("guess_mapping",),

@@ -100,6 +100,7 @@ CODES: dict[str, str] = {
     "SWM152": "compiled kernels are not stored",
     "SWM172": "several objects of the colour of a marker move",
     "SWM173": "pixels may not be square",
+    "SWM174": "a picture of a calibration is not used",
 }
 
 

@@ -144,6 +144,7 @@ RESULTS: dict[str, Any] = {
     "optimise stiffness": "swimid-rule/2",
     "optimise gait": "swimid-gait/2",
     "compare-runs": "swimid-run-comparison/1",
+    "track camera": "swimid-camera/1",
     "track video": Film,
     "track setup": Setup,
     "track imu": Inertial,

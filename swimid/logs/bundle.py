@@ -554,14 +554,14 @@ class _Estimate:
         best = np.argmin(np.where(same, np.sum(off**2, axis=2), np.inf), axis=0)
         chosen = values[best, np.arange(len(best))]
         # Two minima differ by more than the sum of squares allows within one of them.
-        other = same[:, :, None] & (np.abs(links.differences(values, chosen)) > 4.0 * sd + 1e-3 * size)
+        other: Flags = np.asarray(np.abs(links.differences(values, chosen)) > 4.0 * sd + 1e-3 * size)
+        other &= same[:, :, None]
         reach = self._reach(rows, whole) + 4.0 * sd
         far = ~unknown & (np.abs(links.differences(values, near)) > reach)
-        likely, astray = ~far.any(axis=2), far[best, np.arange(len(best))]
-        rivals = np.asarray((likely[:, :, None] & other).any(axis=(0, 2)) | astray.any(axis=1))[:, None]
-        return np.asarray(astray | (other.any(axis=0) & rivals)), State(
-            chosen[:, 0] + 1j * chosen[:, 1], chosen[:, 2:]
-        )
+        likely, astray = np.asarray(~far.any(axis=2)), far[best, np.arange(len(best))]
+        rivals = (likely[:, :, None] & other).any(axis=(0, 2)) | astray.any(axis=1)
+        flags: Flags = np.asarray(astray | (other.any(axis=0) & np.asarray(rivals)[:, None]))
+        return flags, State(chosen[:, 0] + 1j * chosen[:, 1], chosen[:, 2:])
 
     def _reach(self, rows: Flags, whole: Flags) -> Array:
         """Return twice the usual distance of a whole frame from the state interpolated over a like gap.

@@ -39,6 +39,7 @@ FORMATS = {
     "swimid-rule/2": "swimid.optimisation.optimise_stiffness:StiffnessRule",
     "swimid-gait/2": "swimid.optimisation.optimise_gait:BestGait",
     "swimid-run-comparison/1": "swimid.runs.compare_runs:ComparedRuns",
+    "swimid-camera/1": "swimid.tracking.track_camera:Calibration",
 }
 LOG_ENDINGS = (".csv", *tabular.PARQUET)
 LOG = "swimid.logs.tracks:Logged"
@@ -62,6 +63,7 @@ NEXT = {
     **dict.fromkeys(
         (
             "diagnose", "rwls", "map", "sensitivity", "optimise stiffness", "optimise gait", "compare-runs",
+            "track camera",
         ),
         "swimid report {file} -o report.html",
     ),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance, yamlio
+from swimid.logs.scale import Camera
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
 from swimid.results.result import Result
@@ -140,10 +141,18 @@ def track_setup(
     common: dict[str, Any] = {"plane": options.plane, "frame_rate_hz": options.fps}
     if options.metres_per_pixel is not None:
         common["scale"] = {"metres_per_pixel": options.metres_per_pixel}
+    camera = options.camera
+    if camera is not None:
+        if isinstance(camera, str | Path):
+            from swimid.tracking.track_camera import CameraFile
+
+            camera = CameraFile.read(camera).camera
+        common["camera"] = camera = Camera.model_validate(camera).model_dump(mode="json")
     if options.pick:
 
         def finish(markers: list[Marker], common: dict[str, Any], progress: Progress) -> SetupDraft:
             _free(video, output, force)
+            common |= {"camera": camera}
             return _draft(video, _follow_chosen(video, markers, common, progress), [], output)
 
         picked: SetupDraft = picking.pick(video, options, common, finish, output=output, progress=progress)
