@@ -368,7 +368,8 @@ class _Estimate:
         """Return whether some frames fit the stated places better if the picture is mirrored."""
         if "lengths" in self.linkage.free or len(self.noise) < 3:
             return False
-        stated = replace(self.linkage, place=self.stated, free=self.linkage.free - {"places"})
+        free, unknown = self.linkage.free - {"places"}, np.zeros((0, 0))
+        stated = replace(self.linkage, place=self.stated, free=free, covariance=unknown)
         some = self.film.part(self._some)
         levels = [
             _Estimate.of(replace(some, seen=seen), stated).noise_level()

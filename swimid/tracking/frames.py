@@ -128,7 +128,9 @@ def _warn_of_densities(file: Path) -> None:
         about = picture.info
         across, down = about.get("dpi") or about.get("aspect") or about.get("jfif_density") or (1, 1)
         if min(across, down) > 0 and abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
-            text = f"{file.name} states {across:g} : {down:g} for the pixels across and down: they may not "
+            text = (
+                f"{file.name} states {across:.3g} : {down:.3g} for the pixels across and down: they may not "
+            )
             text += "be square. They are taken as square: give scale as four points_px with points_m"
             warn("SWM173", text)
 

@@ -193,7 +193,8 @@ def _evaluate(
     made = pose.build(track, rules, plane)
     checks = checks_of(track, made, rules, run.kept)
     if faults:
-        checks.append(ev.check("Frames of the film", "not all", False, "all", reason="; ".join(faults)))
+        reason = "; ".join(faults)
+        checks.insert(0, ev.check("Frames of the film", "not all", False, "all", reason=reason))
     swum = _swimming(made, (options.from_s, options.to_s))
     if swum.stroke is not None:
         if swum.doubt:
@@ -448,13 +449,13 @@ def checks_of(
         *_presence(track, pose, setup),
         _motion(track, setup),
         *_camera(kept or {}),
+        *_looks(track),
         *_others(track, setup),
         *_separation(pose, setup),
         *_direction(pose, setup, track),
         *_timing(pose),
         *_sight(track, pose),
         *_calibration(pose),
-        *_looks(track),
     ]
 
 
