@@ -132,6 +132,7 @@ def level_of(output):
     return verdict["level"], verdict["text"]
 
 
+@pytest.mark.slow
 def test_the_pixel_aspect_of_the_container_is_used(case):
     """Pixels of 64:45; also: other containers, rotated films and pictures (test_tracking_geometry)."""
     case("t4-o12-pixel-aspect")
@@ -171,7 +172,9 @@ def imported(film, robot, points, *options):
 @pytest.mark.parametrize(
     ("film", "robot", "points", "joints"),
     [
-        ("film.csv", "trio.yaml", "points.yaml", ["joint1_rad", "joint2_rad"]),
+        pytest.param(
+            "film.csv", "trio.yaml", "points.yaml", ["joint1_rad", "joint2_rad"], marks=pytest.mark.slow
+        ),
         ("film3.csv", "duo.yaml", "points3.yaml", ["joint1_rad"]),
     ],
 )
@@ -190,6 +193,7 @@ def test_exchanged_labels_give_no_wrong_bend(case, film, robot, points, joints):
         assert (off.abs() < 1.96 * sd).mean() > 0.92, name
 
 
+@pytest.mark.slow
 def test_a_mirrored_picture_is_bad(case):
     """The picture has y up."""
     case("t4-points-mirrored")
@@ -198,6 +202,7 @@ def test_a_mirrored_picture_is_bad(case):
     assert "mirrored" in text
 
 
+@pytest.mark.slow
 def test_a_tilted_camera_is_a_caution(case):
     """The camera is tilted by 14 degrees, and the scale follows from the links."""
     case("t4-points-tilted-camera")
