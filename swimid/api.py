@@ -28,6 +28,7 @@ _NAMES_OF = {
     "swimid.logs.mapping": ("guess_mapping",),
     "swimid.fitting.fit_common": ("fit_model",),
     # Classes of results.
+    "swimid.tracking.track_camera": ("Calibration",),
     "swimid.simulation.simulate": ("Simulation",),
     "swimid.simulation.compare": ("Comparison",),
     "swimid.diagnosis.evidence": ("Diagnosis",),

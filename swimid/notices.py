@@ -96,11 +96,14 @@ CODES: dict[str, str] = {
     "SWM100": "the robot swims tail first",
     "SWM101": "a body larger than a marker is followed",
     "SWM110": "a measured force has the wrong sign",
-    "SWM120": "tracked points left out",
+    "SWM120": "tracked points left out or exchanged",
     "SWM121": "places of tracked points are wrong or not determined",
     "SWM150": "lines of a checkpoint ignored",
     "SWM151": "a checkpoint cannot be written",
     "SWM152": "compiled kernels are not stored",
+    "SWM172": "several objects of the colour of a marker move",
+    "SWM173": "pixels may not be square",
+    "SWM174": "a picture of a calibration is not used",
     "SWM176": "an input has changed since it was read",
 }
 

@@ -109,7 +109,7 @@ def test_warnings_name_points_and_frames(swimid: Run, tmp_path: Path) -> None:
     )
     assert ran.status == 0, ran.err
     assert "SWM120" in ran.err
-    assert "labels exchanged, left out 3 ×: snout and back 3 × (frames 40, 41, 42)" in ran.err
+    assert "labels exchanged back 3 ×: snout and back 3 × (frames 40, 41, 42)" in ran.err
     assert "labels astray, left out 1 ×: web 1 × (frame 70)" in ran.err
     assert "3 exchanged, 1 stray" in ran.out
 
@@ -133,6 +133,66 @@ def test_labels_exchanged_in_most_frames(
     for name in ("x_m", "y_m", "yaw_rad", "joint2_rad"):
         assert np.sqrt(np.nanmean(errors[name] ** 2)) == pytest.approx(1.0, abs=0.35), name
     assert max(result["points"]["noise_px"].values()) < 1.0
+
+
+def test_exchanged_labels_are_exchanged_back(imported: Imported, tmp_path: Path) -> None:
+    """Labels that are exchanged in many frames in a row, on links with one point each."""
+    made = point_films.film(
+        seed=41, frames=200, places=HINGES | {"back": PLACES["back"], "eye": PLACES["eye"]}
+    )
+    before = [side.copy() for side in (made.column, made.row)]
+    at = [made.names.index(name) for name in ("heel", "tip")]
+    for side in (made.column, made.row):
+        side[60:140, at] = side[60:140, at[::-1]]
+    places = {name: PLACES[name] for name in made.names}
+    points = point_films.write_points(tmp_path / "points.yaml", places)
+    record, result = imported(made, "--robot", "tfish", "--points", points)
+    [fault] = result["points"]["left_out"]
+    assert (fault["fault"], fault["points"], len(fault["frames"])) == ("exchanged", ["heel", "tip"], 80)
+    errors = _errors(record, made)
+    for name in COLUMNS:
+        assert np.isfinite(record[name]).all(), name
+        assert np.abs(errors[name]).max() < 5, name
+    np.testing.assert_allclose(record["tip_x_px"], before[0][:, at[1]], atol=1e-3)
+
+
+def test_a_bend_that_the_points_leave_open_is_empty(imported: Imported, tmp_path: Path) -> None:
+    """Without knee, heel and ankle the tail bends to either side; no wrong bend has a small deviation."""
+    made = point_films.film(seed=43, frames=300, amplitudes_deg=(15.0, 20.0, 25.0, 30.0))
+    hidden = [made.names.index(name) for name in ("hip", "knee", "heel", "ankle")]
+    for side in (made.column, made.row):
+        side[100:200, hidden] = np.nan
+    points = point_films.write_points(tmp_path / "points.yaml")
+    record, _ = imported(made, "--robot", "tfish", "--points", points)
+    errors = _errors(record, made)
+    for name in COLUMNS:
+        known = np.isfinite(record[name])
+        assert known[:100].all(), name
+        assert np.abs(errors[name][known]).max() < 6, name
+
+
+def test_a_mirrored_picture_is_bad(swimid: Run, tmp_path: Path) -> None:
+    made = point_films.film(seed=47, frames=200)
+    made.row = 1500.0 - made.row
+    film = point_films.write_deeplabcut(made, tmp_path / "film.csv")
+    points = point_films.write_points(tmp_path / "points.yaml")
+    words = ("--rate-hz", "60", "--robot", "tfish", "--points", points, "-o", tmp_path / "run.csv")
+    ran = swimid("import", film, *words, "--json")
+    assert ran.json["verdict"]["level"] == "bad"
+    assert "the picture is mirrored" in ran.err
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.15])
+def test_perspective_is_named(tilt: float, imported: Imported, tmp_path: Path) -> None:
+    """A picture whose scale changes from one side to the other, and one whose scale does not."""
+    made = point_films.film(seed=53, frames=300, rate_hz=30.0)
+    middle = made.column.mean()
+    nearer = 1.0 + tilt * (made.column - middle) / np.ptp(made.column)
+    made.column, made.row = middle + (made.column - middle) / nearer, made.row / nearer
+    points = point_films.write_points(tmp_path / "points.yaml")
+    _, result = imported(made, "--robot", "tfish", "--points", points)
+    assert (result["points"]["perspective"] > 0.02) == bool(tilt)
+    assert ("change by" in result["verdict"]["text"]) == bool(tilt)
 
 
 def test_the_noise_follows_the_likelihood(imported: Imported, tmp_path: Path) -> None:

@@ -329,9 +329,13 @@ def test_the_browser_is_opened_at_the_address(tmp_path: Path) -> None:
             if seen.exists() and seen.read_text():
                 break
             run.post("check", {})
-        assert seen.read_text() == run.address
+        # Other users see the words of a command, but not the file that leads to the page.
+        page = Path(seen.read_text().removeprefix("file://"))
+        assert run.address in page.read_text()
+        assert page.parent.stat().st_mode & 0o077 == 0
         assert "ssh" not in run.told
         assert run.interrupt()[1] == ""
+        assert not page.exists()
     with served(POOL, "-o", tmp_path / "setup.yaml") as run:
         port = run.address.split(":")[2].split("/")[0]
         assert f"ssh -N -L {port}:127.0.0.1:{port}" in run.told

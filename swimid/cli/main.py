@@ -580,7 +580,21 @@ def main() -> None:
     """
 
 
-@main.group()
+class Tracking(click.Group):
+    """Command group that says what to type if it is given a file in place of a command."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """Return the command that the first word names."""
+        if args[0] not in self.commands and Path(args[0]).exists():
+            file, kind = shlex.quote(args[0]), "setup"
+            if Path(args[0]).suffix.lower() in (".csv", ".txt", ".parquet"):
+                kind = "imu"
+            output = {"setup": "setup.yaml", "imu": "run.csv"}[kind]
+            ctx.fail(f"'{args[0]}' is a file; type: swimid track {kind} {file} -o {output}")
+        return super().resolve_command(ctx, args)
+
+
+@main.group(cls=Tracking)
 def track() -> None:
     """Make logs: from videos with coloured markers, and from IMU recordings."""
 

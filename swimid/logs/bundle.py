@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from swimid.logs import linkage as links
@@ -44,6 +45,12 @@ THRESHOLDS, STEPS, NEAR = (200.0, 80.0, 40.0, 20.0, 10.0, 6.0), 3, 2
 #: neighbouring frames is taken: the quantile of the chi-square distribution with one degree of freedom at
 #: 0.1 %.
 MUCH_WORSE = 10.83
+#: Number of frames whose shapes, and their mirror images, are start values in the search for other states
+#: that fit a frame; and maximum gap that is bridged between two such states, frames.
+N_SHAPES, MAX_GAP = 8, 12
+#: Minimum distance of a component of the state from its neighbours that counts as a spike, in 95 %
+#: quantiles of the film: 7.8 standard deviations of normal noise, and four times the maximum of a sine.
+MAX_SPIKE = 4.0
 #: Maximum exponent with which the noise may fall with the likelihood.
 MAX_EXPONENT = 5.0
 #: Seed of the simulated noise by which the bias of the global quantities is estimated, and number of pairs of
@@ -76,9 +83,13 @@ class Film:
     there: Flags
     likelihood: Array
 
-    def part(self, rows: Flags) -> Film:
+    def part(self, rows: Flags | NDArray[np.intp]) -> Film:
         """Return a film of the chosen frames."""
         return Film(self.time_s[rows], self.seen[rows], self.there[rows], self.likelihood[rows])
+
+    def put(self, rows: NDArray[np.intp], other: Film) -> None:
+        """Replace the points of some frames by those of another film, in place."""
+        self.seen[rows], self.there[rows], self.likelihood[rows] = other.seen, other.there, other.likelihood
 
     def ordered(self, points: list[int]) -> Film:
         """Return a film whose labels are those of other points, by index."""
@@ -87,12 +98,13 @@ class Film:
 
 @dataclass
 class Fault:
-    """Points that were left out for one reason.
+    """Points that were left out for one reason, or exchanged.
 
     Attributes
     ----------
     kind : str
-        ``exchanged``, ``merged``, ``stray``, or ``lost`` if more than half of the points of a frame disagree.
+        ``exchanged`` (and exchanged back), ``merged``, ``stray``, or ``lost`` if more than half of the points
+        of a frame disagree.
     names : tuple of str
         Names of the points: one for a stray, two for the others.
     frames : ndarray of int
@@ -129,6 +141,13 @@ class Fit:
     faults : list of Fault
     level : float
         Probability of a chance removal for a single point in a single frame.
+    order : ndarray of int, shape (n, points)
+        Index of the label that shows each point. It differs from the index of the point where two labels were
+        exchanged back.
+    ambiguous : ndarray of bool, shape (n, 2 + links)
+        Whether another state fits the points of a frame as well and has another value of a component.
+    mirrored : bool
+        Whether the mirrored picture fits the places of the points better.
     """
 
     linkage: Linkage
@@ -141,6 +160,9 @@ class Fit:
     undetermined: Array
     faults: list[Fault]
     level: float
+    order: NDArray[np.intp]
+    ambiguous: Flags
+    mirrored: bool
 
 
 def fit(film: Film, linkage: Linkage) -> Fit:
@@ -163,7 +185,9 @@ def fit(film: Film, linkage: Linkage) -> Fit:
     estimate.settle()
     if estimate.exchange(linkage):
         estimate.settle()
-    estimate.unfold()
+    if estimate.exchange_back():
+        estimate.settle()
+    ambiguous = estimate.unfold()
     estimate.remove_bias()
     found = estimate.residuals()
     faults = _faults(estimate, found)
@@ -178,6 +202,9 @@ def fit(film: Film, linkage: Linkage) -> Fit:
         estimate.undetermined(),
         faults,
         estimate.level,
+        estimate.order,
+        ambiguous,
+        estimate.is_mirrored(),
     )
 
 
@@ -187,6 +214,7 @@ class _Estimate:
     def __init__(self, film: Film, linkage: Linkage, state: State) -> None:
         self.film, self.linkage, self.state = film, linkage, state
         self.used, self.stated = film.there.copy(), linkage.place
+        self.order = np.tile(np.arange(film.seen.shape[1]), (len(film.seen), 1))
         self.floor = MIN_NOISE * linkage.scale * linkage.size
         self.noise = np.full(film.seen.shape[1], 1e3 * self.floor)
         self.exponent, self.place_sd_m = 0.0, 0.0
@@ -302,10 +330,8 @@ class _Estimate:
         """
         if "lengths" in linkage.free or self.noise.max() < SUSPICIOUS * self.noise.min():
             return False
-        rows = np.zeros(len(self.used), dtype=bool)
-        rows[:: max(len(rows) // SAMPLE, 1)] = True
-        stated = replace(linkage, free=linkage.free - {"places"})
-        some, points = self.film.part(rows), range(len(self.noise))
+        stated, some = replace(linkage, free=linkage.free - {"places"}), self.film.part(self._some)
+        points = range(len(self.noise))
         suspects = np.argsort(-self.noise)[:SUSPECTS].tolist()
         orders = [list(points)]
         for i, j in combinations(suspects, 2):
@@ -313,9 +339,7 @@ class _Estimate:
             order[i], order[j] = j, i
             orders.append(order)
         tried = [_Estimate.of(some.ordered(order), stated) for order in orders]
-        for trial in tried:
-            trial.begin()
-        levels = [float(np.log(trial.noise).mean()) for trial in tried]
+        levels = [trial.noise_level() for trial in tried]
         best = int(np.argmin(levels))
         if levels[0] - levels[best] < np.log(MIN_GAIN):
             return False
@@ -327,6 +351,65 @@ class _Estimate:
         self.state = whole.state
         self.linkage = replace(found.linkage, free=linkage.free, covariance=linkage.covariance)
         return True
+
+    @property
+    def _some(self) -> Flags:
+        """Flags of about :data:`SAMPLE` frames, spread evenly over the film."""
+        rows = np.zeros(len(self.used), dtype=bool)
+        rows[:: max(len(rows) // SAMPLE, 1)] = True
+        return rows
+
+    def noise_level(self) -> float:
+        """Fit the film robustly, and return the mean logarithm of the noise of its points."""
+        self.begin()
+        return float(np.log(self.noise).mean())
+
+    def is_mirrored(self) -> bool:
+        """Return whether some frames fit the stated places better if the picture is mirrored."""
+        if "lengths" in self.linkage.free or len(self.noise) < 3:
+            return False
+        free, unknown = self.linkage.free - {"places"}, np.zeros((0, 0))
+        stated = replace(self.linkage, place=self.stated, free=free, covariance=unknown)
+        some = self.film.part(self._some)
+        levels = [
+            _Estimate.of(replace(some, seen=seen), stated).noise_level()
+            for seen in (some.seen, some.seen.conj())
+        ]
+        return bool(levels[0] - levels[1] > np.log(MIN_GAIN))
+
+    def exchange_back(self) -> bool:
+        """Exchange two labels back in frames that then agree with the linkage; return whether any was.
+
+        In such a frame points were left out, and all that can be used agree once two labels are exchanged.
+        Their residuals must have two degrees of freedom or more, so that a stray label rarely agrees by
+        chance. The frame stays as it is if several exchanges agree.
+        """
+        rows = np.flatnonzero((self.film.there & ~self.used).any(axis=1))
+        if "lengths" in self.linkage.free or not len(rows):
+            return False
+        film, used = self.film.part(rows), self.used[rows]
+        out, found = film.there & ~used, []
+        for i, j in combinations(range(len(self.noise)), 2):
+            order = np.arange(len(self.noise))
+            order[[i, j]] = j, i
+            trial = _Estimate.of(film.ordered(order.tolist()), self.linkage)
+            trial.noise, trial.exponent, trial.level = self.noise, self.exponent, self.level
+            both = out[:, i] & out[:, j] & used.any(axis=1)
+            trial.used[both] = used[both]
+            trial.used[both, i] = trial.used[both, j] = True
+            trial._solve()
+            result = trial.residuals()
+            agree = ~(trial.is_far(result) & trial.used).any(axis=1) & trial.used[:, i] & trial.used[:, j]
+            agree &= np.sum(result.share.sum(axis=2) * trial.used, axis=1) > 2.0 - links.MIN_SHARE
+            found.append((agree, order, trial))
+        alone: Flags = np.asarray(np.sum([agree for agree, _, _ in found], axis=0) == 1)
+        for agree, order, trial in found:
+            mine = agree & alone
+            self.film.put(rows[mine], trial.film.part(mine))
+            self.order[rows[mine]], self.used[rows[mine]] = order, trial.used[mine]
+            self.log_likelihood[rows[mine]] = trial.log_likelihood[mine]
+            self.state[rows[mine]] = trial.state[mine]
+        return bool(alone.any())
 
     # ------------------------------------------------------------ faults
 
@@ -413,25 +496,95 @@ class _Estimate:
                 break
         self._solve()
 
-    def unfold(self) -> None:
-        """Choose the solution nearest to that of neighbouring frames in frames that lack points.
+    def unfold(self) -> Flags:
+        """Choose between the states that fit the points of a frame alike, in frames that lack points.
 
-        Without the points of two successive links these may be bent to either side. The solution nearest to
-        neighbouring frames is taken, unless its sum of squares is significantly larger.
+        Without the points of two successive links these may be bent to either side. The states are searched
+        from shapes that the linkage has in other frames, and from their mirror images. The state nearest to
+        the one interpolated between frames with all points is taken.
+
+        Returns
+        -------
+        ndarray of bool, shape (n, 2 + links)
+            Components that differ in another state with a sum of squares that is not significantly larger,
+            where neighbouring frames do not exclude that state. They exclude a state that is farther from the
+            interpolated one than any frame with all points is from its neighbours over the same gap.
+            Components of the state that is taken are flagged if they are that far away.
         """
+        ambiguous = np.zeros((len(self.used), 2 + len(self.linkage.parent)), dtype=bool)
+        seen: Flags = np.asarray(self.used.any(axis=1))
         whole: Flags = np.asarray(self.used.all(axis=1))
-        rows: Flags = np.asarray(~whole & self.used.any(axis=1))
-        if not (whole.any() and rows.any()):
-            return
+        # A point that is astray on the circle about its joint agrees with the others. It shows as a bend of
+        # the joint in a single frame.
+        at, values = np.flatnonzero(whole), self.state.components[whole]
+        if len(at) > MAX_GAP:
+            first, last = (links.differences(one, values[1:-1]) for one in (values[:-2], values[2:]))
+            share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
+            off = np.abs(first + share * (last - first))
+            excess = (off / np.maximum(MAX_SPIKE * np.quantile(off, 0.95, axis=0), 1e-300)).max(axis=1)
+            peak = np.maximum(np.r_[0.0, excess[:-1]], np.r_[excess[1:], 0.0])
+            whole[at[1:-1]] = (excess <= 1.0) | (excess < peak)
+        # If a second state fits all points of a frame, no frame tells which of them is right.
+        if (whole & self._some).any() and self._choose(whole & self._some, ~seen)[0].any():
+            whole[:] = False
+        rows = seen & ~whole
+        if rows.any():
+            ambiguous[rows], state = self._choose(rows, whole)
+            self.state[rows] = state
+        return ambiguous
+
+    def _choose(self, rows: Flags, whole: Flags) -> tuple[Flags, State]:
+        """Return ambiguous components of the states of some frames, and the states that are taken."""
         weight, seen = np.where(self.used, 1.0 / self.variance, 0.0)[rows], self.film.seen[rows]
-        near = links.bridged(self.film.time_s, self.state, whole)[rows]
-        near = links.solve(self.linkage, seen, weight, near)
-        costs = [
-            np.sum(weight * np.abs(seen - links.predicted(self.linkage, state)) ** 2, axis=1)
-            for state in (near, self.state[rows])
-        ]
-        chosen = costs[0] < costs[1] + MUCH_WORSE
-        self.state[np.flatnonzero(rows)[chosen]] = near[chosen]
+        shapes = self.state.angles[np.linspace(0, len(self.used) - 1, N_SHAPES).astype(int), 1:]
+        starts = [self.state[rows]]
+        bridged = starts[0]
+        if whole.any():
+            bridged = links.bridged(self.film.time_s, self.state, whole)[rows]
+            starts.append(bridged)
+        starts += [links.placed(self.linkage, seen, weight, shape) for shape in (*shapes, *-shapes)]
+        found = [links.solve(self.linkage, seen, weight, start) for start in starts]
+        costs = np.array([links.cost(self.linkage, seen, weight, state) for state in found])
+        same: Flags = np.asarray(costs <= costs.min(axis=0) + MUCH_WORSE)
+        values, near = np.array([state.components for state in found]), bridged.components
+        result = self.residuals()
+        sd, unknown = np.sqrt(result.alone[rows]), ~result.known[rows]
+        size = np.ones(values.shape[2])
+        size[:2] = self.linkage.scale * self.linkage.size
+        off = links.differences(values, near) / size
+        best = np.argmin(np.where(same, np.sum(off**2, axis=2), np.inf), axis=0)
+        chosen = values[best, np.arange(len(best))]
+        # Two minima differ by more than the sum of squares allows within one of them.
+        other: Flags = np.asarray(np.abs(links.differences(values, chosen)) > 4.0 * sd + 1e-3 * size)
+        other &= same[:, :, None]
+        reach = self._reach(rows, whole) + 4.0 * sd
+        far = ~unknown & (np.abs(links.differences(values, near)) > reach)
+        likely, astray = np.asarray(~far.any(axis=2)), far[best, np.arange(len(best))]
+        rivals = (likely[:, :, None] & other).any(axis=(0, 2)) | astray.any(axis=1)
+        flags: Flags = np.asarray(astray | (other.any(axis=0) & np.asarray(rivals)[:, None]))
+        return flags, State(chosen[:, 0] + 1j * chosen[:, 1], chosen[:, 2:])
+
+    def _reach(self, rows: Flags, whole: Flags) -> Array:
+        """Return twice the usual distance of a whole frame from the state interpolated over a like gap.
+
+        The usual distance is its 95 % quantile. The result is infinite for gaps of more than :data:`MAX_GAP`
+        frames, and before the first and after the last whole frame.
+        """
+        at, frames = np.flatnonzero(whole), np.flatnonzero(rows)
+        values = self.state.components
+        reach = np.full((len(values), values.shape[1]), np.inf)
+        if len(at) < 2:
+            return reach[rows]
+        after = np.clip(np.searchsorted(at, frames), 1, len(at) - 1)
+        gaps = np.maximum(frames - at[after - 1], at[after] - frames)
+        outside = (frames < at[0]) | (frames > at[-1])
+        for gap in np.unique(gaps[~outside & (gaps <= MAX_GAP)]).tolist():
+            middle = np.arange(gap, len(whole) - gap)
+            middle = middle[whole[middle] & whole[middle - gap] & whole[middle + gap]]
+            first, last = (links.differences(values[middle + k], values[middle]) for k in (-gap, gap))
+            if len(middle):
+                reach[frames[~outside & (gaps == gap)]] = np.quantile(np.abs(first + last), 0.95, axis=0)
+        return reach[rows]
 
     def remove_bias(self) -> None:
         """Remove the bias that noise gives the global quantities, and compute their covariance.
@@ -548,17 +701,15 @@ def _faults(estimate: _Estimate, found: Residuals) -> list[Fault]:
     doubt = np.abs(found.share - 1.0).max(axis=2) * variance
     limit = float(special.chdtri(2.0, estimate.level))
     reach = (estimate.linkage.scale * estimate.linkage.size) ** 2
-    exchanged = _exchanged(estimate)
     kinds: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    moved = estimate.order != np.arange(len(names))
+    for row in np.flatnonzero(moved.any(axis=1)).tolist():
+        kinds.setdefault(("exchanged", tuple(np.array(names)[moved[row]].tolist())), []).append(row)
     for row in np.flatnonzero(out.any(axis=1)).tolist():
         left = set(np.flatnonzero(out[row]).tolist())
         if not estimate.used[row].any():
             kinds.setdefault(("lost", ()), []).append(row)
             continue
-        if row in exchanged:
-            i, j = exchanged[row]
-            left -= {i, j}
-            kinds.setdefault(("exchanged", (names[i], names[j])), []).append(row)
         for i in left:
             away = np.abs(film.seen[row, i] - places[row]) ** 2
             near = (away < limit * (variance[row, i] + doubt[row])) & (doubt[row] < reach)
@@ -568,27 +719,3 @@ def _faults(estimate: _Estimate, found: Residuals) -> list[Fault]:
                 key = ("merged", (names[i], names[int(np.argmin(np.where(near, away, np.inf)))]))
             kinds.setdefault(key, []).append(row)
     return [Fault(kind, of, np.array(rows)) for (kind, of), rows in kinds.items()]
-
-
-def _exchanged(estimate: _Estimate) -> dict[int, tuple[int, int]]:
-    """Return the two points of each frame that agree with all others once their labels are exchanged."""
-    out = estimate.film.there & ~estimate.used
-    pairs = [
-        (row, i, j)
-        for row in np.flatnonzero(out.any(axis=1) & estimate.used.any(axis=1))
-        for i, j in combinations(np.flatnonzero(out[row]), 2)
-    ]
-    if not pairs:
-        return {}
-    rows, i, j = np.array(pairs).T
-    film, each = estimate.film, np.arange(len(rows))
-    seen = film.seen[rows]
-    seen[each, i], seen[each, j] = film.seen[rows, j], film.seen[rows, i]
-    swapped = Film(film.time_s[rows], seen, film.there[rows], film.likelihood[rows])
-    trial = _Estimate(swapped, estimate.linkage, estimate.state[rows])
-    trial.noise, trial.level = estimate.noise, estimate.level
-    trial.used = estimate.used[rows]
-    trial.used[each, i] = trial.used[each, j] = True
-    trial._solve()
-    agree = ~(trial.is_far(trial.residuals()) & trial.used).any(axis=1)
-    return {int(rows[k]): (int(i[k]), int(j[k])) for k in np.flatnonzero(agree)}

@@ -251,6 +251,11 @@ class State:
     def __setitem__(self, rows: slice | NDArray[np.intp] | Flags, other: State) -> None:
         self.position[rows], self.angles[rows] = other.position, other.angles
 
+    @property
+    def components(self) -> Array:
+        """Position and angles as real numbers, shape (n, 2 + links)."""
+        return np.column_stack([self.position.real, self.position.imag, self.angles])
+
     def moved(self, step: Array) -> State:
         """Return the states changed by steps, shape (n, 2 + links)."""
         return State(self.position + step[:, 0] + 1j * step[:, 1], self.angles + step[:, 2:])
@@ -304,13 +309,14 @@ def solve(linkage: Linkage, seen: Complex, weight: Array, state: State, steps: i
     return found
 
 
-def _cost(linkage: Linkage, seen: Complex, weight: Array, state: State) -> Array:
+def cost(linkage: Linkage, seen: Complex, weight: Array, state: State) -> Array:
+    """Return the weighted sum of the squared residuals of each frame, shape (n,)."""
     return np.asarray(np.sum(weight * np.abs(seen - predicted(linkage, state)) ** 2, axis=1))
 
 
 def _solve(linkage: Linkage, seen: Complex, weight: Array, state: State, steps: int) -> State:
     damping, active = np.full(len(seen), 1e-4), np.arange(len(seen))
-    cost = _cost(linkage, seen, weight, state)
+    before = cost(linkage, seen, weight, state)
     for _ in range(steps):
         y, w, now = seen[active], weight[active], state[active]
         points, slopes, _ = _derivatives(linkage, now)
@@ -321,11 +327,11 @@ def _solve(linkage: Linkage, seen: Complex, weight: Array, state: State, steps: 
         damped = normal + np.eye(normal.shape[1]) * (damping[active, None] * ridge + floor)[:, None]
         step = np.linalg.solve(damped, right)[..., 0]
         moved = now.moved(step)
-        new = _cost(linkage, y, w, moved)
-        better = new <= cost[active]
+        new = cost(linkage, y, w, moved)
+        better = new <= before[active]
         state[active[better]] = moved[better]
         gain = np.sum(step * right[..., 0], axis=1)
-        cost[active[better]] = new[better]
+        before[active[better]] = new[better]
         damping[active] = np.where(better, 0.1 * damping[active], 10.0 * damping[active])
         active = active[(gain > DECREASE) & (damping[active] < 1e8)]
         if not len(active):
@@ -557,6 +563,25 @@ def start(linkage: Linkage, time_s: Array, seen: Complex, used: Flags) -> State:
         angle = np.angle(product * np.conj(axes[:, linkage.parent[k]] * np.exp(1j * linkage.mount[k])))
         angles[:, k] = _filled(time_s, angle, np.abs(product) > 0)
     return State(position, angles)
+
+
+def placed(linkage: Linkage, seen: Complex, weight: Array, joints: Array) -> State:
+    """Return the states of a linkage with given joint angles that fit the points best (Procrustes)."""
+    angles = np.tile(np.r_[0.0, joints], (len(seen), 1))
+    points = linkage.shape(angles)[2]
+    total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+    middle, centre = ((weight * one).sum(axis=1, keepdims=True) / total for one in (seen, points))
+    product = np.sum(weight * (seen - middle) * np.conj(points - centre), axis=1)
+    angles[:, 0] = np.angle(product)
+    position = middle[:, 0] - linkage.scale * np.exp(1j * angles[:, 0]) * centre[:, 0]
+    return State(position, angles)
+
+
+def differences(a: Array, b: Array) -> Array:
+    """Return the differences of components of states, shape (..., 2 + links), with angles in [-pi, pi)."""
+    off = a - b
+    off[..., 2:] = (off[..., 2:] + np.pi) % (2 * np.pi) - np.pi
+    return np.asarray(off)
 
 
 def _filled(time_s: Array, values: Array, known: Flags, turns: bool = False) -> Array:

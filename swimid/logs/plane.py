@@ -142,10 +142,13 @@ def _mapped(points: Array, matrix: NDArray[Any]) -> Array:
     return cv2.perspectiveTransform(points.reshape(-1, 1, 2).astype(float), matrix).reshape(-1, 2)
 
 
-def plane_of(setup: Calibrated, width: int, height: int, *, file: str | None = None) -> Plane:
+def plane_of(
+    setup: Calibrated, width: int, height: int, *, pixel_aspect: float = 1.0, file: str | None = None
+) -> Plane:
     """Return the map from pixels to the world for a setup and a picture size.
 
-    ``file`` names the setup in messages.
+    ``pixel_aspect`` is the width of a pixel relative to its height. A length in pixels is that of pixels down
+    the picture. ``file`` names the setup in messages.
 
     Raises
     ------
@@ -155,8 +158,9 @@ def plane_of(setup: Calibrated, width: int, height: int, *, file: str | None = N
     lens = None
     camera_centre = middle = np.array([(width - 1) / 2, (height - 1) / 2])
     if setup.camera is not None:
-        lens = (camera_matrix(setup.camera, width, height, file), np.array(setup.camera.distortion))
-        camera_centre = lens[0][:2, 2]
+        matrix = camera_matrix(setup.camera, width, height, file, pixel_aspect)
+        lens = (matrix, np.array(setup.camera.distortion))
+        camera_centre = matrix[:2, 2]
     scale, factor, shrink, residuals = setup.scale, 1.0, 1.0, (0.0, 0.0)
     variants: tuple[Array, ...] = ()
     points = np.zeros((0, 2))
@@ -167,15 +171,16 @@ def plane_of(setup: Calibrated, width: int, height: int, *, file: str | None = N
         if scale.points_px is not None:
             points = _undistorted(np.array(scale.points_px), lens)
         if scale.distance_m is not None:
-            factor = scale.distance_m / float(np.hypot(*(points[1] - points[0])))
+            factor = scale.distance_m / float(np.hypot(*((points[1] - points[0]) * (pixel_aspect, 1.0))))
         if scale.metres_per_pixel is not None:
             factor = scale.metres_per_pixel
         if scale.heights is not None:
             shrink = 1 - scale.heights.marker_m / scale.heights.camera_m
     # The y axis of the picture points down. Therefore the picture is flipped, so that yaw is
     # counter-clockwise.
-    matrix = np.array([[factor, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
-    far_x = factor * (width - 1)
+    across = factor * pixel_aspect
+    matrix = np.array([[across, 0, 0], [0, -factor, factor * (height - 1)], [0, 0, 1.0]])
+    far_x = across * (width - 1)
     if scale is not None and scale.points_m is not None:
         world = np.array(scale.points_m, dtype=float)
         matrix, residuals = _homography(points, world, file)
@@ -203,8 +208,12 @@ def plane_of(setup: Calibrated, width: int, height: int, *, file: str | None = N
     return plane
 
 
-def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> Array:
+def camera_matrix(
+    camera: Camera, width: int, height: int, file: str | None, pixel_aspect: float = 1.0
+) -> Array:
     """Return the camera matrix for pictures of the given width and height, px.
+
+    The matrix in the setup is for pictures of the same proportions, or for such with square pixels.
 
     Raises
     ------
@@ -212,7 +221,7 @@ def camera_matrix(camera: Camera, width: int, height: int, file: str | None) -> 
         The matrix in the setup is for pictures of other proportions.
     """
     across, down = width / camera.size_px[0], height / camera.size_px[1]
-    if abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
+    if min(abs(across / down * one - 1) for one in (1.0, pixel_aspect)) > MAX_SCALE_DIFFERENCE:
         size = " x ".join(f"{v:g}" for v in camera.size_px)
         text = f"the matrix is for pictures of {size} pixels; the film has {width} x {height}, no scaled copy"
         hint = "calibrate the camera in the mode in which it films"

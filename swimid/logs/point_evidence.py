@@ -9,7 +9,7 @@ import numpy as np
 from swimid.logs import wave
 from swimid.logs.bundle import FALSE_ALARM, UNDETERMINED
 from swimid.logs.linkage import Array
-from swimid.logs.points import MAX_BIAS, WRONG_DISTANCE, Posed
+from swimid.logs.points import MAX_BIAS, MAX_PERSPECTIVE, WRONG_DISTANCE, Posed
 from swimid.results import evidence as ev
 from swimid.results import numbers
 from swimid.results.evidence import Check, Figure, Table, Trace
@@ -56,9 +56,7 @@ def checks(posed: Posed) -> list[Check]:
         kinds[kind] += count
     named = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
     made = [
-        ev.check(
-            "Points left out", named or "0", not lost, "0", reason=f"points were left out of frames: {named}"
-        )
+        ev.check("Points at fault", named or "0", not lost, "0", reason=f"points at fault in frames: {named}")
     ]
     empty = {name: count for name, count in posed.empty.items() if count}
     text = ", ".join(f"{name} in {count}" for name, count in empty.items())
@@ -83,7 +81,15 @@ def checks(posed: Posed) -> list[Check]:
             reason = f"distances on the chain change within the film: {', '.join(wrong)}"
         value = f"{len(wrong)} of {len(posed.distances)} wrong"
         made.append(ev.check("Distances of points", value, not wrong, limit, reason=reason))
+    value, passed = f"{100 * posed.perspective:.2g} %", posed.perspective <= MAX_PERSPECTIVE
+    limit, reason = f"<= {100 * MAX_PERSPECTIVE:g} %", posed.perspective_text
+    made.append(ev.check("Distances along the path", value, passed, limit, reason=reason))
     if posed.robot:
+        reason = "the picture is mirrored: its mirror image fits the places of the points better"
+        value = ("no", "yes")[int(posed.fit.mirrored)]
+        made.append(
+            ev.check("Mirrored picture", value, not posed.fit.mirrored, "no", otherwise="fail", reason=reason)
+        )
         names = ", ".join(posed.misplaced)
         reason = f"points do not sit at their places: {names}"
         made.append(ev.check("Places of points", names or "as stated", not names, "as stated", reason=reason))
@@ -121,7 +127,7 @@ def tables(posed: Posed, beat: wave.Wave | None) -> list[Table]:
             for kind, names, count, frames in posed.faults
         ]
         caption = f"The probability of a chance removal is {fit.level:.2g} for a point in a frame."
-        made.append(_folded("faults", "Points left out", rows, caption))
+        made.append(_folded("faults", "Points left out or exchanged back", rows, caption))
     if posed.distances:
         given, seen = ("stated", "measured") if posed.robot else ("first half", "second half")
         rows = [

@@ -90,6 +90,8 @@ class Posed:
         Mean residual of each point in the axes of its link, m.
     misplaced : list of str
         Points whose mean residual is significant and larger than :data:`MAX_BIAS` allows.
+    perspective : float
+        Relative change of the distances on rigid links along the path; 0 if it is not significant.
     empty : dict of str to int
         Number of frames in which a column is left empty, because the points do not determine it.
     time_s : ndarray, shape (n,)
@@ -106,6 +108,7 @@ class Posed:
     distances: list[Distance]
     offsets: Complex
     misplaced: list[str]
+    perspective: float
     empty: dict[str, int]
     time_s: Array
 
@@ -146,6 +149,8 @@ class Posed:
             "empty": self.empty,
             "distances": [asdict(one) for one in self.distances],
             "misplaced": self.misplaced,
+            "mirrored": self.fit.mirrored,
+            "perspective": self.perspective,
             "undetermined": self.undetermined,
             "estimated": {
                 name: {"value": float(value), "stderr": float(error)}
@@ -175,6 +180,15 @@ class Posed:
     def undetermined_text(self) -> str:
         """Coordinates that the film does not determine, as text; empty if there are none."""
         return ", ".join(f"{name} ({words})" for name, words in self.undetermined.items())
+
+    @property
+    def perspective_text(self) -> str:
+        """Sentence on distances on rigid links that change along the path."""
+        return (
+            f"the distances on a link change by {100 * self.perspective:.2g} % along the path: the camera is "
+            "tilted, its lens distorts, or its pixels are not square. Give scale as four points_px with "
+            "points_m, or camera"
+        )
 
     @property
     def frames(self) -> np.ndarray:
@@ -278,9 +292,11 @@ def _pose_of(columns: dict[str, Array], request: files.Request, path: Path) -> P
         known_scale = (1.0 / fit.linkage.scale, error / fit.linkage.scale)
         source = "from the links of the robot"
         unit = "m"
-    for k, name in enumerate(names):
-        for column in files.tracked_points(shown)[safe(name)][:2]:
-            columns[column] = np.where(fit.used[:, k], columns[column], np.nan)
+    tracked = files.tracked_points(shown)
+    for axis in range(2):
+        pair = [tracked[safe(name)][axis] for name in names]
+        values = np.take_along_axis(np.column_stack([columns[name] for name in pair]), fit.order, axis=1)
+        columns.update(zip(pair, np.where(fit.used, values, np.nan).T, strict=True))
     made, empty = _columns(fit, unit, plane, known_scale)
     posed = Posed(
         fit,
@@ -349,7 +365,7 @@ def _columns(
     limit[:2] *= linkage.scale * linkage.size
     # An unknown place of a point shifts the zero of an angle in all frames. It leaves none of them empty.
     sharp = np.sqrt(np.maximum(found.alone, 0.0)) < limit
-    known: Flags = np.array(found.known & fit.used.any(axis=1, keepdims=True) & sharp)
+    known: Flags = np.array(found.known & fit.used.any(axis=1, keepdims=True) & sharp & ~fit.ambiguous)
     for k in np.flatnonzero(known.any(axis=0)).tolist():
         known[:, k] &= sd[:, k] <= MAX_SD_RATIO * np.median(sd[known[:, k], k])
     known[:, 0] = known[:, 1] = known[:, 0] & known[:, 1]
@@ -385,8 +401,8 @@ def _biased(values: Array, level: float, error: float = 0.0) -> tuple[float, flo
     return mean.value, stderr, large
 
 
-def _examined(fit: Fit, stated: Linkage, robot: bool) -> tuple[list[Distance], Complex, list[str]]:
-    """Return the distances of points of one link, the mean residuals, and the misplaced points."""
+def _examined(fit: Fit, stated: Linkage, robot: bool) -> tuple[list[Distance], Complex, list[str], float]:
+    """Return distances of points of one link, mean residuals, misplaced points, and perspective."""
     linkage, seen_at = fit.linkage, links.predicted(fit.linkage, fit.state) + fit.residuals.value
     of, relative, distances = stated.link, 0.0, []
     pairs = [(i, j) for i, j in combinations(range(len(of)), 2) if of[i] == of[j]]
@@ -418,19 +434,56 @@ def _examined(fit: Fit, stated: Linkage, robot: bool) -> tuple[list[Distance], C
         offsets[k] = complex(x, y)
         if robot and (wrong_x or wrong_y):
             misplaced.append(name)
-    return distances, offsets, misplaced
+    return distances, offsets, misplaced, _perspective(seen_at, fit.used, pairs)
 
 
+def _perspective(seen: Complex, used: Flags, pairs: list[tuple[int, int]]) -> float:
+    """Return the relative change of distances on rigid links along the path; 0 if it is not significant.
+
+    A linear function of the place in the picture is fitted to the relative distances, and also of the
+    direction if this turns by more than 60 degrees, because of pixels that are not square. It is significant
+    if it predicts the distances of blocks of frames to which it was not fitted: the decrease of the sum of
+    squares is then three standard errors above zero.
+    """
+    parts = []
+    for i, j in pairs:
+        rows = np.flatnonzero(used[:, i] & used[:, j])
+        if len(rows) < MIN_FRAMES:
+            continue
+        line, middle = seen[rows, i] - seen[rows, j], 0.5 * (seen[rows, i] + seen[rows, j])
+        apart = np.abs(line) / np.median(np.abs(line)) - 1.0
+        turn = (line / np.abs(line)) ** 2 * (np.ptp(np.unwrap(np.angle(line))) > math.radians(60.0))
+        columns = np.column_stack([middle.real, middle.imag, turn.real, turn.imag, apart])
+        columns = (columns - columns.mean(axis=0)) / max(float(apart.std()), 1e-12)
+        parts.append(np.column_stack([columns, rows * BLOCKS // len(used), np.full(len(rows), apart.std())]))
+    if not parts:
+        return 0.0
+    table = np.concatenate(parts)
+    design, apart, block = table[:, :4], table[:, 4], table[:, 5]
+    gains = []
+    for one in np.unique(block):
+        own = block == one
+        slope = np.linalg.lstsq(design[~own], apart[~own])[0]
+        gains.append(np.sum(apart[own] ** 2 - (apart[own] - design[own] @ slope) ** 2))
+    if len(gains) < 3 or np.mean(gains) < 3.0 * np.std(gains, ddof=1) / math.sqrt(len(gains)):
+        return 0.0
+    slope = np.linalg.lstsq(design, apart)[0]
+    return float(np.ptp(design @ slope * table[:, 6]))
+
+
+#: Number of blocks of frames in the test for perspective, and maximum relative change of distances along the
+#: path, which is that of markers in a film.
+BLOCKS, MAX_PERSPECTIVE = 12, 0.02
 #: Minimum number of frames from which a distance or a mean residual is judged.
 MIN_FRAMES = 24
 
 
 #: Text of the warning of each kind of fault.
 LEFT_OUT = {
-    "exchanged": "labels exchanged",
-    "merged": "two labels on one place",
-    "stray": "labels astray",
-    "lost": "frames in which no more than half of the points agree",
+    "exchanged": "labels exchanged back",
+    "merged": "two labels on one place, left out",
+    "stray": "labels astray, left out",
+    "lost": "frames in which no more than half of the points agree, left out",
 }
 
 
@@ -444,7 +497,12 @@ def _warn(posed: Posed, path: Path) -> None:
         if len(found) > MAX_LISTED:
             parts.append(f"and {len(found) - MAX_LISTED} more")
         total = sum(count for _, count, _ in found)
-        warn("SWM120", f"{path.name}: {word}, left out {total} ×: {'; '.join(parts)}")
+        warn("SWM120", f"{path.name}: {word} {total} ×: {'; '.join(parts)}")
+    if posed.fit.mirrored:
+        text = "the picture is mirrored: its mirror image fits the places of the points better. Export pixels"
+        warn("SWM121", f"{path.name}: {text} with y downwards, or give scale as four points_px with points_m")
+    if posed.perspective > MAX_PERSPECTIVE:
+        warn("SWM042", f"{path.name}: {posed.perspective_text}")
     if posed.undetermined:
         text = f"the film does not determine the places of {posed.undetermined_text}"
         warn("SWM121", f"{path.name}: {text}: bend the joints more, or track two points on a link")
@@ -457,7 +515,7 @@ def _warn(posed: Posed, path: Path) -> None:
             else:
                 text += f" in the second half of the film, and {given} in the first: no rigid link"
                 warn("SWM121", f"{path.name}: {text}")
-    for name in posed.misplaced:
+    for name in posed.misplaced * (not posed.fit.mirrored):
         at = 1e3 * posed.offsets[posed.fit.linkage.names.index(name)]
         text = f"'{name}' lies {at.real:+.3g} mm forward and {at.imag:+.3g} mm to port of its place"
         warn("SWM121", f"{path.name}: {text}")

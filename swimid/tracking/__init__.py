@@ -5,8 +5,8 @@
 pixels to metres, smooths them and computes the columns of the log. The command ``track_video`` writes the
 log, its evidence with the checks, and a film with the track drawn in. The command ``track_setup`` drafts a
 ``setup`` with markers that it finds or that are picked by hand, both by ``proposals``. ``picking`` is the
-page in the browser on which markers are picked, and ``pick_server`` its server. ``options`` contains the
-options of both commands.
+page in the browser on which markers are picked, and ``pick_server`` its server. The command ``track_camera``
+calibrates a camera from pictures of a checkerboard. ``options`` contains the options of all commands.
 
 Frames of reference
 -------------------

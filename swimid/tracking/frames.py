@@ -15,6 +15,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ import cv2
 
 from swimid import reading
 from swimid.errors import InputError
+from swimid.logs.plane import MAX_SCALE_DIFFERENCE
 from swimid.notices import warn
 from swimid.tracking.setup import HsvRange
 
@@ -106,6 +108,42 @@ def _opened(path: Path) -> cv2.VideoCapture:
     return capture
 
 
+def _pixel_aspect(capture: cv2.VideoCapture) -> float:
+    """Return the width of a pixel relative to its height, after the rotation that the container states."""
+    across, down = (capture.get(key) for key in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
+    if min(across, down) <= 0:
+        return 1.0
+    if capture.get(cv2.CAP_PROP_ORIENTATION_META) % 180:
+        across, down = down, across
+    return across / down
+
+
+def _warn_of_densities(file: Path) -> None:
+    """Warn if a picture states different numbers of pixels per length across and down.
+
+    Programs contradict each other in the order of the two numbers: FFmpeg writes the shape of a pixel, and
+    the standards of PNG and JPEG mean its reciprocal. Therefore the numbers are not used.
+    """
+    from PIL import Image
+
+    with suppress(OSError, ValueError), Image.open(file) as picture:
+        about = picture.info
+        across, down = about.get("dpi") or about.get("aspect") or about.get("jfif_density") or (1, 1)
+        if min(across, down) > 0 and abs(across / down - 1) > MAX_SCALE_DIFFERENCE:
+            text = (
+                f"{file.name} states {across:.3g} : {down:.3g} for the pixels across and down: they may not "
+            )
+            text += "be square. They are taken as square: give scale as four points_px with points_m"
+            warn("SWM173", text)
+
+
+def squared(frame: Frame, pixel_aspect: float) -> Frame:
+    """Return a picture with square pixels: its width is multiplied by the aspect of its pixels."""
+    if pixel_aspect == 1:
+        return frame
+    return np.asarray(cv2.resize(frame, None, fx=pixel_aspect, fy=1.0), np.uint8)
+
+
 def _decoded(capture: cv2.VideoCapture) -> Iterator[_Read]:
     """Yield the frames that a decoder returns. Each frame overwrites the previous one in memory."""
     picture: Frame | None = None
@@ -135,6 +173,8 @@ class Video:
         File of the film, or files of the pictures.
     width, height : int
         Size of the picture, px.
+    pixel_aspect : float
+        Width of a pixel relative to its height, according to the container; 1 if it states none.
     claimed : int
         Number of frames according to the container; 0 if the container does not state it.
     stated_rate_hz : float
@@ -154,18 +194,19 @@ class Video:
         # threads make the evaluation of small pictures slower.
         cv2.setNumThreads(1)
         self._rate = frame_rate_hz
-        self.stated_rate_hz = 0.0
+        self.stated_rate_hz, self.pixel_aspect = 0.0, 1.0
         # The path is a series of pictures if it is a folder, or if it is a pattern such as %04d and no such
         # file exists.
         if self.path.is_dir() or (not self.path.exists() and _HOLDER.search(self.path.name)):
             self.files = _listed(self.path)
             reading.note(self.path, self.files)
             self.claimed = len(self.files)
+            _warn_of_densities(self.files[0])
             self._read = _pictures(self.path, self.files)
         else:
             self.files = [self.path]
             capture = _opened(self.path)
-            self.stated_rate_hz = capture.get(cv2.CAP_PROP_FPS)
+            self.stated_rate_hz, self.pixel_aspect = capture.get(cv2.CAP_PROP_FPS), _pixel_aspect(capture)
             count, self.claimed = capture.get(cv2.CAP_PROP_FRAME_COUNT), 0
             if 0 < count < 1e9:
                 self.claimed = int(count)
@@ -706,6 +747,8 @@ class RawTrack:
         each kind of marker.
     mistaken : dict of str to (int, float)
         Number of detections of another object that was first taken for the marker, and its area in px.
+    others : dict of str to str
+        Sentence on other moving objects that look like the marker, for each kind of marker that has some.
     """
 
     times: Array
@@ -718,12 +761,14 @@ class RawTrack:
     at_edge: NDArray[np.bool_]
     rivals: dict[str, int] = field(default_factory=dict)
     mistaken: dict[str, tuple[int, float]] = field(default_factory=dict)
+    others: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_table(cls, times: Any, names: list[str], table: Array, *more: Any) -> RawTrack:
         """Return a track from the detections of all markers, shape (m, n, 9).
 
-        The last axis has the values of :data:`Row`. ``more`` are the values of ``rivals`` and ``mistaken``.
+        The last axis has the values of :data:`Row`. ``more`` are the values of ``rivals``, ``mistaken`` and
+        ``others``.
         """
         x, y, area, confidence, status, at_edge = table[..., :6].transpose(2, 0, 1)
         found = (status.astype(int), at_edge.astype(bool))

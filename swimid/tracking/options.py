@@ -111,6 +111,42 @@ class Pick:
         return cls(name, x, y)
 
 
+class TrackCameraOptions(
+    Options,
+    command="track camera",
+    section="Make logs",
+    argument="PICTURE...",
+    output="The camera file to write.",
+    required=True,
+):
+    """Calibrate a camera and its lens from pictures of a checkerboard.
+
+    PICTURE is a picture, or a folder of them. Take ten or more in the mode in which the camera films, with
+    the whole board in view, tilted to all sides, and in all parts of the picture.
+
+    Example:
+      swimid track camera board/*.png --squares 9x6 --square-mm 25 -o camera.yaml
+      swimid track setup pool.mp4 --camera camera.yaml -o setup.yaml
+    """
+
+    squares: str = option(
+        metavar="NxM", help="Number of squares along both sides of the board (not of inner corners)."
+    )
+    square_mm: float = option(gt=0, lt=math.inf, help="Side of a square, mm.")
+
+    @model_validator(mode="after")
+    def _two_sides(self) -> Self:
+        if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.squares) or min(self.board) < 3:
+            raise UsageError(f"--squares '{self.squares}' must be two numbers of 4 or more, such as 9x6")
+        return self
+
+    @property
+    def board(self) -> tuple[int, int]:
+        """Number of inner corners along both sides of the board."""
+        across, down = self.squares.split("x")
+        return int(across) - 1, int(down) - 1
+
+
 class TrackSetupOptions(
     Options,
     command="track setup",
@@ -143,6 +179,7 @@ class TrackSetupOptions(
     background: bool = option(False, help="Follow a whole body by its difference from the empty scene.")
     frame: int = option(0, ge=0, help="Frame of the --marker pixels.")
     metres_per_pixel: float | None = option(None, gt=0, help="Scale: metres per pixel.")
+    camera: Source | None = option(None, help="Camera file of track camera, for the lens.")
     plane: Literal["horizontal", "vertical"] = option("horizontal", help="Camera above, or at the side.")
     fps: float | None = _rate()
     pick: bool = option(False, recorded=False, help="Pick markers and scale in a page of the browser.")

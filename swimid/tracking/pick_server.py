@@ -11,12 +11,14 @@ import os
 import secrets
 import subprocess
 import sys
+import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from queue import Empty, Queue
 from typing import Any
 from urllib.parse import parse_qsl
@@ -107,7 +109,7 @@ class PageServer(ThreadingHTTPServer):
             text = f"port {port} cannot be used: {error.strerror}"
             raise UsageError(text, hint="leave --port out for any free port") from error
         self.status = status
-        self.token = secrets.token_urlsafe(24)
+        self.token, self.folder = secrets.token_urlsafe(24), tempfile.TemporaryDirectory(prefix="swimid-")
         self.requests: Queue[Request] = Queue()
 
     @property
@@ -118,7 +120,7 @@ class PageServer(ThreadingHTTPServer):
     def announce(self, *, browser: bool) -> None:
         """Print the address on the standard error, and open it in the browser if there is one."""
         print(f"Pick markers at {self.address}", file=sys.stderr)
-        if not (browser and _open_browser(self.address)):
+        if not (browser and _open_browser(self.address, self.folder)):
             print(NO_BROWSER.format(port=self.server_port, host=HOST), file=sys.stderr)
         print("Press Done in the page to write the setup, or Ctrl-C to stop.", file=sys.stderr, flush=True)
 
@@ -134,6 +136,7 @@ class PageServer(ThreadingHTTPServer):
         finally:
             self.shutdown()
             self.server_close()
+            self.folder.cleanup()
             while not self.requests.empty():
                 self.requests.get().reply.put(CLOSED)
 
@@ -228,10 +231,12 @@ class _Handler(BaseHTTPRequestHandler):
         """Print nothing for a request."""
 
 
-def _open_browser(address: str) -> bool:
+def _open_browser(address: str, folder: tempfile.TemporaryDirectory[str]) -> bool:
     """Open an address in the browser, and return whether there is a browser with a window.
 
-    The browser starts in another process, so that it cannot write to the standard output of the command.
+    The browser starts in another process, so that it cannot write to the standard output of the command. It
+    opens a file in a private folder, which leads to the address. Other users of the machine see the commands
+    of all processes, but not this file.
     """
     windows = sys.platform in ("win32", "darwin")
     if not windows and not any(map(os.environ.get, ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY"))):
@@ -240,7 +245,9 @@ def _open_browser(address: str) -> bool:
         webbrowser.get()
     except webbrowser.Error:
         return False
-    command = [sys.executable, "-m", "webbrowser", address]
+    page = Path(folder.name) / "pick.html"
+    page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")
+    command = [sys.executable, "-m", "webbrowser", page.as_uri()]
     nothing = subprocess.DEVNULL
     subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True)
     return True

@@ -205,6 +205,7 @@ class Session:
         film = {
             "name": self.video.name, "width": video.width, "height": video.height,
             "pictures": math.isnan(video.first_stamp_s), "frames": video.claimed,
+            "shape": video.height / video.width / video.pixel_aspect, "aspect": video.pixel_aspect,
         }  # fmt: skip
         loader = PackageLoader("swimid.tracking", "templates")
         environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
@@ -308,7 +309,8 @@ class Session:
 
     def _scale(self, setup: setup_format.Setup) -> dict[str, Any]:
         """Return the length of a pixel in the middle of the picture, m, and the error of the points, px."""
-        plane = plane_of(setup, self.reader.video.width, self.reader.video.height)
+        video = self.reader.video
+        plane = plane_of(setup, video.width, video.height, pixel_aspect=video.pixel_aspect)
         pixel = float(plane.size_of_pixel(*plane.middle))
         return {"metres_per_pixel": pixel, "residual_px": plane.residual_px, "residual_m": plane.residual}
 

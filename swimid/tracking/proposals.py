@@ -446,7 +446,7 @@ def marker_fault(
     return "", ""
 
 
-def distance_change(track: RawTrack, one: str, other: str) -> float | None:
+def distance_change(track: RawTrack, one: str, other: str, pixel_aspect: float = 1.0) -> float | None:
     """Return the relative change of the distance between two markers, without the effect of perspective.
 
     The result is the larger of two values: the robust standard deviation of the distance after rectification,
@@ -467,7 +467,8 @@ def distance_change(track: RawTrack, one: str, other: str) -> float | None:
     both = track.found[i] & track.found[j]
     if both.sum() < frames.MIN_DETECTIONS:
         return None
-    points = np.stack([track.x[[i, j]][:, both], track.y[[i, j]][:, both]])  # axes: x and y, marker, frame
+    # The axes of the array are: x and y, marker, frame.
+    points = np.stack([pixel_aspect * track.x[[i, j]][:, both], track.y[[i, j]][:, both]])
     middle = points.mean(axis=(1, 2), keepdims=True)
     points = (points - middle) / max(float(np.abs(points - middle).max()), 1.0)
     heading = np.unwrap(np.arctan2(*(points[:, 0] - points[:, 1])[::-1]))

@@ -56,20 +56,18 @@ class Silhouette:
     ----------
     setup : Setup
         Setup with a single marker of ``method: background``.
-    width, height : int
-        Size of the picture, px.
-    path : path
+    video : Video
         Film, from which the empty scene is computed.
     """
 
-    def __init__(self, setup: Setup, width: int, height: int, path: Path) -> None:
-        scene = empty_scene(path)
+    def __init__(self, setup: Setup, video: Video) -> None:
+        scene = empty_scene(video.path)
         self._setup, self._scene = setup, cv2.blur(scene, (3, 3))
-        self._factor = width / scene.shape[1]
-        area_px = setup.markers[0].area_px or width * height * np.array(AREA_SHARES)
+        self._factor, self._shape = video.width / scene.shape[1], np.array([video.pixel_aspect, 1.0])
+        area_px = setup.markers[0].area_px or video.width * video.height * np.array(AREA_SHARES)
         self._low, self._high = np.array(area_px) / self._factor**2
         self._axis = np.array([1.0, 0.0])
-        self._times, self._rows = array("d"), array("d")
+        self._times, self._rows, self._twice = array("d"), array("d"), 0
         self._allowed = np.full(scene.shape[:2], 255, np.uint8)
         for box in setup.ignore_px:
             left, top, right, bottom = (max(round(side / self._factor), 0) for side in box)
@@ -93,6 +91,7 @@ class Silhouette:
         label = int(np.argmax(sizes))
         if not sizes[label]:
             return NOT_SEEN[:6], NOT_SEEN[:6]
+        self._twice += int(np.sum(sizes > 0.5 * sizes[label]) > 1)
         left, top, width, height = stats[label, :4]
         right, bottom = left + width, top + height
         at_edge = min(left, top) == 0 or right == mask.shape[1] or bottom == mask.shape[0]
@@ -107,11 +106,12 @@ class Silhouette:
         outlines, _ = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         m = cv2.moments(cv2.drawContours(weight, outlines, -1, 1.0, cv2.FILLED))
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
-        variances, axes = np.linalg.eigh(spread)
+        # Find the main axis in a picture with square pixels.
+        variances, axes = np.linalg.eigh(self._shape[:, None] * spread * self._shape)
         self._axis = axes[:, 1] * math.copysign(1, axes[:, 1] @ self._axis)
         middle = np.array([x0 + m["m10"] / m["m00"], y0 + m["m01"] / m["m00"]])
         centre = self._factor * (middle + 0.5) - 0.5
-        rear = centre - self._factor * 2 * math.sqrt(variances[1]) * self._axis
+        rear = centre - self._factor * 2 * math.sqrt(variances[1]) * self._axis / self._shape
         confidence = contrast / (contrast + 2 * noise + 6.0)
         rest = (self._factor**2 * m["m00"], confidence, WINDOW, at_edge)
         return (*centre, *rest), (*rear, *rest)
@@ -122,7 +122,12 @@ class Silhouette:
         The direction of the main axis is chosen so that most steps agree with ``swims`` in the setup.
         """
         table = np.array(self._rows).reshape(len(self._times), 2, -1).transpose(1, 0, 2)
-        track = RawTrack.of_table(self._times, self._setup.marker_names, table)
+        others, name = {}, self._setup.markers[0].name
+        if self._twice > max(2, 0.5 * len(table[0])):
+            text = f"a second body of at least half the size moves in {self._twice} frames, "
+            text += "and the larger one is followed: leave the other out by ignore_px: [[left, top, right, "
+            others[name] = f"{text}bottom]], or by area_px of '{name}'"
+        track = RawTrack.of_table(self._times, self._setup.marker_names, table, {}, {}, others)
         if not track.found.any():
             return track
         ahead = track.head_first(*track.names)

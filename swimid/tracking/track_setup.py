@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import combinations, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from swimid.errors import InputError, NoTrustworthyResult, UsageError
 from swimid.files import atomic, provenance, yamlio
+from swimid.logs.scale import Camera
 from swimid.notices import Progress, silent, warn
 from swimid.options import takes
 from swimid.results.result import Text
@@ -140,10 +142,18 @@ def track_setup(
     common: dict[str, Any] = {"plane": options.plane, "frame_rate_hz": options.fps}
     if options.metres_per_pixel is not None:
         common["scale"] = {"metres_per_pixel": options.metres_per_pixel}
+    camera = options.camera
+    if camera is not None:
+        if isinstance(camera, str | Path):
+            from swimid.tracking.track_camera import CameraFile
+
+            camera = CameraFile.read(camera).camera
+        common["camera"] = camera = Camera.model_validate(camera).model_dump(mode="json")
     if options.pick:
 
         def finish(markers: list[Marker], common: dict[str, Any], progress: Progress) -> SetupDraft:
             _free(video, output, force)
+            common |= {"camera": camera}
             return _draft(video, _follow_chosen(video, markers, common, progress), [], output)
 
         picked: SetupDraft = picking.pick(video, options, common, finish, output=output, progress=progress)
@@ -174,9 +184,19 @@ def _draft(video: Path, run: Run, rejected: list[Candidate], output: Path | None
         code, fault = marker_fault(run.track, name)
         if fault:
             warn(code, f"marker '{name}' {fault}")
+    for marker in setup.markers:
+        if marker.name in run.track.others:
+            warn("SWM172", run.track.others[marker.name])
     ahead = None
     if setup.tail is not None:
         ahead = run.track.head_first(*setup.roles)
+        change = distance_change(run.track, setup.roles[0], setup.tail, run.video.pixel_aspect) or 0.0
+        if change > frames.MAX_DISTANCE_SD[0] and setup.markers[0].method == "colour":
+            text = f"the distance of '{setup.head}' and '{setup.tail}' changes by {100 * change:.1f} %"
+            warn(
+                "SWM042",
+                f"{text}: they may not be on one rigid part. Pick two that are: --marker NAME@X,Y for each",
+            )
     notes = [f"{name}: found in {100 * share:.1f} % of the frames" for name, share in shares.items()]
     notes += [f"passed over: {one}" for one in rejected]
     lines = [*notes, f"head {setup.head}, tail {setup.tail}"]
@@ -214,8 +234,8 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
 
     The second returned value holds the rejected colours, each with the reason.
 
-    All candidate colours are followed at once. The second marker is the best of those at a constant distance
-    from the first marker.
+    All candidate colours are followed at once. Of the pairs whose distance is constant, the pair with the
+    highest scores is returned, or else the pair whose distance changes least.
     """
     with progress(f"looking at {video.name}") as step:
         samples = sample(video, step=step)
@@ -234,24 +254,32 @@ def _from_film(video: Path, common: dict[str, Any], progress: Progress) -> tuple
     for name, candidate in tried.items():
         min_share = max(frames.MIN_SHARE, 0.3 * candidate.presence)
         reasons[name] = marker_fault(track, name, min_share, scene)[1]
-    first, *others = [name for name, reason in reasons.items() if not reason] or [""]
-    if not first:
+    good = [name for name, reason in reasons.items() if not reason]
+    if not good:
         rejected = [replace(c, reason=reasons[name]) for name, c in tried.items()] + rejected
         raise NoTrustworthyResult(
             f"no marker of {video.name} can be followed and moves. {listed(rejected)}"
             f"{frames.describe_colours(samples.frames[::6])}",
             hint="pick the markers by hand: --marker name@x,y with --frame",
         )
-    names = [first]
-    for name in others:
-        change = distance_change(track, first, name)
+    aspect, names = run.video.pixel_aspect, good[:1]
+    changes = {pair: distance_change(track, *pair, aspect) for pair in combinations(good, 2)}
+    strong = [name for name in good if tried[name].score >= SECOND_SHARE * tried[good[0]].score]
+    limits, rigid = frames.MAX_DISTANCE_SD, {}
+    for pair in combinations(strong, 2):
+        change = changes[pair]
+        if change is not None and change <= limits[1]:
+            rigid[pair] = (max(change, limits[0]), -sum(tried[name].score for name in pair))
+    if rigid:
+        names = list(min(rigid.items(), key=itemgetter(1))[0])
+    first = names[0]
+    for name in good:
+        change = changes.get((first, name), changes.get((name, first), 0.0))
         if change is None:
             reasons[name] = f"is hardly seen together with {first}"
-        elif change > frames.MAX_DISTANCE_SD[1]:
-            text = f"its distance to {first} changes by {100 * change:.0f} %"
+        elif change > limits[0]:
+            text = f"its distance to {first} changes by {100 * change:.1f} %"
             reasons[name] = f"{text}: they are on no rigid part"
-        elif len(names) < 2 and tried[name].score >= SECOND_SHARE * tried[first].score:
-            names.append(name)
     if len(names) > 1 and (track.head_first(*names) or 0.0) < 0.5:
         names.reverse()
     weaker = f"less like a marker than {first}"
@@ -285,7 +313,8 @@ def _follow_chosen(video: Path, markers: list[Marker], common: dict[str, Any], p
     if markers[0].number > 1 and run.setup.tail is not None:
         # Use the second marker as tail only if its distance from the first is constant. Markers that look
         # alike may belong to different bodies.
-        separation = distance_change(run.track, *run.setup.roles)
+        roles, aspect = run.setup.roles, run.video.pixel_aspect
+        separation = distance_change(run.track, roles[0], roles[1], aspect)
         if separation is None or separation > frames.MAX_DISTANCE_SD[1]:
             run = replace(run, setup=run.setup.model_copy(update={"tail": None}))
     return run
@@ -309,9 +338,10 @@ def _sheet(run: Run) -> NDArray[np.uint8]:
     for index in sorted(ranked[:N_TILES]):
         frame = run.kept[index]
         factor = TILE_WIDTH / frame.shape[1]
-        tile = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        down = factor / run.video.pixel_aspect
+        tile = cv2.resize(frame, None, fx=factor, fy=down, interpolation=cv2.INTER_AREA)
         for i in np.flatnonzero(track.found[:, index]):
-            x, y = round(factor * track.x[i, index]), round(factor * track.y[i, index])
+            x, y = round(factor * track.x[i, index]), round(down * track.y[i, index])
             radius = round(factor * float(np.sqrt(track.area[i, index] / np.pi))) + 5
             cv2.circle(tile, (x, y), radius, frames.MEASURED, 2, cv2.LINE_AA)
             # Names of neighbours are above and below them in turn, so that none covers another marker.

@@ -190,11 +190,16 @@ def _evaluate(
     The painter draws the track into the frames of the film.
     """
     track, video, rules = run.track, run.video, run.setup
-    plane = plane_of(rules, video.width, video.height, file=str(provenance.path_of(source)))
+    file, aspect = str(provenance.path_of(source)), video.pixel_aspect
+    plane = plane_of(rules, video.width, video.height, pixel_aspect=aspect, file=file)
     _demand_markers(run)
+    faults = [notice.text for notice in notices if notice.code in ("SWM043", "SWM044")]
     plane = pose.facing(track, rules, plane)
     made = pose.build(track, rules, plane)
     checks = checks_of(track, made, rules, run.kept)
+    if faults:
+        reason = "; ".join(faults)
+        checks.insert(0, ev.check("Frames of the film", "not all", False, "all", reason=reason))
     swum = _swimming(made, (options.from_s, options.to_s))
     if swum.stroke is not None:
         if swum.doubt:
@@ -205,16 +210,14 @@ def _evaluate(
     joints = _joints(columns, rules, run, provenance.path_of(source).parent)
     head = _metadata(run, plane, made.times) | metadata
     log.warn_units(Log(video.path, head, {name: columns[name] for name in SCALED if name in columns}))
-    painter = Painter(run, made)
+    painter, facts = Painter(run, made), _facts(made, rules, swum)
+    if video.pixel_aspect != 1:
+        facts["Pixels"] = f"{video.pixel_aspect:.4g} times as wide as high; px count those of the file"
     if joints is not None:
         checks += point_evidence.checks(joints)
     verdict = ev.judged(_answer(made, swum), checks)
     rows = _rows(swum, rules, plane.unit)
-    facts, tables, figures = (
-        _facts(made, rules, swum),
-        [_table(rows, swum.steady)],
-        _figures(made, rules, swum),
-    )
+    tables, figures = [_table(rows, swum.steady)], _figures(made, rules, swum)
     methods, references, findings = _methods(rules, made), [*REFERENCES], {}
     if joints is not None:
         stroke_hz = None if swum.stroke is None else swum.stroke.frequency_hz
@@ -265,6 +268,8 @@ def _metadata(run: Run, plane: Plane, times: Array) -> dict[str, Any]:
     if math.isfinite(video.first_stamp_s):
         head["first_stamp_s"] = video.first_stamp_s
     head |= {"image_size_px": [video.width, video.height], "plane": rules.plane}
+    if video.pixel_aspect != 1:
+        head["pixel_aspect"] = video.pixel_aspect
     if rules.plane == "vertical":
         head["facing"] = plane.faces
     if rules.places is None:
@@ -448,13 +453,13 @@ def checks_of(
         *_presence(track, pose, setup),
         _motion(track, setup),
         *_camera(kept or {}),
+        *_looks(track),
         *_others(track, setup),
         *_separation(pose, setup),
         *_direction(pose, setup, track),
         *_timing(pose),
         *_sight(track, pose),
         *_calibration(pose),
-        *_looks(track),
     ]
 
 
@@ -654,7 +659,9 @@ def _calibration(pose: Pose) -> Iterator[ev.Check]:
 
 
 def _looks(track: RawTrack) -> Iterator[ev.Check]:
-    """Check whether another object was taken for a marker at the beginning of the film."""
+    """Check whether another object was taken for a marker, or may be the marker."""
+    for name, text in track.others.items():
+        yield _judged("SWM172", f"Objects like {name}", "more than markers", "one each", False, text)
     for name, (count, area) in track.mistaken.items():
         now = float(np.nanmedian(track.area[track.row(name)]))
         value = f"an object of {area:.0f} px in {count} frames, then one of {now:.0f} px"
@@ -851,7 +858,8 @@ class Painter:
         """Return the stored frames of the film for the report, with the track drawn into them."""
         images = []
         for i, frame in self.run.kept.items():
-            drawn = frames.reduced(self.draw(i, frame.copy()), IMAGE_WIDTH)
+            drawn = frames.squared(self.draw(i, frame.copy()), self.run.video.pixel_aspect)
+            drawn = frames.reduced(drawn, IMAGE_WIDTH)
             data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
             title = f"Frame {i}, t = {self.track.times[i]:.2f} s"
             image = {"media_type": "image/jpeg", "base64": base64.b64encode(data).decode()}
@@ -866,14 +874,16 @@ class Painter:
         overlay.
         """
         times, source = self.track.times, self.run.video
-        width, height = source.width // 2 * 2, source.height // 2 * 2
+        aspect, height = source.pixel_aspect, source.height // 2 * 2
+        width = round(aspect * source.width) // 2 * 2
         rate = 1 / float(np.median(np.diff(times)))
         again = Video(source.path).frames()
         with atomic.replacing(path) as temporary, progress("overlay", total=len(times)) as step:
             writer = open_writer(temporary, rate, width, height)
             try:
                 for i, (time, (_, frame)) in enumerate(zip(times, again, strict=False)):
-                    writer.write(float(time), self.draw(i, frame)[:height, :width])
+                    drawn = frames.squared(self.draw(i, frame), aspect)
+                    writer.write(float(time), drawn[:height, :width])
                     step()
             finally:
                 writer.close()

@@ -180,6 +180,9 @@ class Group:
     rivals: list[Blob] = field(default_factory=list)
     seen_from: list[tuple[float, float]] = field(default_factory=list)
     most_rivals: int = 0
+    #: Each search of the whole picture: number of the frame, position of the first marker, and positions of
+    #: other objects as large and as bright as a marker, px.
+    looks: list[tuple[int, tuple[float, float], list[tuple[float, float]]]] = field(default_factory=list)
     #: Number of the next frame in which the whole picture is searched for other objects, and number of frames
     #: from that search to the following one.
     next_look: int = 0
@@ -250,8 +253,43 @@ class Group:
         if moved or not self.seen_from or math.isnan(self.seen_from[0][0]):
             self.rivals, self.seen_from = rivals, here
         self.most_rivals = max(self.most_rivals, len(rivals))
+        known = [target for target in self.targets if target.whole]
+        if known:
+            size, contrast = known[0].usual_area, known[0].contrast
+            whole = [one for one in rivals if not one.at_edge and one.contrast > 0.5 * contrast]
+            like = [(one.x, one.y) for one in whole if 0.5 < one.area / size < 2.0]
+            self.looks.append((frame, here[0], like))
         self.next_look = frame + self.pause
-        self.pause = min(2 * self.pause, 180)
+        self.pause = min(2 * self.pause, 60)
+
+    @property
+    def moving_others(self) -> str:
+        """Sentence on other objects that look like the marker and move; empty if there are none.
+
+        An object has moved if it is more than two radii away from all places of such objects in the other
+        searches of the whole picture. Moved objects count if they are seen in half of the searches in which
+        they or the marker have moved, and in two of them. Reflections stay in place, and flashes are rarer.
+        """
+        moving, count = [], 0
+        for frame, here, places in self.looks:
+            others = [(place, found) for index, place, found in self.looks if index != frame]
+            apart = 2.0 * self.targets[0].radius
+            new = [
+                one for one in places if all(math.dist(one, p) > apart for _, found in others for p in found)
+            ]
+            count += bool(new) or all(math.dist(here, place) > apart for place, _ in others)
+            moving += [(frame, here, new)] * bool(new)
+        if len(moving) < max(2, 0.5 * count):
+            return ""
+        (frame, (x, y), new), count = moving[-1], len(self.targets)
+        name, total = self.marker.name, count + len(new)
+        listed = " and ".join(f"{x:.0f}, {y:.0f}" for x, y in new)
+        return (
+            f"{total} objects of the colour of '{name}' move, and {count} is followed: in frame {frame} that "
+            f"at {x:.0f}, {y:.0f} px, not that at {listed} px. To follow the other, give start_px of "
+            f"'{name}' in the setup, or number: {total} and choose head and tail by number. To leave it "
+            "out, give ignore_px: [[left, top, right, bottom]]"
+        )
 
 
 def mask_step(length: float) -> int:
@@ -341,7 +379,10 @@ class Follower:
             rows[detections[:, 0].astype(int)] = detections[:, 1:]
             drop_false_detections(rows)
         rivals = {g.marker.name: g.most_rivals for g in self.groups if g.most_rivals}
-        return RawTrack.of_table(self._times, self.setup.marker_names, table, rivals, self._mistaken)
+        moving = {group.marker.name: group.moving_others for group in self.groups}
+        others = {name: text for name, text in moving.items() if text}
+        names = self.setup.marker_names
+        return RawTrack.of_table(self._times, names, table, rivals, self._mistaken, others)
 
     # ------------------------------------------------------------ patches of a colour
 
@@ -695,12 +736,12 @@ def follow(
 def _follow_once(path: Path, setup: Setup, step: Step, file: str | None, within: slice) -> Run:
     video = Video(path, frame_rate_hz=setup.frame_rate_hz)
     if setup.camera is not None:
-        camera_matrix(setup.camera, video.width, video.height, file)
+        camera_matrix(setup.camera, video.width, video.height, file, video.pixel_aspect)
     follower: Follower | Silhouette
     if setup.markers[0].method == "background":
         from swimid.tracking.silhouette import Silhouette
 
-        follower = Silhouette(setup, video.width, video.height, path)
+        follower = Silhouette(setup, video)
     else:
         follower = Follower(setup, video.width, video.height)
     keeper, last = frames.FrameKeeper(4 * REPORT_FRAMES - 1), -math.inf

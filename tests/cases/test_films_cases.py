@@ -124,3 +124,88 @@ def test_a_patch_larger_than_a_marker_is_taken(tmp_path):
     assert "SWM101" in output
     assert "area_px" in output
     assert "body: found in 100.0 %" in output
+
+
+def level_of(output):
+    """Return level and text of the verdict in the ``--json`` answer of a command."""
+    verdict = json.loads(output[output.index('{"schema"') :].splitlines()[0])["verdict"]
+    return verdict["level"], verdict["text"]
+
+
+@pytest.mark.slow
+def test_the_pixel_aspect_of_the_container_is_used(case):
+    """Pixels of 64:45; also: other containers, rotated films and pictures (test_tracking_geometry)."""
+    case("t4-o12-pixel-aspect")
+    words = ("--setup", "straight/setup.yaml", "-o", "run2.csv", "--json", "-q")
+    output = run("track", "video", "straight/anamorphic.mp4", *words)
+    steady = json.loads(output)["result"]["swimming"]["steady_speed"]
+    assert steady["low"] < 0.1201
+    assert steady["value"] == pytest.approx(0.120, abs=2e-4)
+
+
+@pytest.mark.slow
+def test_a_second_robot_in_the_film_is_named(case):
+    """Two robots with equal markers; a still object or a reflection is no alarm (test_tracking_geometry)."""
+    case("t4-two-robots")
+    run("track", "setup", "two.mp4", "-o", "setup.yaml")
+    level, text = level_of(run("track", "video", "two.mp4", "--setup", "setup.yaml", "-o", "o.csv", "--json"))
+    assert level == "caution"
+    assert "2 objects of the colour of 'red' move" in text
+    assert "start_px" in text
+
+
+def test_a_cut_film_is_a_caution(case):
+    """Nine of 24 frames; also: cut MJPEG, missing pictures (test_tracking_geometry)."""
+    case("t4-cut-film-good")
+    level, text = level_of(run("track", "video", "cut.avi", "--setup", "setup.yaml", "-o", "o.csv", "--json"))
+    assert level == "caution"
+    assert "9 of 24 frames could be decoded" in text
+
+
+def imported(film, robot, points, *options):
+    """Import tracked points; return the log, and level and text of the verdict."""
+    words = ("--rate-hz", "60", "--robot", robot, "--points", points, "-o", "o.csv", "--force", "--json")
+    verdict = level_of(run("import", film, *words, *options))
+    return pd.read_csv("o.csv", comment="#"), *verdict
+
+
+@pytest.mark.parametrize(
+    ("film", "robot", "points", "joints"),
+    [
+        pytest.param(
+            "film.csv", "trio.yaml", "points.yaml", ["joint1_rad", "joint2_rad"], marks=pytest.mark.slow
+        ),
+        ("film3.csv", "duo.yaml", "points3.yaml", ["joint1_rad"]),
+    ],
+)
+def test_exchanged_labels_give_no_wrong_bend(case, film, robot, points, joints):
+    """Labels are exchanged back; also: hidden points, strays, knee and tip (test_import_points)."""
+    case("t4-points-wrong-branch")
+    log, level, _ = imported(film, robot, points)
+    truth = pd.read_csv("truth.csv")
+    assert level == "caution"
+    for name in ["yaw_rad", *joints]:
+        off = log[name] - np.interp(log.t_s, truth.t_s, truth[name])
+        off -= 2 * np.pi * round(float(off.median()) / (2 * np.pi))
+        sd = log[name.replace("_rad", "_sd_rad")]
+        assert off.notna().mean() > 0.99
+        assert (off.abs() / sd).max() < 6, name
+        assert (off.abs() < 1.96 * sd).mean() > 0.92, name
+
+
+@pytest.mark.slow
+def test_a_mirrored_picture_is_bad(case):
+    """The picture has y up."""
+    case("t4-points-mirrored")
+    _, level, text = imported("film.csv", "trio.yaml", "points.yaml")
+    assert level == "bad"
+    assert "mirrored" in text
+
+
+@pytest.mark.slow
+def test_a_tilted_camera_is_a_caution(case):
+    """The camera is tilted by 14 degrees, and the scale follows from the links."""
+    case("t4-points-tilted-camera")
+    _, level, text = imported("film.csv", "trio.yaml", "points.yaml")
+    assert level == "caution"
+    assert "the distances on a link change by" in text

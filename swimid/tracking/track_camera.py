@@ -1,0 +1,218 @@
+"""Command ``track camera``, which calibrates a camera from pictures of a checkerboard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from swimid.errors import InputError, NoTrustworthyResult
+from swimid.files import provenance, yamlio
+from swimid.logs.scale import Camera
+from swimid.notices import Progress, recorded, silent, warn
+from swimid.options import takes
+from swimid.results import evidence as ev
+from swimid.results import numbers
+from swimid.results.result import FileResult
+from swimid.tracking import frames
+from swimid.tracking.frames import Array
+from swimid.tracking.options import TrackCameraOptions
+
+#: Minimum number of pictures for an estimate, and for a good one (OpenCV's tutorial on camera calibration).
+MIN_PICTURES, GOOD_PICTURES = 3, 10
+#: Minimum angle between two boards, degrees. With 5 degrees and less the equations of Zhang are nearly
+#: singular, and at 20 degrees the error of the focal length is a quarter of that (Zhang 2000, figure 3).
+MIN_TILT_DEG = 20.0
+#: Maximum root-mean-square reprojection error, px, and minimum number of parts with corners, of 16 parts of
+#: the picture.
+MAX_ERROR_PX, MIN_PARTS = 1.0, 12
+#: Maximum relative standard error of a focal length: half of the error of a length that a check of a track
+#: passes.
+MAX_FOCAL_SE = 0.01
+#: Maximum distance of all corners of two pictures that count as one picture, px.
+SAME_PX = 1.0
+NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+FIND = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+
+
+class CameraFile(yamlio.ResultFile):
+    """Content of a camera file. Its ``camera`` is that of a setup file or a points file."""
+
+    kind: ClassVar[str] = "camera"
+    format: Literal["swimid-camera/1"] = "swimid-camera/1"
+    camera: Camera
+    reprojection_error_px: float
+    #: Standard error of each parameter, by its name in OpenCV.
+    standard_errors: dict[str, float]
+    pictures: list[str]
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(FileResult[CameraFile]):
+    """Result of ``track_camera``: matrix and distortion of a camera, with their standard errors.
+
+    Attributes
+    ----------
+    file : CameraFile
+        Camera, errors and pictures. :meth:`save` writes it.
+    """
+
+    file_type = CameraFile
+
+
+@takes(TrackCameraOptions)
+def track_camera(
+    pictures: Sequence[str | Path],
+    *,
+    options: TrackCameraOptions,
+    output: Path | None = None,
+    progress: Progress = silent,
+) -> Calibration:
+    """Calibrate a camera and its lens from pictures of a checkerboard.
+
+    Parameters
+    ----------
+    pictures : sequence of paths
+        Pictures, or folders of pictures. At least three of them show the whole board, at different tilts.
+    output : path, optional
+        Camera file to write. ``track_setup`` copies it into a setup (``camera``).
+
+    Returns
+    -------
+    Calibration
+        ``.file.camera`` has the matrix (px), the size of the pictures and the distortion.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read.
+    NoTrustworthyResult
+        Fewer than three different pictures show the board.
+
+    References
+    ----------
+    Zhang, Z. (2000). A flexible new technique for camera calibration. IEEE Transactions on Pattern Analysis
+    and Machine Intelligence 22(11), 1330-1334. doi:10.1109/34.888718
+    """
+    files, board = list(_files(pictures)), options.board
+    with recorded(repeat=True) as notices:
+        with progress("finding the board", len(files)) as step:
+            seen, size = _corners(files, board, step)
+        if len(seen) < MIN_PICTURES:
+            text = (
+                f"{len(seen)} of {len(files)} pictures show a board of {options.squares} squares; at least "
+            )
+            hint = f"tilt the board to all sides, in all parts of the picture; if {options.squares} counts "
+            hint += f"inner corners, give --squares {board[0] + 2}x{board[1] + 2}"
+            raise NoTrustworthyResult(f"{text}{MIN_PICTURES} at different tilts are needed", hint=hint)
+    place = np.zeros((board[0] * board[1], 3), np.float32)
+    place[:, :2] = 1e-3 * options.square_mm * np.mgrid[: board[0], : board[1]].T.reshape(-1, 2)
+    world, image = [place] * len(seen), [corners.astype(np.float32) for corners in seen.values()]
+    rms, matrix, lens, turns, _, errors, _, each = cv2.calibrateCameraExtended(world, image, size, None, None)
+    values, errors = np.r_[matrix[0, 0], matrix[1, 1], matrix[:2, 2], lens.ravel()[:5]], errors.ravel()[:9]
+    each, normals = each.ravel(), [cv2.Rodrigues(turn)[0][:, 2] for turn in turns]
+    cosines = [abs(float(one @ other)) for one, other in combinations(normals, 2)]
+    tilt = float(np.degrees(np.arccos(np.clip(min(cosines), 0.0, 1.0))))
+    parts = {tuple(part) for part in (4 * np.concatenate(list(seen.values())) // size).astype(int).tolist()}
+    checks = _checks(len(seen), tilt, len(parts), (rms, each), float(np.max(errors[:2] / values[:2])))
+    rows: list[dict[str, Any]] = [
+        {"parameter": name, "value": float(value), "standard error": float(error)}
+        for name, value, error in zip(NAMES, values, errors, strict=True)
+    ]
+    used: list[dict[str, Any]] = [
+        {"picture": name, "reprojection error, px": float(error)}
+        for name, error in zip(seen, each, strict=True)
+    ]
+    focal = numbers.measured(float(values[0]), float(errors[0]))
+    document = CameraFile(
+        camera=Camera(matrix=matrix.tolist(), size_px=size, distortion=values[4:].tolist()),
+        reprojection_error_px=float(rms),
+        standard_errors=dict(zip(NAMES, errors.tolist(), strict=True)),
+        pictures=list(seen),
+        provenance=provenance.collect(files, settings=options.settings()),
+    )
+    evidence = ev.Evidence(
+        command="track camera",
+        title=f"Calibration of a camera from {len(seen)} pictures",
+        verdict=ev.judged(f"Focal length {focal} px, reprojection error {rms:.2g} px.", checks),
+        facts={"Pictures": f"{len(seen)} of {len(files)}, {size[0]} x {size[1]} px"},
+        checks=checks,
+        tables=[
+            ev.table("parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."),
+            ev.table("pictures", "Pictures", used),
+        ],
+        notices=ev.notices(notices),
+        methods=["The camera was calibrated with OpenCV from pictures of a checkerboard (Zhang 2000)."],
+        provenance=document.provenance,
+    )
+    return Calibration.of(document, evidence).saved(output)
+
+
+def _files(given: Sequence[str | Path]) -> Iterator[Path]:
+    """Yield the pictures among files and folders."""
+    for path in map(Path, given):
+        if not path.exists():
+            raise InputError("cannot be read: no such file", file=path, hint="check the path")
+        inside = sorted(path.iterdir()) if path.is_dir() else [path]
+        yield from (one for one in inside if one.suffix.lower() in frames.ENDINGS or one == path)
+
+
+def _corners(
+    files: list[Path], board: tuple[int, int], step: Any
+) -> tuple[dict[str, Array], tuple[int, int]]:
+    """Return the corners of the board in each picture that shows it, px, and the size of the pictures.
+
+    A warning names each other picture with the reason.
+    """
+    seen: dict[str, Array] = {}
+    size: tuple[int, int] | None = None
+    for file in files:
+        step()
+        picture: Any = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        reason, corners = "", None
+        if picture is None:
+            reason = "cannot be decoded"
+        elif size is not None and picture.shape[::-1] != size:
+            reason = f"has {picture.shape[1]} x {picture.shape[0]} pixels, the first {size[0]} x {size[1]}"
+        else:
+            found, corners = cv2.findChessboardCornersSB(picture, board, flags=FIND)
+            if not found:
+                reason = f"does not show the whole board of {board[0]} x {board[1]} inner corners"
+        if not reason:
+            size, here = (picture.shape[1], picture.shape[0]), np.asarray(corners, float).reshape(-1, 2)
+            same = [name for name, there in seen.items() if np.abs(here - there).max() < SAME_PX]
+            if not same:
+                seen[str(file)] = here
+                continue
+            reason = f"shows the board in the same place as {same[0]}"
+        warn("SWM174", f"{file} {reason}: it is not used")
+    return seen, size or (0, 0)
+
+
+def _checks(count: int, tilt: float, parts: int, error: tuple[float, Array], focal: float) -> list[ev.Check]:
+    """Return the checks of a calibration."""
+    rms, each = error
+    reason = (
+        f"the boards are tilted against each other by {tilt:.0f} degrees at most: pictures in one plane do "
+    )
+    reason += "not determine the focal length"
+    value = f"{rms:.2g} px, pictures {each.min():.2g} to {each.max():.2g} px"
+    return [
+        ev.check("Pictures", str(count), count >= GOOD_PICTURES, f">= {GOOD_PICTURES}",
+                 reason=f"only {count} different pictures show the board"),
+        ev.check("Tilt between pictures", f"{tilt:.0f}°", tilt >= MIN_TILT_DEG, f">= {MIN_TILT_DEG:g}°",
+                 otherwise="fail", reason=reason),
+        ev.check("Parts of the picture", f"{parts} of 16", parts >= MIN_PARTS, f">= {MIN_PARTS}",
+                 reason=f"the board covers {parts} of 16 parts of the picture; the others are not known"),
+        ev.check("Reprojection error", value, rms <= MAX_ERROR_PX, f"<= {MAX_ERROR_PX:g} px",
+                 reason=f"the corners fit no camera within {MAX_ERROR_PX:g} px: {value}"),
+        ev.check("Focal length", f"± {100 * focal:.2g} %", focal <= MAX_FOCAL_SE, f"± {MAX_FOCAL_SE:.0%}",
+                 reason=f"the focal length has a standard error of {100 * focal:.2g} %"),
+    ]  # fmt: skip
