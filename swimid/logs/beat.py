@@ -216,6 +216,7 @@ def find_beats(
         if limit <= chance < FALSE_ALARM / number
         and abs(beat.frequency_hz - main) < 1.0 / duration
         and beat.share > MIN_MAIN_SHARE
+        and beat.cycles > 1.5 * MIN_CYCLES
     ]
     slow = find_slow_motion(t, x) if lowest_hz is None else None
     if has_levels(x):

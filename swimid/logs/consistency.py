@@ -22,7 +22,7 @@ from swimid.logs.beat import LARGEST_SLIP, NO_MOTION, compare_course, coordinate
 from swimid.logs.foreign import quantity_of
 from swimid.logs.kinematics import AXES, from_angles, with_angles
 from swimid.logs.log import TIME, runs
-from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, has_levels, rounding_ratio
+from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, find_held, has_levels, rounding_ratio
 from swimid.logs.tracks import WINDOW, find_jumps
 
 Array = NDArray[np.float64]
@@ -35,6 +35,9 @@ MIN_STDERRS = 4.0
 MIN_WINDOWS = 8
 #: Number of windows of a log without a stroke in which the course is compared with the heading.
 N_WINDOWS = 12
+#: Minimum mean angle between heading and course that is named: it is nearer to a quarter turn than to none;
+#: and minimum speed of a track, m/s. Slower robots hover, and drift with the water.
+MIN_ANGLE, MIN_SPEED_M_S = math.radians(45.0), 0.01
 #: Columns of a track in a plane and of its heading.
 PLANES = (("x_m", "y_m", "yaw_rad"), ("x_px", "y_px", "yaw_rad"), ("x_m", "z_m", "pitch_rad"))
 #: Gain of a column that is in degrees instead of radians, and gain of a column that is in radians instead of
@@ -104,7 +107,7 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     for x_name, y_name, angle in PLANES:
         if {x_name, y_name, angle} <= set(turned) and not (y_name == "z_m" and "y_m" in turned):
             path = turned[x_name], turned[y_name], turned[angle]
-            found += _of_course(time, *path, period_s or float(np.ptp(time)) / N_WINDOWS, angle)
+            found += _of_course(time, *path, period_s, angle)
     for pose in ("m", "px"):
         track = [f"x_{pose}", f"y_{pose}", "yaw_rad"]
         names = [name for name in (f"u_{pose}_s", f"v_{pose}_s") if name in columns]
@@ -120,16 +123,27 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     return found
 
 
-def _of_course(time: Array, x: Array, y: Array, yaw: Array, window_s: float, name: str) -> list[Comparison]:
-    """Compare the direction of travel of a track with the heading, averaged over windows of one stroke."""
-    seen = compare_course([(time, x, y, yaw)], window_s)
+def _of_course(
+    time: Array, x: Array, y: Array, yaw: Array, period_s: float | None, name: str
+) -> list[Comparison]:
+    """Compare the direction of travel of a track with the heading, averaged over windows of a stroke or more.
+
+    The mean angle is that of windows of several strokes, because the sway changes the course of one stroke.
+    """
+    long_s = float(np.ptp(time)) / N_WINDOWS
+    seen = compare_course([(time, x, y, yaw)], period_s or long_s)
     if seen is None:
         return []
+    if not seen.mirrored:
+        seen = compare_course([(time, x, y, yaw)], max(long_s, period_s or 0.0)) or seen
     gain, text, doubtful, against = 1.0, "", False, "the course of the track"
+    advances = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) > MIN_SPEED_M_S * np.ptp(
+        time
+    )
     if seen.mirrored:
         gain = -1.0
         text = f"turns opposite to {against}: one of both is mirrored (factor: -1 for {name} or y)"
-    elif seen.spread_rad < LARGEST_SLIP < abs(seen.slip_rad):
+    elif seen.spread_rad < LARGEST_SLIP and abs(seen.slip_rad) > MIN_ANGLE and advances:
         doubtful, turn = True, math.degrees(seen.slip_rad)
         text = (
             f"stands at {abs(turn):.0f} degrees to {against} on average: unless the robot swims that way by "
@@ -283,7 +297,10 @@ def find_jumped(columns: Mapping[str, Array]) -> list[Jumped]:
     """
     found = []
     for names, place, rules in _channels(columns):
-        known = np.flatnonzero(np.isfinite(place).all(axis=1))
+        known = np.isfinite(place).all(axis=1)
+        if not rules.get("brief"):
+            known &= ~find_held(columns[TIME], [columns[name] for name in names]).repeated
+        known = np.flatnonzero(known)
         # Compare only samples that differ from the one before, because a log may repeat measurements.
         fresh = np.append(True, np.any(np.diff(place[known], axis=0) != 0, axis=1))[: len(known)]
         rows = known[fresh]

@@ -173,7 +173,8 @@ def find_jumps(
     expected = ndimage.median_filter(velocity, size=(WINDOW, 1), mode="reflect")
     off = np.linalg.norm(steps - expected * steps_s[:, None], axis=1)
     length = np.linalg.norm(steps, axis=1)
-    least = max(max(quantum(column) for column in place.T), 0.05 * float(np.median(length)))
+    units = [unit for column in place.T if (unit := quantum(column)) <= np.ptp(column)]
+    least = max(*units, 0.05 * float(np.median(length)), 0.0)
     scale = max(float(np.median(off)), least)
     local = np.maximum(ndimage.median_filter(off, size=min(WIDE, len(off)), mode="reflect"), scale)
     alike = np.linalg.norm(expected, axis=1)
@@ -236,7 +237,11 @@ def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[n
         # runs of L samples is n times the L-th power of the share of spikes.
         most = max(most, np.ceil(np.log(MIN_RUNS / n) / np.log(share)))
     excess = np.log(np.minimum(strength[back[:, 0] - 1], strength[back[:, 1] - 1]) / usual)
-    short = (lengths <= most) & (excess > 0.0)
+    # Leave out excursions beside longer ones, because they belong to one motion, such as that of an impact.
+    long = np.zeros(n, dtype=bool)
+    for first, end in back[lengths > most]:
+        long[max(first - WINDOW, 0) : end + WINDOW] = True
+    short = (lengths <= most) & (excess > 0.0) & ~long[back[:, 0]]
     if not short.any() or gammaincc(short.sum(), 2.0 * excess[short].sum()) >= FALSE_ALARM:
         return back[:0]
     return back[short]
