@@ -299,7 +299,7 @@ def find_jumped(columns: Mapping[str, Array]) -> list[Jumped]:
     for names, place, rules in _channels(columns):
         known = np.isfinite(place).all(axis=1)
         if not rules.get("brief"):
-            known &= ~find_held(columns[TIME], [columns[name] for name in names]).repeated
+            known &= ~find_held(columns[TIME], list(place.T)).repeated
         known = np.flatnonzero(known)
         # Compare only samples that differ from the one before, because a log may repeat measurements.
         fresh = np.append(True, np.any(np.diff(place[known], axis=0) != 0, axis=1))[: len(known)]
