@@ -12,6 +12,7 @@ import inspect
 import json
 import os
 import re
+import shlex
 import sys
 import textwrap
 import traceback

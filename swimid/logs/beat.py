@@ -40,6 +40,12 @@ FALSE_ALARM = 0.01
 #: channel must reach the first fraction. Every beat must reach the second fraction, which is smaller because
 #: a stroke may be weaker than its own harmonic.
 MIN_SHARE, MIN_FAINT_SHARE = 0.1, 0.02
+#: Maximum change of a channel during a rest before or after a swim, divided by its largest usual change; and
+#: maximum fraction of a record in its active part, for a search in this part alone.
+REST_SHARE, MAX_ACTIVE_SHARE = 0.5, 0.9
+#: Minimum fraction of a channel's variance about its drift that its strongest line must explain, if the other
+#: frequencies are left out of the search.
+MIN_MAIN_SHARE = 0.8
 #: Relative tolerance within which two frequencies count as equal, or one as a multiple of the other.
 SAME_RTOL = 0.03
 #: Maximum number of windows of a record in the linear regression of the phase over time. The windows are
@@ -173,6 +179,9 @@ def find_beats(
     amplitudes of windows that do not overlap has a Beta(1, m - 1) distribution, with m independent pairs
     (Goodman 1963). The coherence of a beat must exceed the quantile of this distribution, corrected for the
     number of frequencies in the search. In a record of few cycles, Thomson's F test (1982) is an alternative.
+    For a beat whose frequency wanders, the phase of each window is compared with the mean of its neighbours.
+    For the strongest line of a channel, only the frequencies of similar power count in the correction. If the
+    channel rests at the ends of the record, the part between the rests is searched first.
 
     The frequency is the slope of the phases over time, by generalised least squares. The errors of the phases
     are noise and a random walk. The ratio of the two variances is estimated by restricted maximum likelihood.
@@ -182,6 +191,12 @@ def find_beats(
     t, x = time_s[there], values[there]
     if len(t) < 2 * MIN_SAMPLES:
         return []
+    active = _active_part(x)
+    if np.ptp(active) < MAX_ACTIVE_SHARE * len(x):
+        first, end = active
+        found = find_beats(t[first:end], x[first:end], lowest_hz=lowest_hz, highest_hz=highest_hz)
+        if found:
+            return found
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = max(lowest_hz or 0.0, MIN_CYCLES / duration)
     # Limit the range of the search: an unevenly sampled record determines no more frequencies than an evenly
@@ -189,10 +204,20 @@ def find_beats(
     high = min(highest_hz or 0.45 / step, low + 2 * len(t) / duration)
     if high <= low or np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
         return []
-    tested = [_test(t, x, frequency, duration) for frequency in _peaks(t, x, low, high, duration)]
+    peaks, main, number = _peaks(t, x, low, high, duration)
+    tested = [_test(t, x, frequency, duration) for frequency in peaks]
     found = [result for result in tested if result is not None]
     limit = FALSE_ALARM / max(duration * (high - low), 1.0)
     sure = [beat for chance, beat in found if chance < limit]
+    # The strongest line of the spectrum competes with few other frequencies if it holds most of the power.
+    sure += [
+        beat
+        for chance, beat in found
+        if limit <= chance < FALSE_ALARM / number
+        and abs(beat.frequency_hz - main) < 1.0 / duration
+        and beat.share > MIN_MAIN_SHARE
+        and beat.cycles > 1.5 * MIN_CYCLES
+    ]
     slow = find_slow_motion(t, x) if lowest_hz is None else None
     if has_levels(x):
         # Remove beats that are harmonics of jumps between levels. A signal with jumps has harmonics of any
@@ -227,6 +252,17 @@ def find_beats(
         and not multiple(beat, first, 1.0 / duration)
     ]
     return [first, *sorted(others, key=lambda beat: -beat.amplitude)]
+
+
+def _active_part(values: Array) -> tuple[int, int]:
+    """Return the first index and the last index + 1 of the part of a channel without rests at its ends.
+
+    The channel rests where its change over a hundredth of the record is small.
+    """
+    lag = max(len(values) // 100, 1)
+    change = np.abs(values[lag:] - values[:-lag])
+    moves = np.flatnonzero(change >= REST_SHARE * np.percentile(change, 99))
+    return int(moves[0]), int(moves[-1]) + lag + 1
 
 
 def find_slow_motion(time_s: Array, values: Array) -> Beat | None:
@@ -288,13 +324,17 @@ def multiple(beat: Beat, of: Beat, resolution_hz: float = 0.0) -> int:
     return order if off <= max(SAME_RTOL * of.frequency_hz, error, resolution_hz) else 0
 
 
-def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list[float]:
-    """Return the frequencies of spectral peaks in a channel and in its first two derivatives."""
+def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> tuple[list[float], float, float]:
+    """Return the frequencies of spectral peaks in a channel and in its first two derivatives.
+
+    The second result is the frequency of the strongest peak of the channel, and the third the number of
+    frequencies with a power like that of this peak (the participation ratio of the spectrum).
+    """
     # Begin the frequency grid below ``low``, so that the flank of the spectral peak of a slower motion is not
     # taken for a peak.
     grid = np.arange(max(low - 3.0 / duration, 1.0 / duration), high, 0.1 / duration)
     if len(grid) < 4:
-        return []
+        return [], 0.0, np.inf
     centred = t - t.mean()
     level = x - np.polyval(np.polyfit(centred / duration, x, 3), centred / duration)
     from_end = np.minimum(np.arange(len(x)), np.arange(len(x))[::-1]) / (len(x) - 1)
@@ -306,7 +346,9 @@ def _peaks(t: Array, x: Array, low: float, high: float, duration: float) -> list
         tops = [k for k in np.flatnonzero(rises[:-1] & ~rises[1:]) + 1 if grid[k] >= low]
         ranked = sorted(tops, key=lambda k: -spectrum[k])[:6]
         chosen += [float(grid[k]) for k in ranked if all(abs(grid[k] - f) > 0.5 / duration for f in chosen)]
-    return chosen
+    power = np.where(grid >= low, power, 0.0)
+    number = 0.1 * np.sum(power) ** 2 / max(float(power @ power), 1e-300)
+    return chosen, float(grid[np.argmax(power)]), max(float(number), 1.0)
 
 
 def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float, Beat] | None:
@@ -318,7 +360,7 @@ def _test(t: Array, x: Array, frequency: float, duration: float) -> tuple[float,
     if windows is None:
         return None
     time, amplitude, share, width, hop = windows
-    chance = min(2.0 * _incoherent(time, amplitude, width, hop), 2.0 * _no_line(t, x, frequency), 1.0)
+    chance = 3.0 * min(*_incoherent(time, amplitude, width, hop), _no_line(t, x, frequency))
     if chance >= FALSE_ALARM or share < MIN_FAINT_SHARE:
         return None
     size = np.abs(amplitude)
@@ -377,19 +419,29 @@ def demodulate(t: Array, x: Array, frequency: float) -> tuple[Array, Complex, fl
     return time[carries], amplitude[carries], share, width, hop
 
 
-def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> float:
-    """Return the probability that noise has at least the observed coherence of amplitudes between windows."""
-    pairs = [(i, int(j)) for i, j in enumerate(np.searchsorted(time, time + width - 0.5 * hop))]
-    pairs = [(i, j) for i, j in pairs if j < len(time) and abs(time[j] - time[i] - width) < 0.1 * hop]
+def _incoherent(time: Array, amplitude: Complex, width: float, hop: float) -> tuple[float, float]:
+    """Return the probabilities that noise has at least the observed coherence of amplitudes between windows.
+
+    The first one is for a constant frequency: successive windows have equal phases. The second one is for a
+    wandering frequency: the phase of each window is the mean of those before and after it.
+    """
+    after = np.searchsorted(time, time + width - 0.5 * hop)
+    pairs = [
+        (i, int(j)) for i, j in enumerate(after) if j < len(time) and time[j] - time[i] < width + 0.1 * hop
+    ]
     if len(pairs) < 2:
-        return 1.0
+        return 1.0, 1.0
     i, j = np.array(pairs).T
-    inner = abs(np.vdot(amplitude[i], amplitude[j]))
-    size = float(np.sqrt(np.sum(np.abs(amplitude[i]) ** 2) * np.sum(np.abs(amplitude[j]) ** 2)))
-    coherence = min(inner / max(size, 1e-300), 1.0)
-    # Count a window that overlaps another window by one half as two thirds of an independent window.
-    independent = len(pairs) * 2.0 / 3.0
-    return float((1.0 - coherence**2) ** max(independent - 1.0, 0.0))
+    following = dict(pairs)
+    threes = np.array([(i, j, following[j]) for i, j in pairs if j in following], dtype=int).reshape(-1, 3).T
+    before, middle, later = amplitude[threes]
+    chances = []
+    for one, other in ((amplitude[i], amplitude[j]), (middle**2, before * later)):
+        size = float(np.sqrt(np.sum(np.abs(one) ** 2) * np.sum(np.abs(other) ** 2)))
+        coherence = min(abs(np.vdot(one, other)) / max(size, 1e-300), 1.0)
+        # Count a window that overlaps another window by one half as two thirds of an independent window.
+        chances.append(float((1.0 - coherence**2) ** max(len(one) * 2.0 / 3.0 - 1.0, 0.0)))
+    return chances[0], chances[1]
 
 
 def _slepian_tapers(count: int) -> Array:

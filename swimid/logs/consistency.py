@@ -10,25 +10,36 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swimid.logs.beat import compare_course
+from swimid.logs.beat import LARGEST_SLIP, NO_MOTION, compare_course, coordinates
 from swimid.logs.foreign import quantity_of
-from swimid.logs.kinematics import AXES
+from swimid.logs.kinematics import AXES, from_angles, with_angles
 from swimid.logs.log import TIME, runs
-from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, has_levels, rounding_ratio
+from swimid.logs.sampling import LONG_ENOUGH, NEAR_ROUNDED, SET, find_held, has_levels, rounding_ratio
+from swimid.logs.tracks import WINDOW, find_jumps
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 #: Minimum ratio of a gain (regression coefficient between two columns of a log) to its standard error.
 #: Smaller gains are not judged. Unrelated columns exceed this ratio in one of 16,000 pairs.
 MIN_STDERRS = 4.0
 #: Minimum number of non-overlapping increments of a column in the regression on another column. With fewer
 #: increments the standard error of the gain is not useful.
 MIN_WINDOWS = 8
+#: Number of windows of a log without a stroke in which the course is compared with the heading.
+N_WINDOWS = 12
+#: Minimum mean angle between heading and course that is named: it is nearer to a quarter turn than to none;
+#: and minimum speed of a track, m/s. Slower robots hover, and drift with the water.
+MIN_ANGLE, MIN_SPEED_M_S = math.radians(45.0), 0.01
+#: Columns of a track in a plane and of its heading.
+PLANES = (("x_m", "y_m", "yaw_rad"), ("x_px", "y_px", "yaw_rad"), ("x_m", "z_m", "pitch_rad"))
 #: Gain of a column that is in degrees instead of radians, and gain of a column that is in radians instead of
 #: degrees.
 _DEGREES = (np.pi / 180, 180 / np.pi)
@@ -47,6 +58,8 @@ class Comparison:
         the standard error of this gain. The gain is 1 if the two agree.
     text : str
         Mistake that explains the gain, as text for a message; empty if the column agrees with the quantity.
+    doubtful : bool
+        Whether the difference may be intended, as of a robot that swims sideways.
     """
 
     column: str
@@ -54,6 +67,7 @@ class Comparison:
     gain: float
     stderr: float
     text: str
+    doubtful: bool = False
 
 
 def compare_columns(columns: Mapping[str, Array], period_s: float | None = None) -> list[Comparison]:
@@ -68,7 +82,8 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     columns : mapping of str to ndarray, each shape (n,)
         Columns of a log in SI, ``t_s`` among them.
     period_s : float, optional
-        Period of the stroke, s. Without this period, direction of travel and heading are not compared.
+        Period of the stroke, s, over which direction of travel and heading are averaged. By default it is a
+        twelfth of the duration.
     """
     time = columns[TIME]
     found: list[Comparison] = []
@@ -88,14 +103,16 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
             if pose == "rad":
                 motion = np.unwrap(motion)
             found += _judge(time, [motion], [[values]], [name], against, angle=pose == "rad")
+    turned = with_angles(dict(columns))
+    for x_name, y_name, angle in PLANES:
+        if {x_name, y_name, angle} <= set(turned) and not (y_name == "z_m" and "y_m" in turned):
+            path = turned[x_name], turned[y_name], turned[angle]
+            found += _of_course(time, *path, period_s, angle)
     for pose in ("m", "px"):
         track = [f"x_{pose}", f"y_{pose}", "yaw_rad"]
         names = [name for name in (f"u_{pose}_s", f"v_{pose}_s") if name in columns]
-        if set(track) <= set(columns):
-            x, y, yaw = (columns[name] for name in track)
-            if period_s is not None:
-                found += _of_course(time, x, y, yaw, period_s)
         if set(track) <= set(columns) and names:
+            x, y, yaw = (columns[name] for name in track)
             along, across = (np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))
             ways = {f"u_{pose}_s": along, f"v_{pose}_s": across}
             rates = [[columns[name] * part for part in ways[name]] for name in names]
@@ -106,16 +123,34 @@ def compare_columns(columns: Mapping[str, Array], period_s: float | None = None)
     return found
 
 
-def _of_course(time: Array, x: Array, y: Array, yaw: Array, period_s: float) -> list[Comparison]:
-    """Compare the direction of travel of a track with the heading, averaged over windows of one stroke."""
-    seen = compare_course([(time, x, y, yaw)], period_s)
+def _of_course(
+    time: Array, x: Array, y: Array, yaw: Array, period_s: float | None, name: str
+) -> list[Comparison]:
+    """Compare the direction of travel of a track with the heading, averaged over windows of a stroke or more.
+
+    The mean angle is that of windows of several strokes, because the sway changes the course of one stroke.
+    """
+    long_s = float(np.ptp(time)) / N_WINDOWS
+    seen = compare_course([(time, x, y, yaw)], period_s or long_s)
     if seen is None:
         return []
-    gain, text = 1.0, ""
+    if not seen.mirrored:
+        seen = compare_course([(time, x, y, yaw)], max(long_s, period_s or 0.0)) or seen
+    gain, text, doubtful, against = 1.0, "", False, "the course of the track"
+    advances = np.hypot(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) > MIN_SPEED_M_S * np.ptp(
+        time
+    )
     if seen.mirrored:
         gain = -1.0
-        text = "turns opposite to the course of the track: one of both is mirrored (factor: -1 for yaw or y)"
-    return [Comparison("yaw_rad", "the course of the track", gain, math.nan, text)]
+        text = f"turns opposite to {against}: one of both is mirrored (factor: -1 for {name} or y)"
+    elif seen.spread_rad < LARGEST_SLIP and abs(seen.slip_rad) > MIN_ANGLE and advances:
+        doubtful, turn = True, math.degrees(seen.slip_rad)
+        text = (
+            f"stands at {abs(turn):.0f} degrees to {against} on average: unless the robot swims that way by "
+            f"intent, write offset: {seen.slip_rad:.4f} for {name}; a compass heading needs factor: -1 and "
+            "offset: 1.5708"
+        )
+    return [Comparison(name, against, gain, math.nan, text, doubtful)]
 
 
 def _of_quaternion(
@@ -216,6 +251,121 @@ def _named(gain: float, *, angle: bool) -> str:
     elif nearest != 1.0:
         words.append(f"is {1 / nearest:g} times too large")
     return " and ".join(words)
+
+
+# ---------------------------------------------------------------- jumps of single channels
+
+#: Names of the angles of the attitude.
+ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
+#: Maximum rate of a joint, rad/s: the fastest hobby servos turn 60 degrees in 0.05 s.
+MAX_JOINT_RATE = math.radians(60.0) / 0.05
+#: Maximum fraction of the samples of a channel that lie in jumps. A joint with more of them is commanded in
+#: steps. Other columns with more of them are probably no track or attitude.
+MAX_JUMPED = 0.2
+
+
+@dataclass(frozen=True)
+class Jumped:
+    """Samples of a channel that lie away from the others: jumps with return, or spikes.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Columns of the channel. An attitude has several.
+    out : ndarray of bool, shape (n,)
+        Whether each sample lies away from the channel.
+    elsewhere : list of int
+        Row numbers at which the channel continues at another value.
+    """
+
+    columns: tuple[str, ...]
+    out: Flags
+    elsewhere: list[int]
+
+
+def find_jumped(columns: Mapping[str, Array]) -> list[Jumped]:
+    """Find the jumps of attitudes, angles and single positions, and the spikes of all other channels.
+
+    Angles and attitudes are compared as directions, so that neither a full turn nor the sign of a quaternion
+    is a jump. The rules are those of :func:`swimid.logs.tracks.find_jumps`. Tracks of several coordinates are
+    left to :func:`swimid.logs.tracks.clean`.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, each shape (n,)
+        Columns of a log, ``t_s`` among them; NaN where missing.
+    """
+    found = []
+    for names, place, rules in _channels(columns):
+        known = np.isfinite(place).all(axis=1)
+        if not rules.get("brief"):
+            known &= ~find_held(columns[TIME], list(place.T)).repeated
+        known = np.flatnonzero(known)
+        # Compare only samples that differ from the one before, because a log may repeat measurements.
+        fresh = np.append(True, np.any(np.diff(place[known], axis=0) != 0, axis=1))[: len(known)]
+        rows = known[fresh]
+        if len(rows) <= WINDOW:
+            continue
+        until = columns[TIME][np.append(known[np.flatnonzero(fresh)[1:] - 1], known[-1])]
+        stays, elsewhere = find_jumps(columns[TIME][rows], place[rows], until, **rules)
+        out = np.zeros(len(place), dtype=bool)
+        out[known] = ~stays[np.cumsum(fresh) - 1]
+        if rules.get("brief"):
+            # A value that is held for longer than usual is no spike.
+            ends, usual = runs(out), 2 * np.median(np.diff(rows))
+            held = np.diff(ends)[:, 0] > usual * np.diff(np.searchsorted(rows, ends))[:, 0]
+            for first, end in ends[held]:
+                out[first:end] = False
+        if rules.get("least_rate"):
+            elsewhere = []
+            out &= out.mean() <= MAX_JUMPED
+        if out.any() or elsewhere:
+            found.append(Jumped(names, out, [int(rows[k]) for k in elsewhere]))
+    return found
+
+
+def _channels(columns: Mapping[str, Array]) -> Iterator[tuple[tuple[str, ...], Array, dict[str, Any]]]:
+    """Yield the columns of each channel, its samples, shape (n, d), and the arguments of ``find_jumps``."""
+    from scipy.spatial.transform import Rotation
+
+    names = [
+        name for name in columns if name != TIME and not NO_MOTION.fullmatch(name) and "_raw_" not in name
+    ]
+    for group in (AXES, ANGLES):
+        if set(group) <= set(names):
+            values = np.column_stack([columns[name] for name in group])
+            there = np.isfinite(values).all(axis=1) & (np.linalg.norm(values, axis=1) > 0)
+            place = np.full((len(values), 9), np.nan)
+            turned = from_angles(*values[there].T) if group == ANGLES else Rotation.from_quat(values[there])
+            place[there] = turned.as_matrix().reshape(-1, 9) / np.sqrt(2.0)
+            yield group, place, {}
+            names = [name for name in names if name not in group]
+    track = coordinates(columns)
+    if len(track) == 1:
+        yield (track[0],), columns[track[0]][:, None], {}
+    for name in names:
+        place, rules = columns[name][:, None], {"brief": True}
+        if name.endswith("_rad"):
+            place = np.column_stack((np.cos(place), np.sin(place)))
+        if name in ANGLES:
+            rules = {}
+        elif has_levels(columns[name]):
+            continue
+        elif name.endswith("_rad") and not SET.fullmatch(name):
+            rules = {"least_rate": MAX_JOINT_RATE}
+        yield (name,), place, rules
+
+
+def find_code(values: Sequence[float] | Array) -> float | None:
+    """Return the value that at least half of the outlying samples of a channel hold exactly, or None.
+
+    It is probably the code of missing samples. A single sample has a code only if it is 0.
+
+    >>> find_code([0.0, 0.0, 0.3]), find_code([0.1, 0.2, 0.3])
+    (0.0, None)
+    """
+    value, count = Counter(np.asarray(values).tolist()).most_common(1)[0]
+    return value if 2 * count >= len(values) and (count > 1 or value == 0.0) else None
 
 
 # ---------------------------------------------------------------- channels that are no measurement

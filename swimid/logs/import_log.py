@@ -16,8 +16,17 @@ from swimid.files import atomic, provenance
 from swimid.logs import beat, log, mapping, point_evidence, point_files, points, sampling, tracks, wave
 from swimid.logs.averaging import RowStatistics
 from swimid.logs.beat import Rhythm, contradiction
-from swimid.logs.consistency import Comparison, compare_columns, find_unmeasured
-from swimid.logs.log import TIME, Doubt, Log, LogLike
+from swimid.logs.consistency import (
+    ANGLES,
+    MAX_JUMPED,
+    Comparison,
+    Jumped,
+    compare_columns,
+    find_code,
+    find_jumped,
+    find_unmeasured,
+)
+from swimid.logs.log import TIME, Doubt, Log, LogLike, runs
 from swimid.logs.mapping import MappedLog, Order
 from swimid.logs.options import ImportOptions
 from swimid.logs.plot import figures_of
@@ -28,7 +37,6 @@ from swimid.logs.sampling import (
     SET,
     find_frozen,
     may_freeze,
-    usual_step,
 )
 from swimid.logs.tracks import Cleaning, Logged, TrackSpeed
 from swimid.notices import Notice, Progress, recorded, silent, warn
@@ -123,7 +131,6 @@ def import_log(
 
 # ---------------------------------------------------------------- examination
 
-ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 #: Pattern of the columns that ``swimid track`` writes for a pose before smoothing, and pattern of all columns
 #: of a pose or of its rates of change.
 _RAW = re.compile(r"(x|y|z|yaw|pitch|roll)_raw_(.+)")
@@ -145,7 +152,9 @@ class Examined:
     cleaning : Cleaning or None
         Repeated samples, jumps and gaps of the track; None without a track.
     cleaned : bool
-        Whether repeated samples and jumps were left out of the log.
+        Whether repeated samples and jumps were left out of the track.
+    jumped : dict of str to Jumped
+        Jumps and spikes of the channels beside the track, by a message on them.
     speed : TrackSpeed or None
         Speed of the track.
     stroke : Rhythm or None
@@ -173,6 +182,7 @@ class Examined:
     order: Order
     cleaning: Cleaning | None
     cleaned: bool
+    jumped: dict[str, Jumped]
     speed: TrackSpeed | None
     stroke: Rhythm | None
     against: str
@@ -223,13 +233,21 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
         cleaned = len(coordinates) > 1 and not log.written_by(source.metadata, "swimid track")
     cleaned = cleaned and bool(coordinates)
     cleaning = speed = None
+    jumped: dict[str, Jumped] = {}
+    if options.clean or not log.written_by(source.metadata, "swimid track"):
+        lines = source.rows[order.index]
+        jumped = {
+            _describe(one, source, lines, options.clean is not False): one for one in find_jumped(columns)
+        }
+    for text in jumped:
+        warn("SWM058", f"{name}: {text}")
     if len(coordinates) > 1 or cleaned:
         track = [known[column] for column in coordinates]
         angles = [known[column] for column in ANGLES if column in columns]
         stamps = columns[TIME]
         cleaning = tracks.clean(stamps, track, angles)
-        if cleaned:
-            _take_out(columns, cleaning, name, metadata)
+    if options.clean is not False:
+        _take_out(columns, cleaning if cleaned else None, list(jumped.values()), name, metadata)
     channels = {key: values for key, values in _measured(columns).items() if key not in (TIME, *markers)}
     times, times_sd_s = columns[TIME], 0.0
     if cleaning is not None and cleaning.held is not None:
@@ -253,16 +271,14 @@ def examine(source: MappedLog, options: ImportOptions, request: Request | None =
     doubts = [*log.doubts(columns[TIME], columns), *_bent(stroke)]
     for doubt in doubts:
         warn("SWM002", f"{name}, '{doubt.column}': {doubt.text}")
-    comparisons = compare_columns(columns, period_s)
-    for one in comparisons:
-        if one.text:
-            warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
+    comparisons = _compared(columns, period_s, name)
     return Examined(
         source,
         Log(source.path, metadata, columns, None),
         order,
         cleaning,
         cleaned,
+        jumped,
         speed,
         stroke,
         against,
@@ -331,32 +347,98 @@ def _bent(stroke: Rhythm | None) -> list[Doubt]:
     return [Doubt(name, text.format(size)) for name, size in beats.items() if size > np.pi]
 
 
-def _take_out(columns: dict[str, Array], cleaning: Cleaning, name: str, metadata: dict[str, Any]) -> None:
-    """Remove the repeated samples and jumps of a track from the columns of a log, in place.
+def _compared(columns: dict[str, Array], period_s: float | None, name: str) -> list[Comparison]:
+    """Return the comparisons of columns that show the same motion; warn of those that contradict."""
+    comparisons = compare_columns(columns, period_s)
+    for one in comparisons:
+        if one.doubtful:
+            warn("SWM063", f"{name}, '{one.column}': {one.text}")
+        elif one.text:
+            warn("SWM090", f"{name}, '{one.column}': {one.text} (against {one.against}: {one.gain:.3g})")
+    return comparisons
 
-    The pose of such a sample becomes NaN. A row that holds no other value than the pose is removed.
+
+def _jumped(source: MappedLog, lines: NDArray[np.int64], clean: bool | None) -> dict[str, Jumped]:
+    """Return the jumps and spikes of the channels of a log by a message on them; warn of them.
+
+    A track that swimid computed is not searched, unless ``clean`` asks for it.
     """
-    done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
-    elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
-    if elsewhere:
-        at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
-        warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
-        done["elsewhere_s"] = elsewhere
-    out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
-    if not out.any():
-        return
-    if len(out) >= 2 * tracks.MIN_SAMPLES and good < tracks.MIN_SAMPLES:
-        text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
-        raise NoTrustworthyResult(text, hint="--raw keeps them all; is this a track of positions in metres?")
-    lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
-    warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
-    empty = out.copy()
-    for column, values in columns.items():
-        if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
-            columns[column] = np.where(out, np.nan, values)
-        elif column != TIME:
-            empty &= np.isnan(values)
-    _keep(columns, ~empty)
+    if not clean and log.written_by(source.metadata, "swimid track"):
+        return {}
+    found = {_describe(one, source, lines, clean is not False): one for one in find_jumped(source.columns)}
+    for text in found:
+        warn("SWM058", f"{source.path.name}: {text}")
+    return found
+
+
+def _describe(one: Jumped, source: MappedLog, lines: NDArray[np.int64], cleaned: bool) -> str:
+    """Return a message on the jumps of a channel: their number, their lines, and the code of missing samples.
+
+    ``lines`` has the line of each row of the log in the file of ``source``.
+    """
+    ends = runs(one.out)
+    places = [
+        f"{lines[first]} to {lines[end - 1]}".removesuffix(f" to {lines[first]}") for first, end in ends[:5]
+    ]
+    more, told = ", ..." * (len(ends) > 5), []
+    if len(ends):
+        left = ("kept", "left out")[int(cleaned)]
+        told.append(
+            f"{int(one.out.sum())} samples in {len(ends)} jumps {left} (lines {', '.join(places)}{more})"
+        )
+    if one.elsewhere:
+        told.append(
+            f"goes on at another value in line {', '.join(str(lines[row]) for row in one.elsewhere[:5])}"
+        )
+    column = one.columns[0]
+    if (
+        len(ends)
+        and len(one.columns) == 1
+        and (code := find_code(source.columns[column][one.out])) is not None
+    ):
+        _, factor, offset = source.sources.get(column, ("", 1.0, 0.0))
+        told.append(
+            f"they hold exactly {(code - offset) / factor:.6g}: if it marks missing samples, write reader: "
+            f"{{missing: [{(code - offset) / factor:.6g}]}} in the mapping"
+        )
+    return f"{', '.join(one.columns)}: {'; '.join(told)}"
+
+
+def _take_out(
+    columns: dict[str, Array],
+    cleaning: Cleaning | None,
+    jumped: list[Jumped],
+    name: str,
+    metadata: dict[str, Any],
+) -> None:
+    """Remove jumps and spikes of channels, and repeated samples and jumps of a track, from a log, in place.
+
+    Such a sample becomes NaN. A row that holds no other value is removed.
+    """
+    columns |= {n: np.where(one.out, np.nan, columns[n]) for one in jumped for n in one.columns}
+    empty = np.any([np.zeros(len(columns[TIME]), dtype=bool), *(one.out for one in jumped)], axis=0)
+    if cleaning is not None:
+        done = metadata["track_cleaned"] = {**cleaning.counts, "gaps": len(cleaning.gaps)}
+        elsewhere = [float(columns[TIME][row]) for row in cleaning.offset_rows]
+        if elsewhere:
+            at = ", ".join(f"{time:.6g} s" for time in elsewhere[:5])
+            warn("SWM059", f"{name}: the track goes on elsewhere at {at}")
+            done["elsewhere_s"] = elsewhere
+        out, good = cleaning.repeated | cleaning.jumped, int(cleaning.good.sum())
+        if out.any():
+            if len(out) >= 2 * tracks.MIN_SAMPLES and good < tracks.MIN_SAMPLES:
+                text = f"{name}: of {len(out)} samples {good} are no repeats or jumps: no track"
+                hint = "--raw keeps them all; is this a track of positions in metres?"
+                raise NoTrustworthyResult(text, hint=hint)
+            lost = f"{done['samples_jumped']} samples of {done['jumps']} jumps"
+            warn("SWM058", f"{name}: {done['repeats']} repeated samples and {lost} left out of the track")
+            empty |= out
+            for column in columns:
+                if re.fullmatch(r"[xyz]_(m|px)", column) or column in ANGLES:
+                    columns[column] = np.where(out, np.nan, columns[column])
+    empty &= np.isnan([values for column, values in columns.items() if column != TIME]).all(axis=0)
+    if empty.any():
+        _keep(columns, ~empty)
 
 
 def _against(stroke: Rhythm, stated_hz: float | None, name: str) -> str:
@@ -392,12 +474,9 @@ MIN_SAMPLES = LONG_ENOUGH + 1
 #: Minimum number of track samples per stroke. With fewer samples the path of the robot between two samples is
 #: not known.
 MIN_SAMPLES_PER_STROKE = 6.0
-#: Maximum fraction of the rows of a log that are left out because of a missing or repeated time. With a
-#: larger fraction the time column is probably incomplete.
+#: Maximum fraction of the rows of a log that are left out because of a missing or repeated time, and of its
+#: duration in which a channel is frozen. With a larger fraction the log is not usable.
 MAX_DROPPED = 0.1
-#: Maximum fraction of the samples of a track that lie in jumps. With a larger fraction the columns are
-#: probably not a track.
-MAX_JUMPED = 0.2
 #: Pattern of the columns whose values are compared with the limits of a swimmer
 #: (:func:`swimid.logs.log.doubts`).
 LIMITED = re.compile(r"[xyz]_m|.*_(rad|rad_s|m_s)")
@@ -522,11 +601,15 @@ def _value_checks(found: Examined) -> list[Check]:
     stuck = find_frozen(found.log.time_s, _measured(found.log.columns))
     scales = {target: factor for target, (_, factor, _) in found.mapped.sources.items()}
     wrong = [one for one in found.comparisons if one.text]
+    failed = not all(one.doubtful for one in wrong)
     disagree = "; ".join(f"{one.column} {one.text} (against {one.against})" for one in wrong)
     holds = "; ".join(f"{name} from {a:.4g} to {b:.4g} s" for name, (a, b) in stuck.items())
     faults = "; ".join(f"{name} {text}" for name, text in find_unmeasured(found.log.columns, scales).items())
     doubts = "; ".join(f"{doubt.column} {doubt.text}" for doubt in found.doubts)
     frozen, faulty = f"channels hold one value amid their motion: {holds}", f"channels look faulty: {faults}"
+    span_s, jumps = np.ptp(found.log.time_s), "; ".join(found.jumped)
+    lossy = any(one.out.mean() > MAX_JUMPED for one in found.jumped.values())
+    long_held = any(end - begin > MAX_DROPPED * span_s for begin, end in stuck.values())
     uneven = f"the sampling is uneven{', in bursts' * found.bursts}: {found.uneven}"
     enough = len(found.log.time_s) >= MIN_SAMPLES
     channels = {name: values for name, values in found.log.signals.items() if not SET.fullmatch(name)}
@@ -534,9 +617,10 @@ def _value_checks(found: Examined) -> list[Check]:
     continuous = any(may_freeze(*channel) for channel in found.log.signals.items())
     limited = enough and any(map(LIMITED.fullmatch, found.log.signals))
     return [
-        _check("Columns agree", not disagree, "all", disagree, made=bool(found.comparisons), fails=True),
+        _check("Columns agree", not wrong, "all", disagree, made=bool(found.comparisons), fails=failed),
         _check("Sampling", not found.uneven, "even", uneven, found.uneven, made=enough, fails=found.bursts),
-        _check("Frozen channels", not holds, "none", frozen, holds, made=continuous, fails=True),
+        _check("Jumps of channels", not jumps, "none", jumps, jumps, made=long, fails=lossy),
+        _check("Frozen channels", not holds, "none", frozen, holds, made=continuous, fails=long_held),
         _check("Faulty channels", not faults, "none", faulty, faults, made=long),
         _check(POSSIBLE, not doubts, "within", doubts, "beyond" if doubts else "", made=limited),
     ]
@@ -678,19 +762,20 @@ def _all_rows_data(all_rows: RowStatistics) -> dict[str, Any]:
 
 def _data(found: Examined, proof: Evidence) -> dict[str, Any]:
     """Return the findings of the import of a log as plain data (numbers, text, lists and dicts)."""
-    time, unit, step = found.log.time_s, found.unit, usual_step(found.log.time_s)
+    time, unit = found.log.time_s, found.unit
     cleaning, speed, stroke = found.cleaning, found.speed, found.stroke
     made: dict[str, Any] = {
         "file": str(found.log.path),
         "samples": len(time),
         "duration_s": float(time[-1] - time[0]),
-        "median_rate_hz": 1 / step,
+        "median_rate_hz": 1 / sampling.rate(time).step_s,
         "columns": list(found.log.columns),
         "missing": {name: int(np.isnan(values).sum()) for name, values in found.log.signals.items()},
         "rows": found.order.counts,
         "notes": found.mapped.notes,
         "profile": found.mapped.profile,
         "unlikely": found.mapped.unlikely,
+        "jumps": {", ".join(one.columns): int(one.out.sum()) for one in found.jumped.values()},
         "contradictions": [asdict(one) for one in found.comparisons if one.text],
         "stroke": {"unknown": found.unknown},
         **dict.fromkeys(("track", "speed", "points", "wave")),

@@ -46,7 +46,7 @@ from swimid.logs.foreign import (
 )
 from swimid.logs.kinematics import AXES, rearranged
 from swimid.logs.log import TIME, Log, LogLike, cells_to_numbers, longest_run, metadata_of, written_by
-from swimid.logs.sampling import PAUSE, usual_step
+from swimid.logs.sampling import PAUSE, UNIFORM_SHARE, usual_step
 from swimid.notices import Progress, silent, warn
 from swimid.results.result import Text
 
@@ -1059,11 +1059,15 @@ def date_formats(cells: Any) -> list[str]:
 
 # ---------------------------------------------------------------- rows in order
 
-#: Maximum fraction of samples in a record with an earlier time than the sample before, and maximum number of
-#: such late samples in sequence. With more late samples, the clock is taken to have been reset.
+#: Maximum fraction of samples in a record with an earlier time than the sample before, if their times do not
+#: fit into the gaps that they left, and maximum number of such late samples in sequence. With more late
+#: samples, the clock is taken to have been reset.
 LATE_SHARE, LATE_RUN = 0.01, 20
+#: Minimum distance of a late sample that fits into its gap from the samples beside it, in time steps.
+MIN_DISTANCE = 0.5
 #: Text of the import summary for each kind of row that is left out or moved. A number precedes this text.
 ODD_ROWS = {
+    "unfilled": "at the end, which repeat one row without a later time, left out",
     "untimed": "without a time left out",
     "repeated": "repeated left out",
     "clashing": "with the time of the row before but other values left out",
@@ -1080,7 +1084,8 @@ class Order:
     index : ndarray of int, shape (m,)
         Numbers of the rows that are kept, sorted by time.
     counts : dict of str to int
-        Number of rows of each kind in :data:`ODD_ROWS`: rows without a time, rows equal to an earlier row at
+        Number of rows of each kind in :data:`ODD_ROWS`: rows at the end that were never filled, rows
+        without a time, rows equal to an earlier row at
         the same time, rows with other values at the time of an earlier row (all left out), and rows that
         follow a row with a later time (moved to the place of their time).
     reset_row : int or None
@@ -1112,16 +1117,29 @@ def in_order(time_s: Array, columns: abc.Mapping[str, Array]) -> Order:
     -----
     Single rows that arrive late (packets on a network) are moved to the place of their time. A clock that
     goes back and counts on from the earlier time was reset. In that case the rows are not sorted, because the
-    log does not show which times are right.
+    log does not show which times are right. Rows at the end that were never filled, such as those of a file
+    that was created with its full length, hold one value each: missing or 0.
     """
-    index = np.flatnonzero(np.isfinite(time_s))
+    length = len(time_s)
+    if length and not time_s[-1] >= np.fmax.reduce(time_s):
+        last = [
+            (values == values[-1]) | (np.isnan(values) & np.isnan(values[-1]))
+            for values in (time_s, *columns.values())
+        ]
+        length = int(np.max(np.flatnonzero(~np.all(last, axis=0)), initial=-1)) + 1
+        length += length == len(time_s) - 1  # a single row is no unfilled part
+    index = np.flatnonzero(np.isfinite(time_s[:length]))
     times = time_s[index]
-    counts = dict.fromkeys(ODD_ROWS, 0) | {"untimed": len(time_s) - len(index)}
+    counts = dict.fromkeys(ODD_ROWS, 0) | {"unfilled": len(time_s) - length, "untimed": length - len(index)}
     if np.all(np.diff(times) > 0):
         return Order(index, counts)
     behind = times < np.maximum.accumulate(times)
     late = counts["late"] = int(behind.sum())
-    if late > max(1, LATE_SHARE * len(times)) or longest_run(behind) > LATE_RUN:
+    ranked = np.sort(times)
+    beside = np.minimum(np.diff(ranked, prepend=-np.inf), np.diff(ranked, append=np.inf))
+    far = beside[np.searchsorted(ranked, times[behind])] > MIN_DISTANCE * np.median(np.abs(np.diff(times)))
+    most = max(1, LATE_SHARE * len(times))
+    if (late > most and far.mean() < UNIFORM_SHARE) or longest_run(behind) > LATE_RUN:
         return Order(index, counts, int(index[np.argmax(behind)]))
     import pandas as pd
 

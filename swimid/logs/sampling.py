@@ -30,6 +30,8 @@ UNEVEN, BURST, FEW_CHANGES = 2.0, 10.0, 0.1
 #: Minimum number of time steps of a record whose sampling is judged. With fewer time steps a missing sample
 #: cannot be distinguished from coarse rounding of the time stamps.
 LONG_ENOUGH = 20
+#: Maximum difference between a time step and a whole number of units of the clock, in units.
+GRID_TOL = 0.02
 #: Maximum length of a gap within one evenly sampled piece of a record, in sampling intervals. The record is
 #: divided at longer gaps.
 LONGEST_FILL = 1000
@@ -110,10 +112,31 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
         return "", False
     ratio = np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])
     bursts = bool(np.mean(ratio > BURST) > FEW_CHANGES)
-    if not bursts and (rate(time_s).uniform or np.mean(ratio > UNEVEN) <= FEW_CHANGES):
+    usual, unit = rate(time_s), clock_unit(steps)
+    if not bursts and unit / np.sqrt(6.0) > NOTABLE_JITTER * usual.step_s:
+        return f"the clock counts in {1e3 * unit:.4g} ms, the steps are {1e3 * usual.step_s:.4g} ms", False
+    if not bursts and (usual.uniform or np.mean(ratio > UNEVEN) <= FEW_CHANGES):
         return "", False
     low, middle, high = (f"{1e3 * step:.4g}" for step in np.percentile(steps, [5, 50, 95]))
     return f"the steps are {low} to {high} ms (5 to 95 %), {middle} ms in the median", bursts
+
+
+def clock_unit(steps_s: np.ndarray) -> float:
+    """Return the unit, s, to which time stamps were rounded; 0 if the time steps show none.
+
+    All time steps are multiples of the unit, and the mean step is not. ``steps_s`` holds the time steps, s.
+
+    >>> round(clock_unit(np.diff(np.round(np.arange(100) / 240, 3))), 9), clock_unit(np.full(9, 0.02))
+    (0.001, 0.0)
+    """
+    mean = float(np.mean(steps_s[steps_s < PAUSE * np.median(steps_s)]))
+    # Steps that differ by less than a millionth of a step are equal apart from rounding errors.
+    distinct = np.unique(np.round(steps_s / mean, 6)) * mean
+    unit = min(float(distinct[0]), float(np.min(np.diff(distinct), initial=np.inf)))
+    if unit <= 0.0 or abs(mean / unit - round(mean / unit)) < GRID_TOL or len(distinct) < 2:
+        return 0.0
+    off = np.abs(distinct / unit - np.round(distinct / unit))
+    return unit if off.max() < GRID_TOL else 0.0
 
 
 @dataclass(frozen=True)
@@ -157,6 +180,8 @@ def rate(time_s: np.ndarray) -> Rate:
     # Compute the sampling interval as the mean of the time steps near their median. The median itself is
     # biased if the stamps are rounded to milliseconds.
     typical = float(f"{np.mean(steps[np.abs(steps - median) <= 0.5 * median]):.10g}")
+    if clock_unit(steps) > 0.0:
+        typical = float(np.ptp(time_s) / np.sum(np.maximum(np.round(steps / typical), 1)))
     relative = steps / typical
     whole = np.maximum(np.round(relative), 1)
     off = np.abs(relative - whole)
@@ -466,8 +491,14 @@ FALSE_ALARM = 1e-3
 #: frozen sensor value is larger.
 LONG_HOLD, NEAR = 5.0, 3.0
 #: Pattern of the columns that are commanded or computed, not measured: commands, standard deviations,
-#: likelihoods and confidences.
-SET = re.compile(r"cmd.*|.*_sd(_.*)?|.*likelihood|.*confidence")
+#: likelihoods and counters.
+SET = re.compile(
+    r"(cmd|desired|command|thrust|throttle|pwm|duty|set_?point|target|goal|servo|motor|rudder|esc|status|mode|"
+    r"frame|count)(?!\w*measured).*|.*_(cmd|command|setpoint|sd(_.*)?)|.*(likelihood|confidence|score|prob\w*)"
+)
+#: Pattern of the columns that show the motion of the body, which a frozen sensor may hold at any value.
+#: Another quantity may return to one value, such as a force in the dead band of a thruster.
+OF_MOTION = re.compile(r"([xyz]|roll|pitch|yaw|[uvw]|v[xyz]|[aw][xyz]|joint\w*|\w*rate)_\w+|q[wxyz]")
 #: Maximum rounding step of a channel that is searched for a sudden stop, as a fraction of its mean change per
 #: sample. A channel with coarser rounding repeats values even while it moves.
 NEAR_ROUNDED = 0.2
@@ -611,7 +642,8 @@ def find_frozen(time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[
             beside = [steps[j] for j in (k - 1, k) if 0 <= j < len(steps)]
             recurs = x[first[k]] == 0.0 or np.count_nonzero(x[first[length > 1]] == x[first[k]]) > 1
             stops = fine and len(beside) == 2 and min(beside) > usual and not recurs
-            if max(beside) > 2.0 * NEAR * usual or stops:
+            leaps = max(beside) > 2.0 * NEAR * usual and not (recurs and not OF_MOTION.fullmatch(name))
+            if leaps or stops:
                 stretch = float(time_s[rows[first[k]]]), float(time_s[rows[end[k]]])
                 if stretch[1] - stretch[0] > np.subtract(*found.get(name, (0.0, 0.0))[::-1]):
                     found[name] = stretch

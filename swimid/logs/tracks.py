@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from swimid.logs import log
 from swimid.logs.beat import waves
 from swimid.logs.log import Log, runs
-from swimid.logs.sampling import PAUSE, Held, find_held, pauses, quantum
+from swimid.logs.sampling import FALSE_ALARM, PAUSE, Held, find_held, pauses, quantum, rate
 from swimid.results import numbers
 from swimid.results.evidence import Evidence, Table, Verdict, leaf_table
 from swimid.results.result import Result
@@ -44,6 +44,9 @@ FASTER, ALIKE = 2.0, 5
 #: track at another place after a jump. A shorter segment is taken for a tracking error, after which the track
 #: returns.
 FEW, FEW_SHARE = 12, 0.05
+#: Maximum number of successive samples in a spike of a quantity other than a pose, if spikes are rare; and
+#: minimum expected number of longer runs of adjacent spikes, for runs of this length to count as spikes.
+SPIKE, MIN_RUNS = 2, 0.1
 
 
 @dataclass(frozen=True)
@@ -101,9 +104,10 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     A step is outlying if it meets two conditions. First, it differs from the running median velocity by more
     than :data:`OUTLYING` times the larger of the local and the global median deviation (Hampel's identifier,
     applied to the steps with their durations). Second, it is more than :data:`FASTER` times as fast as the
-    fastest part of the track (the 99th percentile of the running median over :data:`ALIKE` steps). Outlying
-    steps cut the track into pieces. The accepted track is the sequence of pieces with the largest number of
-    samples minus a cost for each piece that does not continue the previous piece.
+    fastest part of the track (the 99th percentile of the running median over :data:`ALIKE` steps), and as the
+    steps around it (their running median). Outlying steps cut the track into pieces. The accepted track is
+    the sequence of pieces with the largest number of samples minus a cost for each piece that does not
+    continue the previous piece.
 
     References
     ----------
@@ -119,7 +123,7 @@ def clean(time_s: Array, positions: list[Array], others: list[Array] | None = No
     offsets: list[int] = []
     jumps = 0
     if len(rows) > WINDOW:
-        stays, elsewhere = _jumps(time_s[rows], place[rows])
+        stays, elsewhere = find_jumps(time_s[rows], place[rows])
         jumped[rows[~stays]] = True
         offsets = [int(rows[k]) for k in elsewhere]
         jumps = len(runs(~stays)) + len(offsets)
@@ -133,24 +137,54 @@ def gaps(time_s: Array, good: Flags) -> list[tuple[float, float]]:
     return [(float(times[k]), float(times[k + 1])) for k in pauses(times)]
 
 
-def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
-    """Find jumps; return flags of the samples on the track, and the rows at which it continues elsewhere."""
+def find_jumps(
+    time: Array, place: Array, until: Array | None = None, *, brief: bool = False, least_rate: float = 0.0
+) -> tuple[Flags, list[int]]:
+    """Find the jumps of a channel by the rules given in :func:`clean`.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Strictly increasing, s.
+    place : ndarray, shape (n, d)
+        Samples without NaN: positions, or any quantity whose differences have a meaning.
+    until : ndarray, shape (n,), optional
+        Time until which each sample was repeated, s. By default no sample is repeated.
+    brief : bool
+        Whether only excursions of about :data:`SPIKE` samples count, after which the channel continues as
+        before. Any other quantity than a pose may change in one step.
+    least_rate : float
+        Minimum rate of an outlying step, in units of ``place`` per s.
+
+    Returns
+    -------
+    stays : ndarray of bool, shape (n,)
+        Whether each sample lies on the track.
+    elsewhere : list of int
+        Indices of the samples at which the track continues at another place.
+    """
     from scipy import ndimage
 
-    steps_s, steps = np.diff(time), np.diff(place, axis=0)
+    if until is None:
+        until = time
+    steps_s, steps = time[1:] - until[:-1], np.diff(place, axis=0)
     usual_s = float(np.median(steps_s))
     velocity = steps / steps_s[:, None]
-    expected = ndimage.median_filter(velocity, size=(WINDOW, 1), mode="nearest")
+    # Reflect the steps at the ends of the record, because copies of the last step would hide a jump there.
+    expected = ndimage.median_filter(velocity, size=(WINDOW, 1), mode="reflect")
     off = np.linalg.norm(steps - expected * steps_s[:, None], axis=1)
     length = np.linalg.norm(steps, axis=1)
-    least = max(max(quantum(column) for column in place.T), 0.05 * float(np.median(length)))
+    units = [unit for column in place.T if (unit := quantum(column)) <= np.ptp(column)]
+    least = max(*units, 0.05 * float(np.median(length)), 0.0)
     scale = max(float(np.median(off)), least)
-    local = np.maximum(ndimage.median_filter(off, size=min(WIDE, len(off)), mode="nearest"), scale)
-    alike = ndimage.median_filter(velocity, size=(ALIKE, 1), mode="nearest")
-    fastest = float(np.percentile(np.linalg.norm(alike, axis=1), 99))
+    local = np.maximum(ndimage.median_filter(off, size=min(WIDE, len(off)), mode="reflect"), scale)
+    alike = np.linalg.norm(expected, axis=1)
+    if not brief:
+        alike = np.linalg.norm(ndimage.median_filter(velocity, size=(ALIKE, 1), mode="reflect"), axis=1)
+    fastest = max(float(np.percentile(alike, 99)), least_rate / FASTER)
     longer = np.maximum(steps_s / usual_s, 1.0)
     limit = OUTLYING * local * np.minimum(longer, PAUSE)
-    outlying = (off > limit) & (length > FASTER * fastest * steps_s + OUTLYING * scale)
+    outlying = (off > limit) & (length > FASTER * np.maximum(alike, fastest) * steps_s + OUTLYING * scale)
     if not outlying.any():
         return np.ones(len(time), dtype=bool), []
     starts = np.concatenate(([0], np.flatnonzero(outlying) + 1))
@@ -159,14 +193,59 @@ def _jumps(time: Array, place: Array) -> tuple[Flags, list[int]]:
     def goes_on(one: int, other: int) -> bool:
         a, b = ends[one] - 1, starts[other]
         away = float(np.linalg.norm(place[b] - place[a]))
-        return away <= FASTER * fastest * (time[b] - time[a]) + OUTLYING * scale
+        return away <= FASTER * fastest * (time[b] - until[a]) + OUTLYING * scale
 
-    chain = _chain(ends - starts, goes_on, max(FEW, FEW_SHARE * len(time)))
+    cost = max(FEW, FEW_SHARE * len(time))
+    if brief:
+        cost = SPIKE
+    chain = _chain(ends - starts, goes_on, cost)
     stays = np.zeros(len(time), dtype=bool)
     for piece in chain:
         stays[starts[piece] : ends[piece]] = True
     elsewhere = [int(starts[b]) for a, b in pairwise(chain) if not goes_on(a, b)]
-    return stays, elsewhere
+    if not brief:
+        return stays, elsewhere
+    back = np.array(
+        [(ends[a], starts[b]) for a, b in pairwise(chain) if goes_on(a, b) and b > a + 1], dtype=int
+    )
+    stays[:] = True
+    usual = max(float(np.percentile((off / local)[~outlying], 99)), OUTLYING)
+    for first, end in _spikes(back.reshape(-1, 2), off / local, usual):
+        stays[first:end] = False
+    return stays, []
+
+
+def _spikes(back: NDArray[np.int64], strength: Array, usual: float) -> NDArray[np.int64]:
+    """Return those of the excursions of a channel that are spikes: short, and larger than noise explains.
+
+    ``back`` holds the first index and the last index + 1 of each excursion. ``strength`` is the relative size
+    of each step of the channel, shape (n - 1,), and ``usual`` that of a large step that is not outlying.
+
+    Notes
+    -----
+    If the tail of a distribution is that of a Pareto distribution with the index 2, the logarithms of the
+    ratios of ``k`` values above a threshold to this threshold have a sum of Gamma distribution with the shape
+    ``k`` and the scale 1/2 (Hill 1975, Ann. Statist. 3, 1163). Noise with a heavier tail has no finite
+    variance. Excursions with a sum of probability below :data:`FALSE_ALARM` are
+    spikes.
+    """
+    from scipy.special import gammaincc
+
+    lengths, n = np.diff(back)[:, 0], len(strength) + 1
+    most, share = float(SPIKE), lengths[lengths <= SPIKE].sum() / n
+    if share > 0.0:
+        # Accept longer runs as far as spikes of this number are adjacent by chance: the expected number of
+        # runs of L samples is n times the L-th power of the share of spikes.
+        most = max(most, np.ceil(np.log(MIN_RUNS / n) / np.log(share)))
+    excess = np.log(np.minimum(strength[back[:, 0] - 1], strength[back[:, 1] - 1]) / usual)
+    # Leave out excursions beside longer ones, because they belong to one motion, such as that of an impact.
+    long = np.zeros(n, dtype=bool)
+    for first, end in back[lengths > most]:
+        long[max(first - WINDOW, 0) : end + WINDOW] = True
+    short = (lengths <= most) & (excess > 0.0) & ~long[back[:, 0]]
+    if not short.any() or gammaincc(short.sum(), 2.0 * excess[short].sum()) >= FALSE_ALARM:
+        return back[:0]
+    return back[short]
 
 
 def _chain(sizes: NDArray[np.int64], goes_on: Callable[[int, int], bool], cost: float) -> list[int]:
@@ -567,11 +646,10 @@ class Logged(Result):
 
     def _own_facts(self) -> dict[str, str]:
         span = float(self.log.time_s[-1] - self.log.time_s[0])
-        rate = 1.0 / float(np.median(np.diff(self.log.time_s)))
         return {
             "Samples": str(len(self.log)),
             "Duration": numbers.number(span, unit="s"),
-            "Median rate": numbers.number(rate, unit="Hz"),
+            "Median rate": numbers.number(1.0 / rate(self.log.time_s).step_s, unit="Hz"),
         }
 
     def _own_tables(self) -> list[Table]:

@@ -15,7 +15,7 @@ from swimid.files.provenance import Input
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, RigInput, Trial, chosen
 from swimid.logs import trials as trials_format
-from swimid.logs.log import Log
+from swimid.logs.log import Log, longest_run, runs
 from swimid.logs.sampling import step_of
 from swimid.logs.trials import FallingWeight, FallingWeightTrial, FreeDecay, RigTrial, Towed, TrialSet
 from swimid.notices import warn
@@ -34,6 +34,8 @@ MIN_SAMPLES = 5
 #: Maximum position of the first sample of a drop, as a fraction of the drop distance, at which the drop is
 #: assumed to start at the origin.
 ORIGIN_RTOL = 0.02
+#: Maximum number of successive missing samples of the applied force, which are interpolated.
+MAX_FORCE_GAP = 4
 MASS = "inertial_mass_kg"
 _DRAG = ("trials.frontal_area_m2", "trials.fluid_density_kg_m3")
 #: Keys of a trials file that each rig experiment uses. Other keys have no effect on the experiment.
@@ -255,13 +257,13 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         if not measured:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
         force = log["force_N"]
-        if np.isnan(force).any():
-            raise InputError(
-                "the applied force is missing; it drives the model and cannot be masked",
-                file=log.path,
-                line=log.line(int(np.argmax(np.isnan(force)))),
-                column="force_N",
-            )
+        missing = np.isnan(force)
+        if longest_run(missing) > MAX_FORCE_GAP:
+            first, _ = max(runs(missing).tolist(), key=np.ptp)
+            text = f"the applied force is missing for more than {MAX_FORCE_GAP} samples; it drives the model"
+            raise InputError(text, file=log.path, line=log.line(first), column="force_N")
+        # The model takes the force between two samples from the line through them, also across a spike.
+        force = np.interp(log.time_s, log.time_s[~missing], force[~missing])
         x = measured.get("x_m", np.zeros(1))
         if "u_m_s" in measured:
             speeds.append(float(np.nanmean(np.abs(measured["u_m_s"]))))
