@@ -605,6 +605,7 @@ def parameter_file(
             samples=result.samples,  # type: ignore[call-arg]
             scatter=result.scatter,  # type: ignore[call-arg]
             step_error=result.step_error,  # type: ignore[call-arg]
+            samples_sha256={t.id: t.digest for t in result.trials},
         ),
         provenance=provenance,
     )
