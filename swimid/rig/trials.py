@@ -267,8 +267,10 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
             speeds.append(float(np.nanmean(np.abs(measured["u_m_s"]))))
         else:
             speeds.append(float((np.nanmax(x) - np.nanmin(x)) / np.ptp(log.time_s)))
-        forces.append(float(np.sqrt(np.mean(force**2))))
         mass, begin, first = _mass(entry, robot, path), float(log.time_s[0]), float(x[np.isfinite(x)][0])
+        # A body that coasts down has no measured force: its drag then takes its momentum.
+        taken = mass * speeds[-1] / float(np.ptp(log.time_s))
+        forces.append(max(float(np.sqrt(np.mean(force**2))), taken))
         known = RigInput(mass, area_factor=factor, release_s=begin, x0=first)
         trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, known))
     model = rig.towed(
@@ -338,8 +340,6 @@ def _coordinate(logs: list[Log]) -> str:
 
 def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
     """Return the known mass or moment of inertia of a free decay; 1 if a moment of inertia is unknown."""
-    if not rotation and _mass(entry, robot, path) == 0:
-        raise InputError("a free decay needs an inertial mass above zero", file=path, column=MASS)
     if not rotation:
         return _mass(entry, robot, path)
     if entry.inertial_mass_kg is not None:
