@@ -14,6 +14,7 @@ from swimid.errors import InputError
 from swimid.files.provenance import Input
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, RigInput, Trial, chosen
+from swimid.logs import tracks
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log
 from swimid.logs.sampling import step_of
@@ -171,6 +172,16 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
             column="x_m",
         )
     span = float(position.max() - position.min())
+    zero = np.flatnonzero((position == 0.0) & (np.maximum.accumulate(position) > 0.1 * span))
+    if len(zero):
+        raise InputError(
+            f"is exactly 0 in {len(zero)} rows, from {time[zero[0]]:.4g} s to {time[zero[-1]]:.4g} s, after it "
+            f"had grown to {np.max(position[: zero[0]]):.3g} m: is that a code for a lost sample?",
+            file=log.path,
+            line=log.line(int(np.flatnonzero(there)[zero[0]])),
+            column="x_m",
+            hint="empty these cells, or state 'missing: [0]' under 'reader:' in the mapping of an import",
+        )
     noise = float(np.median(np.abs(np.diff(position, 2))))
     arrived = position.max() - max(0.01 * span, 6.0 * noise)
     before = np.flatnonzero(position < arrived)
@@ -254,7 +265,7 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         measured = {c: log[c] for c in ("x_m", "u_m_s") if c in log}
         if not measured:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
-        force = log["force_N"]
+        force = log["force_N"].copy()
         if np.isnan(force).any():
             raise InputError(
                 "the applied force is missing; it drives the model and cannot be masked",
@@ -262,6 +273,14 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
                 line=log.line(int(np.argmax(np.isnan(force)))),
                 column="force_N",
             )
+        spikes = tracks.clean(log.time_s, [force]).jumped
+        if spikes.any():
+            rows = np.flatnonzero(spikes)
+            force[rows] = np.interp(log.time_s[rows], log.time_s[~spikes], force[~spikes])
+            text = (
+                f"{len(rows)} outliers of force_N, the first at {log.time_s[rows[0]]:.4g} s, are interpolated"
+            )
+            warn("SWM058", f"{log.path.name}: {text}: does the amplifier of the load cell fail there?")
         x = measured.get("x_m", np.zeros(1))
         if "u_m_s" in measured:
             speeds.append(float(np.nanmean(np.abs(measured["u_m_s"]))))
