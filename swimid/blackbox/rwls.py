@@ -49,7 +49,7 @@ from swimid.blackbox.options import RwlsOptions
 from swimid.errors import NoTrustworthyResult
 from swimid.files import atomic, provenance
 from swimid.fitting import uncertainty as rt
-from swimid.fitting.fit_common import Score, score
+from swimid.fitting.fit_common import Score, is_still, score
 from swimid.notices import Progress, recorded, silent, warn
 from swimid.options import takes
 from swimid.results import evidence as ev
@@ -225,7 +225,7 @@ def _checks(m: Identified) -> list[Check]:
         otherwise, passed = "warn", False
         if part.diverged:
             otherwise, reason = "fail", f"the free run diverges on {name}"
-        elif fit < 0:
+        elif fit < 0 and not is_still(record.output for record in part.records):
             otherwise = "fail"
             reason = f"on {name} the free run is worse than the mean of the output ({value})"
         elif name in m.worse:

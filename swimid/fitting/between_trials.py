@@ -71,17 +71,19 @@ def estimate_own_values(result: FitResult, name: str, common: str) -> OwnValues:
     problem = output_error.weighted(result, tuple(parameters))
     parted = [label.partition("[") for label in problem.labels]
     theta = np.array([result.value(n, t.rstrip("]") or None) for n, _, t in parted])
-    rows = [j * problem.scale for j in problem.trial_jacobians(theta, central=True)]
+    rows = problem.blocks(theta, central=True).scaled(problem.scale)
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
     held = np.array([result.status.get(label) == "at-bound" for label in problem.labels], dtype=bool)
-    seen = ~held & (np.linalg.norm(np.concatenate(rows), axis=0) > 0)
+    seen = ~held & (np.diag(rows.normal()) > 0)
     if not seen.any():
         return OwnValues((), np.empty(0), np.empty((0, 0)))
-    rows = [r[:, seen] for r in rows]
-    step = np.linalg.lstsq(np.concatenate(rows), -np.concatenate(residuals), rcond=1e-12)[0]
+    rows = rows.columns(seen)
+    bases, factors = rows.factored(np.ones(rows.shape[1]))
+    projected = [basis.T @ r for basis, r in zip(bases, residuals, strict=True)]
+    step = np.linalg.lstsq(np.concatenate(factors), -np.concatenate(projected), rcond=1e-12)[0]
     # Estimate the noise after the step, because the residuals before the step contain the differences between
     # trials.
-    left = [r + j @ step for r, j in zip(residuals, rows, strict=True)]
+    left = [r + part @ step[at] for r, (_, at, part) in zip(residuals, rows.parts, strict=True)]
     found = sandwich(problem, rows, left, uncertainty.autoregressions(problem, left))
     labels = [label for label, s in zip(problem.labels, seen, strict=True) if s]
     mine = [i for i, label in enumerate(labels) if label.startswith(f"{name}[")]

@@ -153,6 +153,8 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
         found.append(Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, -1.0, [k])))
     if joints:
         found += [Mistake(says, partial(_joint, by, range(joints))) for says, by in JOINTS.items()]
+    driving = dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units)
+    found += [Mistake(f"the sign of {name} changed", partial(_reversed, name)) for name in driving]
     swimmer = model.swimmer
     if swimmer is not None and not swimmer.in_space:
         found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
@@ -207,6 +209,23 @@ def _joint(factor: float, numbers: Sequence[int], trial: Trial) -> Trial | None:
     for k in (k for k in numbers if k < len(joints)):
         joints[k] = partial(_scaled, joints[k], factor)
     return replace(trial, swim=replace(trial.swim, joints=joints))
+
+
+def _reversed(name: str, trial: Trial) -> Trial | None:
+    """Return a copy of the trial with the sign of one input changed; None if it has no such input."""
+    inputs, given = dict(trial.inputs), dict(trial.swim.inputs)
+    if name in given:
+        given[name] = partial(_negative, given[name])
+    elif name in inputs:
+        inputs[name] = -inputs[name]
+    else:
+        return None
+    return replace(trial, inputs=inputs, swim=replace(trial.swim, inputs=given))
+
+
+def _negative(value: Callable[[Array], Array], time_s: Array) -> Array:
+    """Return the value of an input at given times with its sign changed."""
+    return -value(time_s)
 
 
 def _scaled(motion: Callable[[Array], Motion], factor: float, time_s: Array) -> Motion:

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import uncertainty
 from swimid.fitting.model import Array, Model, Parameter, Trial
-from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Patience, Problem, minimise
+from swimid.fitting.problem import KINKED, MIN_DECREASE, STALLED, STRIDE, Blocks, Patience, Problem, minimise
 from swimid.fitting.uncertainty import UNIDENTIFIABLE, Sandwich, sandwich
 from swimid.notices import Progress, show, silent, warn
 
@@ -560,10 +560,10 @@ def _unfinished(search: _Search, result: FitResult) -> str | None:
     return said
 
 
-def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], list[Array]]:
+def _linearised(problem: Problem, theta: Array, *, central: bool = False) -> tuple[list[Array], Blocks]:
     """Return the weighted residuals of each trial, and their derivatives with respect to scaled unknowns."""
     residuals = [problem.trial_residuals(theta, k) for k in range(len(problem.trials))]
-    return residuals, [j * problem.scale for j in problem.trial_jacobians(theta, central=central)]
+    return residuals, problem.blocks(theta, central=central).scaled(problem.scale)
 
 
 def _result(search: _Search) -> FitResult:
@@ -620,7 +620,7 @@ def _result(search: _Search) -> FitResult:
 
 def _free_in_noise(
     problem: Problem,
-    rows: list[Array],
+    rows: Blocks,
     residuals: list[Array],
     autoregressions: dict[str, Array],
     outward: Array,
@@ -633,7 +633,7 @@ def _free_in_noise(
     """
     free = np.ones(len(outward), dtype=bool)
     while free.any():
-        found = sandwich(problem, [r[:, free] for r in rows], residuals, autoregressions)
+        found = sandwich(problem, rows.columns(free), residuals, autoregressions)
         sd = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
         beyond = np.where(np.isfinite(sd) & (outward[free] != 0), outward[free] * found.step / sd, 0.0)
         worst = int(np.argmax(beyond))
@@ -730,7 +730,7 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
     rng = np.random.default_rng(seed)
     theta = np.asarray(result.estimate, dtype=float)
     here = _squares(problem, theta)
-    rows = problem.jacobian(theta)
+    rows = problem.blocks(theta)
     variance = here / max(result.samples - len(theta), 1)
     steps = _standard_steps(problem, theta, rows, variance)
     material = max(IMMATERIAL * here / max(result.samples, 1), 1e-9 * here)
@@ -758,8 +758,8 @@ def search_around(result: FitResult, *, jobs: int = 1, seed: int = 0) -> Surroun
             step_only = minimise(problem.residuals, lambda _: rows, start, problem.box, max_iterations=1)
             cost = step_only.cost if np.isfinite(step_only.cost) else np.inf
             ends.append((cost, step_only.x))
-            before, after = (float(np.linalg.norm(rows @ (p - theta))) for p in (start, step_only.x))
-            if cost >= here - material and after > 0.5 * before:
+            before, after = (float(np.linalg.norm(rows.along(p - theta))) for p in (start, step_only.x))
+            if cost >= here - material and after >= 0.5 * before:
                 ends += _searched(problem, [step_only.x], SHORT_ITERATIONS, tolerance)
     cost, point = min(ends, key=lambda pair: pair[0])
     if cost >= here - material:
@@ -785,7 +785,7 @@ def set_weights(problem: Problem, result: FitResult) -> None:
         problem.sd[k] = [known[trial.id, channel].sd for channel in problem.channels[k]]
 
 
-def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, allowed: float) -> bool:
+def _smooth(problem: Problem, theta: Array, rows: Blocks, step: Array, allowed: float) -> bool:
     """Return whether the cost is smooth along a step.
 
     The mean cost of two opposite points is compared with its quadratic prediction. If it deviates by more
@@ -796,7 +796,7 @@ def _smooth(problem: Problem, theta: Array, rows: Array, step: Array, allowed: f
     before = math.nan
     for nearer in (1.0, 4.0, 16.0):
         ends = [_squares(problem, theta + sign * step / nearer) for sign in (1.0, -1.0)]
-        predicted = float(np.sum((rows @ (step / nearer)) ** 2))
+        predicted = float(np.sum(rows.along(step / nearer) ** 2))
         off = abs(0.5 * sum(ends) - _squares(problem, theta) - predicted)
         # At a quarter of the distance, 1/256 of the deviation remains if the cost is smooth, and 1/16 if it
         # is piecewise constant.
@@ -830,15 +830,13 @@ def _unit(rng: np.random.Generator, size: int) -> Array:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _standard_steps(problem: Problem, theta: Array, rows: Array, variance: float) -> Array:
+def _standard_steps(problem: Problem, theta: Array, rows: Blocks, variance: float) -> Array:
     """Return steps of one standard error in independent directions, as columns, shape (p, p).
 
     The standard errors are those under white noise.
     """
-    rows = rows * problem.scale
     at_bound = (theta <= problem.lower) | (theta >= problem.upper)
-    rows[:, at_bound] = 0.0
-    values, vectors = np.linalg.eigh(rows.T @ rows)
+    values, vectors = np.linalg.eigh(rows.scaled(np.where(at_bound, 0.0, problem.scale)).normal())
     sizes = np.sqrt(variance / np.maximum(values, 1e-300))
     largest = MAX_STEP * np.max(np.maximum(np.abs(theta), problem.scale) / problem.scale)
     steps = vectors * np.minimum(sizes, largest)

@@ -66,12 +66,40 @@ class Blocks:
     parts: list[tuple[slice, NDArray[np.intp], Array]]
 
     @classmethod
-    def of(cls, derivatives: Array | Blocks) -> Blocks:
-        """Return the derivatives as blocks. A whole matrix is one block."""
+    def of(cls, derivatives: Array | Blocks | Sequence[Array]) -> Blocks:
+        """Return the derivatives as blocks. A matrix is one block; the matrix of each trial may be given."""
         if isinstance(derivatives, Blocks):
             return derivatives
-        count, width = derivatives.shape
-        return cls((count, width), [(slice(0, count), np.arange(width), derivatives)])
+        if isinstance(derivatives, np.ndarray):
+            derivatives = [derivatives]
+        ends = np.cumsum([0, *map(len, derivatives)])
+        owned = [np.flatnonzero(part.any(axis=0)) for part in derivatives]
+        parts = [
+            (slice(begin, end), at, part[:, at])
+            for begin, end, at, part in zip(ends, ends[1:], owned, derivatives, strict=False)
+        ]
+        return cls((int(ends[-1]), derivatives[0].shape[1]), parts)
+
+    def columns(self, chosen: NDArray[np.bool_]) -> Blocks:
+        """Return the derivatives with respect to the unknowns that a mask chooses, shape (p,)."""
+        index = np.cumsum(chosen) - 1
+        kept = [(own, at[chosen[at]], part[:, chosen[at]]) for own, at, part in self.parts]
+        return Blocks((self.shape[0], int(chosen.sum())), [(own, index[at], part) for own, at, part in kept])
+
+    def factored(self, scale: Array) -> tuple[list[Array], list[Array]]:
+        """Return a QR factorisation of the block of each trial, with its columns multiplied by ``scale``.
+
+        The first list has the orthonormal columns of each block, shape (n_k, m_k), and the second the
+        triangular factors with a column for each unknown, shape (m_k, p).
+        """
+        bases, factors = [], []
+        for _, at, part in self.parts:
+            basis, factor = np.linalg.qr(part * scale[at])
+            whole = np.zeros((len(factor), self.shape[1]))
+            whole[:, at] = factor
+            bases.append(basis)
+            factors.append(whole)
+        return bases, factors
 
     def scaled(self, scale: Array) -> Blocks:
         """Return the derivatives multiplied by one factor for each unknown."""
@@ -279,13 +307,15 @@ class Problem:
         parts = [self.whiten(k, self.trial_residuals(theta, k)) for k in range(len(self.trials))]
         return np.concatenate([*parts, root @ (theta - mean)])
 
-    def blocks(self, theta: Array) -> Blocks:
-        """Return the derivatives of :meth:`residuals`: a block for each trial, and one for the prior."""
+    def blocks(self, theta: Array, *, central: bool = False) -> Blocks:
+        """Return the derivatives of :meth:`residuals`: a block for each trial, and one for a prior."""
         _, root = self.prior
-        parts = [(*self._blocks[k], self.whiten(k, rows)) for k, rows in enumerate(self.own_jacobians(theta))]
+        each = enumerate(self.own_jacobians(theta, central=central))
+        parts = [(*self._blocks[k], self.whiten(k, rows)) for k, rows in each]
         end = sum(self.counts)
         shape = end + len(root), len(theta)
-        return Blocks(shape, [*parts, (slice(end, shape[0]), np.arange(len(theta)), root)])
+        prior = [(slice(end, shape[0]), np.arange(len(theta)), root)]
+        return Blocks(shape, parts + prior * (len(root) > 0))
 
     def jacobian(self, theta: Array) -> Array:
         """Return the derivatives of :meth:`residuals`, shape (n, p)."""

@@ -35,7 +35,7 @@ from scipy.linalg import matmul_toeplitz, toeplitz
 from scipy.sparse import csgraph
 
 from swimid.fitting.model import Array
-from swimid.fitting.problem import Problem
+from swimid.fitting.problem import Blocks, Problem
 from swimid.results import numbers
 
 if TYPE_CHECKING:
@@ -592,13 +592,16 @@ class Sandwich:
 
 
 def sandwich(
-    problem: Problem, jacobians: list[Array], residuals: list[Array], autoregressions: dict[str, Array]
+    problem: Problem,
+    jacobians: Sequence[Array] | Blocks,
+    residuals: list[Array],
+    autoregressions: dict[str, Array],
 ) -> Sandwich:
     """Compute the covariance of estimates under coloured residuals and trials that disagree.
 
     Parameters
     ----------
-    jacobians, residuals : list of ndarray, each shape (n_k, p) and (n_k,)
+    jacobians, residuals : Blocks or list of ndarray, each shape (n_k, p) and (n_k,)
         Weighted derivatives and residuals of each trial. Columns are scaled to parameters of similar size.
     autoregressions : dict of channel name to ndarray
         Coefficients of the autoregression of the weighted residuals.
@@ -607,28 +610,32 @@ def sandwich(
     -----
     With the singular value decomposition ``J = U S V'`` the middle factor ``U' R U`` is computed from the
     orthogonal matrix U. A direction that the data hardly determine then has a large variance. It would
-    otherwise have a small variance that is only rounding error.
+    otherwise have a small variance that is only rounding error. The derivatives of each trial are replaced by
+    their triangular factor first, because few unknowns affect each of many trials.
     """
-    j = np.concatenate(jacobians)
-    samples, unknowns = j.shape
-    size = np.linalg.norm(j, axis=0)
-    null = size == 0
-    size = np.where(null, 1.0, size)
-    u, singular, vt = np.linalg.svd(j / size, full_matrices=False)
+    blocks = Blocks.of(jacobians)
+    samples, unknowns = blocks.shape
+    squares = np.zeros(unknowns)
+    for _, at, part in blocks.parts:
+        squares[at] += np.sum(part**2, axis=0)
+    null = squares == 0
+    size = np.sqrt(np.where(null, 1.0, squares))
+    bases, factors = blocks.factored(1.0 / size)
+    u, singular, vt = np.linalg.svd(np.concatenate(factors), full_matrices=False)
     good = (singular > 1e-8 * singular[0]) & (singular[0] > 0)
     # A parameter that takes part in an undetermined direction is not identifiable.
     null |= (np.abs(vt[~good]) > 1e-3).any(axis=0)
-    ends = np.cumsum([0, *(len(r) for r in residuals)])
-    directions = [u[a:b] for a, b in itertools.pairwise(ends)]
-    coloured = _correlated(problem, directions, autoregressions)
-    r = np.concatenate(residuals)
-    variance = float(r @ r) / max(samples - unknowns, 1)
-    middle = np.sum([a.T @ b for a, b in zip(directions, coloured, strict=True)], axis=0)
+    coloured = _correlated(problem, bases, autoregressions)
+    cores = [basis.T @ part for basis, part in zip(bases, coloured, strict=True)]
+    projected = [basis.T @ r for basis, r in zip(bases, residuals, strict=True)]
+    directions = np.split(u, np.cumsum([len(f) for f in factors])[:-1])
+    variance = float(sum(r @ r for r in residuals)) / max(samples - unknowns, 1)
+    middle = np.zeros((len(singular),) * 2)
+    for part, core in zip(directions, cores, strict=True):
+        middle += part.T @ core @ part
     middle = 0.5 * (middle + middle.T)
-    back = singular[:, None] * vt * size
-    scatter, p_value = _scatter(
-        jacobians, [b @ back for b in coloured], residuals, variance, degrees=-int(good.sum())
-    )
+    own = [factor[:, at] for factor, (_, at, _) in zip(factors, blocks.parts, strict=True)]
+    scatter, p_value = _scatter(own, cores, projected, variance, degrees=-int(good.sum()))
     spread = scatter * math.sqrt(variance)
     values, vectors = np.linalg.eigh(middle)
     values = np.maximum(values, 1e-9 * values.max(initial=1e-300))
@@ -638,8 +645,8 @@ def sandwich(
     return Sandwich(
         covariance=0.5 * (covariance + covariance.T),
         null=null,
-        root=(vectors / np.sqrt(values)).T @ back / max(spread, 1e-30),
-        step=-outer @ (u[:, good].T @ r),
+        root=(vectors / np.sqrt(values)).T @ (singular[:, None] * vt * size) / max(spread, 1e-30),
+        step=-outer @ (u[:, good].T @ np.concatenate(projected)),
         # The gain is the mean of r' U U' r for noise r with the correlation R, divided by the number of
         # columns of U.
         gain=spread**2 * float(np.trace(middle[np.ix_(good, good)])) / max(int(good.sum()), 1),
@@ -649,22 +656,22 @@ def sandwich(
 
 
 def _scatter(
-    jacobians: list[Array], correlated: list[Array], residuals: list[Array], variance: float, degrees: int
+    factors: list[Array], cores: list[Array], projected: list[Array], variance: float, degrees: int
 ) -> tuple[float, float]:
     """Test whether the trials agree to within their noise.
+
+    The arguments are the triangular factor of each trial's derivatives with respect to its own unknowns, the
+    correlation matrix of the residuals, and the residuals, both in the basis of the factor.
 
     Return the ratio of their differences to those that noise explains (at least 1), and the p-value of the
     test.
     """
-    if len(jacobians) < 3:
+    if len(factors) < 3:
         return 1.0, 1.0
     statistic = 0.0
-    for whole, whole_b, r in zip(jacobians, correlated, residuals, strict=True):
-        # Leave out the unknowns of other trials, because only their rounding errors would enter this score.
-        own = np.linalg.norm(whole, axis=0) > 0
-        a, b = whole[:, own], whole_b[:, own]
+    for a, core, r in zip(factors, cores, projected, strict=True):
         score = a.T @ r
-        spread = (a.T @ b) * variance
+        spread = (a.T @ core @ a) * variance
         scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
         values, vectors = np.linalg.eigh(spread / np.outer(scale, scale))
         keep = values > 1e-6 * max(values.max(initial=0.0), 1e-300)
@@ -739,7 +746,12 @@ def confounded(result: FitResult) -> list[tuple[str, ...]]:
     members take part in the same undetermined combination, and each has a standard error above :data:`VAGUE`
     of its magnitude. Parameters that do not affect the residuals are in no group.
     """
-    vague = [i for i in _usable(result) if np.linalg.norm(_marginal(result, [i])) * VAGUE < 1.0]
+    if len(usable := _usable(result)) < 2:
+        return []
+    _, singular, vt = np.linalg.svd((result.information_root * _sizes(result))[:, usable])
+    floor = np.maximum(singular, UNSEEN * singular.max(initial=0.0))
+    errors = np.linalg.norm(vt / floor[:, None], axis=0)
+    vague = [i for i, error in zip(usable, errors, strict=True) if error > VAGUE]
     if len(vague) < 2:
         return []
     _, singular, vt = np.linalg.svd(_marginal(result, vague))

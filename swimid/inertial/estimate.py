@@ -49,7 +49,7 @@ REST_STEP_S, STEP_S = 0.5, 1.0
 #: Standard deviations before any observation: lever from the sensor to the reference point (m), mounting that
 #: is estimated from rotations (rad), tilt of the world axes of the other log (rad), and offset of its clock
 #: (s).
-LEVER_SD, TURNS_MOUNT_SD, TILT_SD, CLOCK_SD = 0.3, 6 * DEG, 2 * DEG, 0.05
+LEVER_SD, TURNS_MOUNT_SD, TILT_SD, CLOCK_SD = (0.3, 0.3, 0.05), 6 * DEG, 2 * DEG, 0.05
 #: Standard deviations of a lever that the user states (m), and of a clock offset that is fixed (s).
 STATED_LEVER_SD, HELD_CLOCK_SD = 1e-3, 1e-9
 #: Standard deviations at the first sample if there is another log: velocity (m/s), yaw if the other log has a
@@ -62,9 +62,11 @@ PLANE_SD = 0.05
 #: rad). The maximum is needed because the first estimate comes from third differences, and those of sparse
 #: fixes contain motion.
 MIN_SD_M, MIN_SD_RAD, MAX_START_M, MAX_START_RAD = 1e-4, 1e-3, 0.01, 0.1
-#: Maximum number of iterations in which the noise of the fixes is estimated, and convergence tolerance of the
-#: logarithm of its standard deviations.
-NOISE_STEPS, NOISE_TOL = 3, 0.1
+#: Maximum number of iterations in which the noise of the fixes is estimated: for a candidate clock offset,
+#: and for the chosen one; and convergence tolerance of the logarithm of its standard deviations.
+NOISE_STEPS, FINAL_NOISE_STEPS, NOISE_TOL = 3, 12, 0.1
+#: Minimum fraction of the noise of the fixes that counts as left in their residuals.
+MIN_FREE = 0.1
 #: Maximum fraction of outliers among the fixes. With more outliers, a warning is given, and a second path is
 #: estimated for which no fix counts as an outlier.
 MAX_STRAY = 0.05
@@ -580,13 +582,14 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
     stated_s = setup.options.clock_offset_s
     if stated_s is not None:
         found = _at_offset(setup, fixes, stated_s, held=True)
+        found = _with_noise(found, FINAL_NOISE_STEPS, noise_known=True)
         return replace(found, offset=_final_offset(found.smoothed))
     starts: list[Offset] = []
     for one in candidates:
         if all(abs(one.value_s - s.value_s) / np.hypot(one.stderr_s, s.stderr_s) > BAND for s in starts):
             starts.append(one)
     attempts = [_at_offset(setup, fixes, start.value_s, held=False) for start in starts]
-    free = max(attempts, key=lambda found: found.likelihood)
+    free = _with_noise(max(attempts, key=lambda found: found.likelihood), FINAL_NOISE_STEPS, noise_known=True)
     # Choose an offset over synchronised clocks only if it increases the log-likelihood by more than half of
     # the penalty of the Bayesian information criterion for one additional parameter (Schwarz 1978,
     # doi:10.1214/aos/1176344136). Without common fixes the two cannot be compared.
@@ -601,6 +604,7 @@ def _set_clocks(setup: Setup, fixes: Fixes, candidates: list[Offset]) -> Estimat
     if free.likelihood > equal.likelihood + price or not fixes.counted.any():
         return replace(free, offset=offset)
     low, high = min(offset.low_s, 0.0), max(offset.high_s, 0.0)
+    equal = _with_noise(equal, FINAL_NOISE_STEPS, noise_known=True)
     return replace(equal, offset=replace(offset, value_s=0.0, low_s=low, high_s=high), agree=True)
 
 
@@ -662,6 +666,10 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
             place_sd += float(np.max(np.nan_to_num(np.ptp(fixed, axis=0))))
         if fixes.measured[2]:
             yaw_sd = YAW_SD
+    lever_sd = np.full(3, STATED_LEVER_SD)
+    if setup.options.lever_m is None:
+        # Convert the variances along body axes to those along sensor axes.
+        lever_sd = np.sqrt(setup.mount.rotation.as_matrix() ** 2 @ np.square(LEVER_SD))
     state = State(
         rotation=source.rotation[0],
         position=place,
@@ -674,7 +682,7 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
         "position": place_sd,
         "velocity": velocity_sd,
         "rotation": (START_TILT_SD, START_TILT_SD, yaw_sd),
-        "lever": LEVER_SD if setup.options.lever_m is None else STATED_LEVER_SD,
+        "lever": lever_sd,
         "mount": setup.mount.sd,
         "tilt": TILT_SD,
         "clock_s": HELD_CLOCK_SD if held else CLOCK_SD,
@@ -682,13 +690,13 @@ def _start(setup: Setup, fixes: Fixes | None = None, offset_s: float = 0.0, *, h
     return Estimate(replace(setup, source=source), state, sd, fixes)  # type: ignore[arg-type]
 
 
-def _with_noise(found: Estimate, *, noise_known: bool = False) -> Estimate:
+def _with_noise(found: Estimate, steps: int = NOISE_STEPS, *, noise_known: bool = False) -> Estimate:
     """Iterate noise and weights of the fixes, error class of the sensor and motion until convergence."""
-    for step in range(NOISE_STEPS):
+    for step in range(steps):
         fixes = last = found.fixes
         if step or not noise_known:
             fixes = _estimate_noise(found.smoothed, fixes, found.setup.options.fix_sd_m)
-        if step > 1 and np.nanmax(np.abs(np.log(fixes.noise / last.noise))) < NOISE_TOL:
+        if step > 1 - noise_known and np.nanmax(np.abs(np.log(fixes.noise / last.noise))) < NOISE_TOL:
             break
         found = _smooth(replace(found, fixes=fixes))
         if step == 1 and not noise_known:
@@ -704,7 +712,8 @@ def _residuals(fixes: Fixes, smoothed: Smoothed) -> tuple[Array, Array]:
     Residuals are NaN where nothing was measured, and for fixes outside of the record.
     """
     residual, variance = np.full((2, len(fixes.time_s), 6), np.nan)
-    index, nodes, off, by_error = _differences(fixes, smoothed.path)
+    index, nodes, _, by_error = _differences(fixes, replace(smoothed.about, clock_s=smoothed.path.clock_s))
+    off = _differences(fixes, smoothed.path)[2]
     spread = np.einsum("nij,njk,nik->ni", by_error, smoothed.errors.covariance[nodes], by_error)
     residual[index], variance[index] = off, np.where(np.isfinite(off), spread, np.nan)
     return residual, variance
@@ -722,8 +731,9 @@ def _is_measured(fixes: Fixes, residual: Array) -> Flags:
 def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) -> Fixes:
     """Return a copy of the fixes with noise and weights estimated from their residuals.
 
-    The noise follows from one step of expectation maximisation (Shumway and Stoffer 1982, sec. 3) over the
-    fixes that are not outliers. The weight of an outlier decreases with the square of its residual (Cauchy).
+    The fixes that are not outliers give the noise: the sum of their squared residuals, divided by the number
+    of degrees of freedom that the motion leaves them (MacKay 1992, doi:10.1162/neco.1992.4.3.415, eq. 2.24).
+    Its fixed point is that of expectation maximisation, which needs many more iterations. The weight of an outlier decreases with the square of its residual (Cauchy).
     No fix is excluded, so that a path that follows outliers can recover.
     """
     residual, variance = _residuals(fixes, smoothed)
@@ -748,8 +758,9 @@ def _noise_and_weight(residual: Array, variance: Array, sd: Array) -> tuple[Arra
     usual = np.ma.median(np.ma.masked_invalid(np.abs(residual)), axis=0).filled(np.nan) / MEDIAN_SHARE
     far = np.abs(residual) / np.fmax(sd, usual)
     weight = np.minimum(1.0, (GATE / np.fmax(np.fmax.reduce(far, axis=1), 1e-12)) ** 2)
-    squares = np.where(weight[:, None] == 1, residual**2 + variance, np.nan)
-    return np.sqrt(np.ma.masked_invalid(squares).mean(axis=0).filled(np.nan)), weight
+    used = np.where(weight[:, None] == 1, [residual**2, variance / sd**2], np.nan)
+    squares, absorbed = np.ma.masked_invalid(used).mean(axis=1).filled(np.nan)
+    return np.sqrt(squares / np.maximum(1.0 - absorbed, MIN_FREE)), weight
 
 
 def _final_offset(smoothed: Smoothed) -> Offset:

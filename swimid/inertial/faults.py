@@ -70,6 +70,14 @@ LONG_STEP, MAX_STEP_S = 1.6, 2.0
 MIN_JITTER = 0.05
 #: Maximum deviation of the norm of a valid quaternion from 1.
 QUATERNION_TOL = 0.05
+#: Deviation of a single reading from the running median, divided by the deviation that four of five readings
+#: in the same second, and the two beside it, do not exceed, above which the reading is corrupt. Noise with
+#: Laplace's heavy tails reaches it once in 10^7 readings.
+GLITCH = 10.0
+#: Length of the window around a quaternion in which the median of its difference from the gyroscope is taken:
+#: in s, and the maximum in samples; minimum deviation from the median of a corrupt quaternion, in standard
+#: deviations; and maximum fraction of corrupt quaternions.
+JUMP_S, JUMP_SAMPLES, JUMP_SD, MAX_JUMPS = 2.0, 101, 6.0, 0.1
 
 
 def find_stamps(record: Record) -> tuple[Record, Finding | None]:
@@ -207,6 +215,30 @@ def is_clipped(_: Record, values: Array) -> Flags:
     return flags
 
 
+def is_glitch(record: Record, values: Array) -> Flags:
+    """Return flags of single readings that differ from their neighbours far more than others do."""
+    off = np.abs(values - median_filter(values, size=WINDOW, mode="nearest"))
+    size = max(round(1.0 / record.step_s), 4 * WINDOW)
+    blocks = np.array_split(off, max(len(off) // size, 1))
+    usual = np.concatenate([np.full(len(block), np.quantile(block, 0.8)) for block in blocks])
+    beside = np.pad(off, 1)
+    beside = np.maximum(usual, np.maximum(beside[:-2], beside[2:]))
+    return np.asarray(off > GLITCH * np.maximum(beside, np.min(off[off > 0], initial=np.inf)))
+
+
+def find_glitches(record: Record) -> tuple[Record, Finding | None]:
+    """Find single corrupt readings, and interpolate them if the sensor has some of them in its rests.
+
+    A moving sensor alone does not prove that a single high reading is corrupt, because it may be a jerk.
+    """
+    test = find_samples("corrupt readings", is_glitch, 1.0, "differ from the readings around them")
+    fixed, found = test(record)
+    bad = (fixed.channels != record.channels).any(axis=1)
+    if any(bad[rest.rows].any() for rest in recording.find_rests(fixed)):
+        return fixed, found
+    return record, None
+
+
 def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: str) -> Test:
     """Return a test that removes a column of the record if it holds no measurements.
 
@@ -226,26 +258,55 @@ def find_dead(column: str, fault: str, is_dead: Callable[[Array], Any], text: st
         values, t = getattr(record, column), record.time_s
         if values is None:
             return record, None
-        rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+        there, finding = np.isfinite(values).all(axis=1), None
+        if column == "quaternion":
+            long = there & (np.abs(np.linalg.norm(values, axis=1) - 1) > QUATERNION_TOL)
+            there &= ~long
+            if long.any():
+                finding = _corrupt_quaternions(int(long.sum()), "are not of length 1")
+        rows = np.flatnonzero(there)
         gap_s = np.max(np.diff(np.concatenate([t[:1], t[rows], t[-1:]])))
         if len(rows) < 2 or gap_s > max(STUCK_S, 2 * record.step_s) or is_dead(values[rows]):
             return replace(record, **{column: None}), Finding(fault, "handled", text)  # type: ignore[arg-type]
         known = values[rows]
-        if len(rows) < len(record) and column == "quaternion":
-            # Choose the signs of successive quaternions so that the interpolation between them is short. The
-            # quaternions q and -q are the same attitude.
-            same = np.sign(np.sum(known[1:] * known[:-1], axis=1, keepdims=True))
-            known[1:] *= np.cumprod(same, axis=0)
+        if column == "quaternion":
+            known = _signed(known)
         known = recording.resampled(t, t[rows], known)
-        return replace(record, **{column: known}), None  # type: ignore[arg-type]
+        return replace(record, **{column: known}), finding  # type: ignore[arg-type]
 
     return test
 
 
-def is_no_attitude(quaternion: Array) -> Any:
-    """Return whether quaternions describe no attitude: they are constant, or their norm is not 1."""
-    wrong = np.abs(np.linalg.norm(quaternion, axis=1) - 1) > QUATERNION_TOL
-    return wrong.any() or np.ptp(quaternion, axis=0).max() == 0
+def _signed(quaternion: Array) -> Array:
+    """Return quaternions with signs for which the interpolation between successive ones is short.
+
+    The quaternions q and -q are the same attitude.
+    """
+    same = np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1, keepdims=True))
+    return np.vstack([quaternion[:1], quaternion[1:] * np.cumprod(np.where(same, same, 1.0), axis=0)])
+
+
+def _corrupt_quaternions(count: int, text: str) -> Finding:
+    return Finding("corrupt quaternions", "handled", f"{count} quaternions {text}, interpolated", count)
+
+
+def find_quaternion_jumps(record: Record) -> tuple[Record, Finding | None]:
+    """Find quaternions that jump to another attitude though the gyroscope does not turn; interpolate them."""
+    if record.quaternion is None:
+        return record, None
+    sensed = recording.integrated_attitude(record.time_s, record.rate, Rotation.identity())
+    apart = (recording.rotations(record.quaternion) * sensed.inv()).as_quat()
+    size = min(round(JUMP_S / record.step_s), JUMP_SAMPLES) | 1
+    # Align all signs with the first median, because a jump would reverse those after it.
+    apart *= np.sign(apart @ np.median(_signed(apart[:size]), axis=0))[:, None]
+    usual = median_filter(apart, size=(size, 1), mode="nearest")
+    away = (Rotation.from_quat(apart) * Rotation.from_quat(usual).inv()).magnitude()
+    bad = away > JUMP_SD * recording.QUATERNION_SD
+    if not bad.any() or bad.mean() > MAX_JUMPS:
+        return record, None
+    known = recording.resampled(record.time_s, record.time_s[~bad], _signed(record.quaternion[~bad]))
+    text = f"jump by up to {np.max(away) / DEG:.0f} deg against the gyroscope"
+    return replace(record, quaternion=known), _corrupt_quaternions(int(bad.sum()), text)
 
 
 def find_dropped(record: Record) -> tuple[Record, Finding | None]:
@@ -522,7 +583,7 @@ TESTS: tuple[Test, ...] = (
     find_dead(
         "quaternion",
         "dead quaternions",
-        is_no_attitude,
+        lambda attitude: np.ptp(attitude, axis=0).max() == 0,
         "the quaternions are constant, have gaps or are not of length 1, not used",
     ),
     find_samples("repeated samples", is_repeated, MAX_REPEATED, "repeat the ones before in every channel"),
@@ -533,10 +594,12 @@ TESTS: tuple[Test, ...] = (
         "are clipped at the end of the range, {largest:.4g}",
         "use a sensor, or a setting, with a larger range",
     ),
+    find_glitches,
     find_acceleration_unit,
     find_dropped,
     find_jitter,
     find_rate_unit,
     find_swapped_axes,
     find_wrong_quaternions,
+    find_quaternion_jumps,
 )

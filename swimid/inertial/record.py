@@ -185,9 +185,11 @@ def read_record(
     path = path_of(given)
     mapped = mapping.apply(rules, given, progress=progress)
     columns = mapped.columns
-    for name in (*ACCELERATION, *RATE):
-        if name not in columns:
-            raise missing_column(name, list(columns), named, None, "an inertial log needs this column")
+    for names in (ACCELERATION, RATE, MAGNETIC):
+        lacking = [name for name in names if name not in columns]
+        if lacking and (names != MAGNETIC or len(lacking) < len(names)):
+            text = f"an inertial log needs all of {', '.join(names)}"
+            raise missing_column(lacking[0], list(columns), named, None, text)
     if len(mapped) < MIN_SAMPLES:
         text = f"has {len(mapped)} samples; at least {MIN_SAMPLES} are needed"
         raise InputError(text, file=path)
@@ -345,8 +347,9 @@ DRIFT_TIME_S = 100.0
 # ---------------------------------------------------------------- still periods
 
 
-#: Length of the windows in which motion is detected, s, and minimum length of a still period, s.
-WINDOW_S, MIN_REST_S = 0.5, 1.0
+#: Length of the windows in which motion is detected, s, and minimum length of a still period, s. The length
+#: is that of all still windows together, so that a rest of 1.5 s is found.
+WINDOW_S, MIN_REST_S = 0.5, 1.4
 #: Fraction of the windows of a recording that are assumed to be still. The largest standard deviation of the
 #: readings in these windows is taken for the noise.
 NOISE_SHARE = 0.05
@@ -411,7 +414,8 @@ def find_rests(record: Record) -> list[Rest]:
         # last window may contain motion.
         begin = first + size // 2 * (first > 0)
         end = last - size // 2 * (last < len(record))
-        if end - begin >= 4 and record.time_s[end - 1] - record.time_s[begin] >= MIN_REST_S:
+        margin = WINDOW_S / 2 * ((first > 0) + (last < len(record)))
+        if end - begin >= 4 and record.time_s[last - 1] - record.time_s[first] + margin >= MIN_REST_S:
             rests.append(_rest(record, begin, end))
     return rests
 

@@ -28,6 +28,7 @@ from threadpoolctl import threadpool_limits
 from swimid.inertial import record as recording
 from swimid.inertial.record import Array, Noise, Record, Sensor, Setup, integral, resampled
 from swimid.logs.kinematics import angles
+from swimid.logs.log import runs
 
 #: Slice of each quantity in the vector of errors that the smoother estimates. Errors of scale are 3 x 3
 #: matrices, stored by rows.
@@ -63,8 +64,8 @@ HIDDEN_S, RHYTHM_S = 0.1, 0.5
 #: Time between nodes, s, and maximum number of nodes. Nodes are the samples at which errors are estimated.
 #: For long records the time between them is longer.
 NODE_S, MAX_NODES = 0.02, 20_000
-#: Value added to the diagonal of a predicted covariance, so that the matrix can be inverted.
-RIDGE = 1e-18
+#: Value added to the diagonal of a predicted correlation matrix, so that the matrix can be inverted.
+RIDGE = 1e-12
 
 
 def jacobian(states: int, *shape: int, **by: Array) -> Array:
@@ -213,9 +214,14 @@ def smooth_errors(
         means[k], covs[k] = mean, cov
     gains = np.empty((nodes - 1, states, states))
     for k in range(nodes - 2, -1, -1):
-        gain = np.linalg.solve(predicted_cov[k + 1] + RIDGE * np.eye(states), transition[k] @ covs[k]).T
+        # Divide the errors by their standard deviations, because these differ by many powers of ten.
+        size = np.sqrt(np.maximum(np.diag(predicted_cov[k + 1]), 1e-300))[:, None]
+        scaled = predicted_cov[k + 1] / size / size.T + RIDGE * np.eye(states)
+        gain = (np.linalg.solve(scaled, transition[k] @ covs[k] / size) / size).T
         means[k] = means[k] + gain @ (means[k + 1] - predicted[k + 1])
-        covs[k] = covs[k] + gain @ (covs[k + 1] - predicted_cov[k + 1]) @ gain.T
+        # Joseph's form: a difference of nearly equal covariances would be rounding error.
+        left = np.eye(states) - gain @ transition[k]
+        covs[k] = left @ covs[k] @ left.T + gain @ (covs[k + 1] + noise[k]) @ gain.T
         gains[k] = gain
         covs[k] = 0.5 * (covs[k] + covs[k].T)
     return Errors(means, covs, gains, likelihood, scores, rejected)
@@ -336,6 +342,9 @@ class Smoothed:
     """Result of the smoother: path after correction of its errors, and covariance of the remaining errors."""
 
     path: Nominal
+    #: Path before this correction. The covariance of the errors holds for derivatives at this path only: a
+    #: lever that a later linearisation moves would let errors of the attitude count as errors of the position.
+    about: Nominal
     #: Errors of the path that were estimated in the last iteration of the smoother.
     errors: Errors
     #: State at the first sample, from which a further iteration of the smoother would start.
@@ -403,10 +412,10 @@ def smooth(
         # Take constant biases for the next linearisation, equal to the means over the record.
         begin, mean = errors.mean[0].copy(), errors.mean.mean(axis=0)
         begin[MOVING:ALONE] = mean[MOVING:ALONE]
-        now = now.corrected(begin)
+        now, about = now.corrected(begin), path
         path = path.corrected(resampled(path.time_s, path.node_s, errors.mean))
         path = _with_readings(record, path)
-    return Smoothed(path, errors, now, sensor)
+    return Smoothed(path, about, errors, now, sensor)
 
 
 def _integrated(setup: Setup, start: State, states: int) -> Nominal:
@@ -515,8 +524,10 @@ def _driving_noise(record: Record, sensor: Sensor, noise: Noise, path: Nominal) 
 
     def white(density: float, readings: Array, moving: Array, sensed: int) -> Array:
         lost = record.filled[1:, sensed] | record.filled[:-1, sensed]
-        variance = density**2 * dt
-        variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + lost * dt * HIDDEN_S)
+        variance, correlated = density**2 * dt, np.zeros(len(dt))
+        for first, last in runs(lost):
+            correlated[first:last] = min(float(dt[first:last].sum()), HIDDEN_S)
+        variance += float(np.sum(np.std(readings, axis=0) ** 2)) * (hidden**2 + dt * correlated)
         # Add the errors due to nonlinearity. They are correlated over half a stroke, and act as white noise
         # over longer times.
         variance += sensor.bending_sd**2 * np.sum(moving[1:] ** 2, axis=1) * dt * RHYTHM_S
@@ -555,23 +566,24 @@ EMPTIED = ("position", "velocity", "body_velocity", "position_sd", "velocity_sd"
 Motion = dict[str, Array]
 
 
-def _carried(path: Nominal) -> tuple[Array, Array, Array, Array]:
+def _carried(smoothed: Smoothed) -> tuple[Array, Array, Array, Array]:
     """Return the velocity of the reference point, and derivatives of the motion of this point by the errors.
 
     The velocity is along world axes and has shape (n, 3). The derivatives are those of position, velocity and
     body rotation with respect to the errors at the nodes. Each has the shape (nodes, 3, states).
     """
-    rows = path.nodes
-    rate, rotation = path.rate[rows], path.rotation[rows]
+    path, about = smoothed.path, smoothed.about
+    rows, lever = path.nodes, about.lever
+    rate, rotation = about.rate[rows], about.rotation[rows]
     matrix = rotation.as_matrix()
     shape = (path.states, len(rows), 3)
-    arm, swing = rotation.apply(path.lever), rotation.apply(np.cross(rate, path.lever))
+    arm, swing = rotation.apply(lever), rotation.apply(np.cross(rate, lever))
     by_place = jacobian(*shape, position=np.eye(3), rotation=-cross_matrix(arm), lever=matrix)
     by_speed = jacobian(
         *shape,
         velocity=np.eye(3),
         rotation=-cross_matrix(swing),
-        rate_bias=matrix @ cross_matrix(path.lever),
+        rate_bias=matrix @ cross_matrix(lever),
         lever=matrix @ cross_matrix(rate),
     )
     by_turn = jacobian(*shape, rotation=np.eye(3), mount=matrix)
@@ -583,7 +595,7 @@ def at_reference(smoothed: Smoothed) -> Motion:
     """Return the smoothed motion of the reference point of the body, with standard deviations."""
     path, covariance = smoothed.path, smoothed.errors.covariance
     body, rows = path.rotation * path.mount, path.nodes
-    velocity, by_place, by_speed, by_turn = _carried(path)
+    velocity, by_place, by_speed, by_turn = _carried(smoothed)
     by_body_speed = _in_body(body[rows], velocity[rows], by_speed, by_turn)
 
     def sd(jacobian: Array) -> Array:
@@ -642,7 +654,7 @@ def surge_within_stroke(smoothed: Smoothed, cutoff_hz: float) -> Motion:
     gravity and motion, and errors of the attitude times gravity.
     """
     path, nodes = smoothed.path, len(smoothed.path.nodes)
-    velocity, _, by_speed, by_turn = _carried(path)
+    velocity, _, by_speed, by_turn = _carried(smoothed)
     body, fast = path.rotation * path.mount, _high_pass(path.time_s, velocity, cutoff_hz)
     drawn = smoothed.errors.draw(np.concatenate([by_speed, by_turn], axis=1), N_DRAWS)
     speed = _high_pass(path.node_s, drawn[:, :3].reshape(nodes, -1), cutoff_hz).reshape(nodes, 3, N_DRAWS)

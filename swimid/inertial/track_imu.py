@@ -369,6 +369,8 @@ VQF = "Laidig, Seel (2023). Information Fusion 91, 187-204. doi:10.1016/j.inffus
 #: Maximum root-mean-square innovation of the velocity at rests, in standard deviations. Two rests give at
 #: least six innovations, whose chi-square exceeds four times its degrees of freedom in 1 of 2000 cases.
 MAX_REST_SCORE = 2.0
+#: Maximum deviation of the scale of the gyroscope from 1, in standard deviations of the class of the sensor.
+MAX_SCALE = 3.0
 #: Maximum number of samples of a curve in a figure.
 N_DRAWN = 2000
 #: Verdict of the check and code of the warning for a fault of the recording, by the verdict on the fault.
@@ -557,7 +559,27 @@ def _motion_tests(run: Run) -> Iterator[Test]:
         yield "SWM033", "Stroke", "in doubt", "one frequency", False, stroke.doubt
 
 
+def _gyroscope_scale(fused: Estimate) -> tuple[str, float, float]:
+    """Return the name of the axis whose scale the other log determines best, the reading over the true rate.
+
+    The last value is the standard deviation of this factor.
+    """
+    part = smoother.PARTS["rate_scale"]
+    variances = np.diag(fused.smoothed.errors.covariance[-1])[part].reshape(3, 3).diagonal()
+    axis = int(np.argmin(variances))
+    factor = 1.0 / (1.0 - float(fused.smoothed.path.rate_scale[axis, axis]))
+    return "xyz"[axis], factor, factor**2 * float(np.sqrt(variances[axis]))
+
+
 def _fusion_tests(fused: Estimate, options: TrackImuOptions) -> Iterator[Test]:
+    axis, factor, sd = _gyroscope_scale(fused)
+    value, prior = f"{factor:.4f} ± {BAND * sd:.4f} (w{axis})", fused.smoothed.sensor.scale_sd
+    reason = (
+        f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} of the turn rate w{axis} that the other log shows: "
+        f"give its unit or the factor {1 / factor:.4f} in a mapping (--map); the motion allows for it"
+    )
+    passed, limit = abs(factor - 1) <= MAX_SCALE * np.hypot(prior, sd), f"1 ± {MAX_SCALE * prior:.3g}"
+    yield "SWM087", "Gyroscope scale", value, limit, bool(passed), reason
     offset, count, stray = fused.offset, len(fused.fixes.time_s), fused.stray
     limit = f"below {MAX_HELD_OUT:g}"
     value = f"{1e3 * offset.value_s:.2f} ms"
@@ -614,14 +636,27 @@ def _tables(run: Run) -> list[Table]:
     if run.fused is not None:
         offset = run.fused.offset
         rows.append(["clock offset (ms)", 1e3 * offset.value_s, 1e3 * BAND * offset.stderr_s])
+        axis, factor, sd = _gyroscope_scale(run.fused)
+        rows.append([f"gyroscope w{axis}, reading over true rate", factor, BAND * sd])
+        path, covariance = run.fused.smoothed.path, run.fused.smoothed.errors.covariance[-1]
+        lever, sds = (
+            -path.mount.inv().apply(path.lever),
+            np.sqrt(np.diag(covariance)[smoother.PARTS["lever"]]),
+        )
+        rows += [
+            [f"sensor from reference point, {name} (m)", at, BAND * sd]
+            for name, at, sd in zip("xyz", lever.tolist(), sds.tolist(), strict=True)
+        ]
     if not run.by_paper:
         half = BAND * np.max(moved["position_sd"][:, :2], axis=1)
         yaw, yaw_sd = moved["angle"][-1, 2], moved["angle_sd"][-1, 2]
-        band = _rms(BAND * moved["surge_sd"])
+        band, basis = _rms(BAND * moved["surge_sd"]), ""
+        if run.alone and not run.setup.source.heading:
+            basis = f", if the gyroscope's scale is right to {100 * run.setup.sensor.scale_sd:.2g} %"
         rows += [
             ["surge within a stroke, rms (m/s)", _rms(moved["surge"]), band],
             ["position in the plane, maximum (m)", None, _largest(half)],
-            ["heading at the end (deg)", float(yaw / DEG), float(BAND * yaw_sd / DEG)],
+            [f"heading at the end (deg){basis}", float(yaw / DEG), float(BAND * yaw_sd / DEG)],
         ]
     if run.stroke is not None:
         beat = run.stroke.beat

@@ -591,7 +591,12 @@ def _mapped(
     if infinite:
         notes.append(f"infinite values taken as missing in {', '.join(infinite)}")
     unlikely = empty_unlikely(found, sources, mapping.min_likelihood)
-    if set(AXES) <= set(found):
+    lacking = [axis for axis in AXES if axis not in found]
+    if 0 < len(lacking) < len(AXES):
+        hint = f"map {lacking[0]} too, or leave the other components ({', '.join(AXES)}) out"
+        text = "this component of the quaternion is missing: the attitude needs all four"
+        raise InputError(text, file=path, column=lacking[0], hint=hint)
+    if not lacking:
         q = np.column_stack([found[axis] for axis in AXES])
         q = rearranged(q, mapping.quaternion.order, mapping.quaternion.direction)
         found |= dict(zip(AXES, q.T, strict=True))

@@ -86,7 +86,7 @@ class Trial(yamlio.Document):
 class RigTrial(Trial):
     """Keys of a trial on a single-degree-of-freedom rig. Their values replace those of the robot file."""
 
-    inertial_mass_kg: Annotated[float, Field(ge=0)] | None = None
+    inertial_mass_kg: PositiveFloat | None = None
     frontal_area_m2: PositiveFloat | None = None
     fluid_density_kg_m3: PositiveFloat | None = None
 

@@ -87,6 +87,8 @@ class Fit(yamlio.Document):
     validation: dict[str, Any] = {}
     converged: bool
     noise: dict[str, Any] = {}
+    #: SHA-256 of the samples of each trial, by id. A trial with these samples has the values of this id.
+    samples_sha256: dict[str, str] = {}
 
 
 class ParameterFile(yamlio.ResultFile):

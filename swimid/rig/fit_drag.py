@@ -295,12 +295,16 @@ class Omitted:
         Parameters that this parameter replaces; empty if it is freed in addition to the other parameters.
     evidence : float
         Twice the logarithm of the likelihood ratio of the fit with the parameter to the reference fit.
+    squared_z : float
+        Square of the change of a freed parameter in standard errors. In coloured residuals the likelihood
+        ratio overstates the evidence, and the standard error does not.
     """
 
     parameter: Parameter
     fit: FitResult
     replaced: tuple[str, ...]
     evidence: float
+    squared_z: float = math.inf
 
     @property
     def text(self) -> str:
@@ -314,7 +318,7 @@ class Omitted:
 
         It is about -2 times the logarithm of the Bayes factor. A negative value supports the parameter.
         """
-        return math.log(self.fit.samples) * (not self.replaced) - self.evidence
+        return math.log(self.fit.samples) * (not self.replaced) - min(self.evidence, self.squared_z)
 
     @property
     def sentence(self) -> str:
@@ -350,7 +354,7 @@ def find_omitted(stated: FitResult) -> list[Omitted]:
             sides = 2.0 - (parameter.start in parameter.bounds)
             p_value = min(1.0, len(held) * sides * float(special.ndtr(-z)))
             if p_value < SIGNIFICANCE and freed.evidence > 0.0:
-                found.append(freed)
+                found.append(replace(freed, squared_z=z**2))
         other = _fit_replacement(stated, parameter)
         if (
             other is not None

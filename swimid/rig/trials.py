@@ -14,6 +14,7 @@ from swimid.errors import InputError
 from swimid.files.provenance import Input
 from swimid.fitting.fit_common import Experiment, inputs_of, read_log, warn_mass
 from swimid.fitting.model import Array, RigInput, Trial, chosen
+from swimid.logs import tracks
 from swimid.logs import trials as trials_format
 from swimid.logs.log import Log, longest_run, runs
 from swimid.logs.sampling import step_of
@@ -173,6 +174,16 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
             column="x_m",
         )
     span = float(position.max() - position.min())
+    zero = np.flatnonzero((position == 0.0) & (np.maximum.accumulate(position) > 0.1 * span))
+    if len(zero):
+        raise InputError(
+            f"is exactly 0 in {len(zero)} rows, from {time[zero[0]]:.4g} s to {time[zero[-1]]:.4g} s, after it "
+            f"had grown to {np.max(position[: zero[0]]):.3g} m: is that a code for a lost sample?",
+            file=log.path,
+            line=log.line(int(np.flatnonzero(there)[zero[0]])),
+            column="x_m",
+            hint="empty these cells, or state 'missing: [0]' under 'reader:' in the mapping of an import",
+        )
     noise = float(np.median(np.abs(np.diff(position, 2))))
     arrived = position.max() - max(0.01 * span, 6.0 * noise)
     before = np.flatnonzero(position < arrived)
@@ -257,7 +268,12 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
         if not measured:
             raise InputError("needs a column x_m or u_m_s beside force_N", file=log.path)
         force = log["force_N"]
-        missing = np.isnan(force)
+        spikes = tracks.clean(log.time_s, [force]).jumped
+        if spikes.any():
+            first = log.time_s[np.argmax(spikes)]
+            text = f"{spikes.sum()} outliers of force_N, the first at {first:.4g} s, are interpolated"
+            warn("SWM058", f"{log.path.name}: {text}: does the amplifier of the load cell fail there?")
+        missing = np.isnan(force) | spikes
         if longest_run(missing) > MAX_FORCE_GAP:
             first, _ = max(runs(missing).tolist(), key=np.ptp)
             text = f"the applied force is missing for more than {MAX_FORCE_GAP} samples; it drives the model"
@@ -269,8 +285,10 @@ def _towed(path: Path, entries: Towed, robot: Robot) -> Experiment:
             speeds.append(float(np.nanmean(np.abs(measured["u_m_s"]))))
         else:
             speeds.append(float((np.nanmax(x) - np.nanmin(x)) / np.ptp(log.time_s)))
-        forces.append(float(np.sqrt(np.mean(force**2))))
         mass, begin, first = _mass(entry, robot, path), float(log.time_s[0]), float(x[np.isfinite(x)][0])
+        # A body that coasts down has no measured force: its drag then takes its momentum.
+        taken = mass * speeds[-1] / float(np.ptp(log.time_s))
+        forces.append(max(float(np.sqrt(np.mean(force**2))), taken))
         known = RigInput(mass, area_factor=factor, release_s=begin, x0=first)
         trials.append(Trial(entry.id, entry.role, log.time_s, measured, {"force_N": force}, known))
     model = rig.towed(
@@ -340,8 +358,6 @@ def _coordinate(logs: list[Log]) -> str:
 
 def _inertia(entry: RigTrial, robot: Robot, axis: str, rotation: bool, path: Path) -> float:
     """Return the known mass or moment of inertia of a free decay; 1 if a moment of inertia is unknown."""
-    if not rotation and _mass(entry, robot, path) == 0:
-        raise InputError("a free decay needs an inertial mass above zero", file=path, column=MASS)
     if not rotation:
         return _mass(entry, robot, path)
     if entry.inertial_mass_kg is not None:

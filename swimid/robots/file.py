@@ -39,14 +39,14 @@ class Fluid(yamlio.Document):
 class Body(yamlio.Document):
     """Masses, dimensions and moments of inertia of a robot that is regarded as a single rigid body."""
 
-    inertial_mass_kg: NonNegative | None = None
+    inertial_mass_kg: PositiveFloat | None = None
     frontal_area_m2: PositiveFloat | None = None
     length_m: PositiveFloat | None = None
     width_m: PositiveFloat | None = None
     height_m: PositiveFloat | None = None
-    roll_inertia_kg_m2: NonNegative | None = None
-    pitch_inertia_kg_m2: NonNegative | None = None
-    yaw_inertia_kg_m2: NonNegative | None = None
+    roll_inertia_kg_m2: PositiveFloat | None = None
+    pitch_inertia_kg_m2: PositiveFloat | None = None
+    yaw_inertia_kg_m2: PositiveFloat | None = None
 
 
 class Rig(yamlio.Document):

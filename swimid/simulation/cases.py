@@ -180,14 +180,14 @@ def cases_of_trials(options: SimulateOptions) -> tuple[list[Case], Sequence[Inpu
         metadata = _metadata(options, experiment.robot.name, experiment=experiment.name, trial=trial.id)
         swims = experiment.model.swimmer
         if swims is not None:
-            cases.append(_swimming(applied, applied.values(trial.id), swims, trial, metadata))
+            cases.append(_swimming(applied, applied.values(trial), swims, trial, metadata))
             continue
         extra: dict[str, Any] = {}
         if experiment.model.timed_runs:
             extra = _table(trial.id, trial.inputs)
         elif experiment.name in ("towed", "arma"):
             extra = dict(trial.inputs)
-        cases.append(Case(applied, applied.values(trial.id), trial, metadata, extra))
+        cases.append(Case(applied, applied.values(trial), trial, metadata, extra))
     return cases, experiment.inputs
 
 

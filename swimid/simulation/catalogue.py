@@ -139,16 +139,28 @@ class Applied:
                 "them alone is not known",
             )
 
-    def values(self, trial: str | None = None) -> Array:
+    def values(self, trial: Trial | None = None) -> Array:
         """Return the parameter vector of a trial, shape (len(model.parameters),).
 
         Parameters
         ----------
-        trial : str, optional
+        trial : Trial, optional
             Trial whose per-trial parameters are used. Without a trial, or if the file does not have this
             trial, per-trial parameters have their neutral start values.
         """
-        return np.array([self._value(p, trial) for p in self.model.parameters])
+        owner = self.owner(trial)
+        return np.array([self._value(p, owner) for p in self.model.parameters])
+
+    def owner(self, trial: Trial | None) -> str | None:
+        """Return the id under which the parameter file has the samples of a trial; None if it has others.
+
+        A name does not identify a trial: the log of another day has the same.
+        """
+        if trial is None or self.file is None or self.file.fit is None:
+            return None
+        known = self.file.fit.samples_sha256
+        same = [name for name, digest in known.items() if digest == trial.digest]
+        return next((name for name in same if name == trial.id), next(iter(same), None))
 
     def _value(self, p: Parameter, trial: str | None) -> float:
         if p.name in self.chosen:

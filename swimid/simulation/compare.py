@@ -159,7 +159,12 @@ def compare(
         fitted: Iterable[str] = file.channels
         if applied.file is not None and applied.file.fit is not None:
             fitted = applied.file.fit.channels
-        checks = _checks(file, fitted)
+        still = [
+            name
+            for name in file.channels
+            if fit_common.is_still(d.own[name].measured for d in done if name in d.own)
+        ]
+        checks = _checks(file, [name for name in fitted if name not in still], still)
         before = {d.trial.id: d.errors for d in done}
         if options.refit_start and mistakes.is_suspect(checks, before):
             usual = mistakes.catalogue(experiment.model, experiment.trials)
@@ -406,15 +411,15 @@ def _profile_figure(profile: Profile) -> ev.Figure:
 # ------------------------------------------------------------ verdict
 
 
-def _checks(file: ComparisonFile, fitted: Iterable[str]) -> list[ev.Check]:
+def _checks(file: ComparisonFile, fitted: Iterable[str], still: Iterable[str]) -> list[ev.Check]:
     """Return the checks of the errors of channels and mean speeds against their limits.
 
     Parameters
     ----------
-    fitted : iterable of str
-        Channels that the parameters were fitted to.
+    fitted, still : iterable of str
+        Channels that the parameters were fitted to and that move, and channels in which nothing moves.
     """
-    graded = fit_common.score_checks(file.channels, fitted=fitted)
+    graded = fit_common.score_checks(file.channels, fitted=fitted, noise=still)
     share = _speed_share(file)
     if share is not None:
         text = "root-mean-square difference over the trials, over the root mean square measured"

@@ -315,9 +315,9 @@ def start_of(
         Convergence tolerance of the estimate of the start state.
     """
     model = applied.model
-    values = applied.values(trial.id)
+    values, owner = applied.values(trial), applied.owner(trial)
     own = [p for p in model.parameters if p.per_trial]
-    if any(f"{p.name}[{trial.id}]" in applied.known for p in own):
+    if any(f"{p.name}[{owner}]" in applied.known for p in own):
         return values, "file", {}
     estimated = applied.fitted_per_trial()
     coefficients = model.swimmer.coefficients if model.swimmer is not None else []

@@ -176,7 +176,8 @@ class Swimmer(Model):
         self._at = {p.name: i for i, p in enumerate(self.parameters)}
         views = {"clock_offset", *(p.name for p in self.camera), *self._offsets()}
         views |= {f"{word}_{name}" for word in ("offset", "drift") for name in self.reactions}
-        self._dynamic = np.array([i for i, p in enumerate(self.parameters) if p.name not in views])
+        moving = [i for i, p in enumerate(self.parameters) if p.name not in views]
+        self._dynamic = np.array(moving, dtype=np.intp)
         self._angles, self._speeds = (
             np.array([self._at[f"initial_{word}_{axis.name}"] for axis in self.passive], dtype=int)
             for word in ("angle", "rate")

@@ -816,7 +816,8 @@ class MultilinkModel(Swimmer):
     def influences(self, hooks: Hooks) -> NDArray[np.intp]:
         """Return the indices of the parameters that affect the simulated motion."""
         if self._heading_matters() or hooks.force or hooks.flow:
-            return np.append(self._dynamic, [self._at[n] for n in self.starts[2:] if n in self._at])
+            starts = [self._at[n] for n in self.starts[2:] if n in self._at]
+            return np.concatenate([self._dynamic, np.array(starts, dtype=np.intp)])
         return self._dynamic
 
     def _heading_matters(self) -> bool:
