@@ -13,12 +13,13 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.constructor import DuplicateKeyError
+from typing_extensions import TypedDict
 
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
@@ -82,6 +83,26 @@ class ResultFile(Document):
         """
         data = of_format(path, cls.model_fields["format"].default, cls.kind)
         return validate(data, cls, Path(path))
+
+
+if TYPE_CHECKING:
+    Provenance = dict[str, Any]
+else:
+
+    class Provenance(TypedDict, total=False):
+        """Block ``provenance`` of a result file; further keys are allowed."""
+
+        __pydantic_config__ = ConfigDict(extra="allow")
+
+        command: str
+        version: str
+        created: str
+        #: SHA-256 of the content of each input, by its name.
+        inputs: dict[str, str]
+        packages: dict[str, str]
+        #: Names of the inputs whose data are simulated.
+        simulated: list[str]
+        settings: dict[str, Any]
 
 
 def plain(value: Any, *, finite: bool = False) -> Any:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import ConfigDict, Field, PrivateAttr
+import numpy as np
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
-from swimid.errors import InputError
+from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
+#: Maximum difference between the two entries of a pair in a correlation matrix, and maximum rounding error
+#: of an entry in files with two decimals. An eigenvalue of a rounded matrix of n rows is wrong by at most n
+#: times that error, because the norm of a matrix is at most n times its largest entry.
+CORRELATION_TOLERANCE, MAX_ROUNDING = 1e-6, 0.005
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
 #: Text that tables show for the status of an estimate, if it differs from the name of the status.
 STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
@@ -32,7 +37,7 @@ class Estimate(yamlio.Document):
     """
 
     value: float
-    stderr: float | None = None
+    stderr: float | None = Field(default=None, ge=0)
     unit: str
     bounds: tuple[float | None, float | None] = (None, None)
     status: Status
@@ -65,8 +70,26 @@ class Correlation(yamlio.Document):
     """Correlation matrix of the estimated parameters of a fit, with the names of its rows."""
 
     names: list[str]
-    #: Correlations, with room for rounding in the last digits.
-    matrix: list[list[Annotated[float, Field(ge=-1.000001, le=1.000001)]]]
+    #: Correlations, with room for rounding (:data:`CORRELATION_TOLERANCE`).
+    matrix: list[list[Annotated[float, Field(ge=-1 - CORRELATION_TOLERANCE, le=1 + CORRELATION_TOLERANCE)]]]
+
+    @model_validator(mode="after")
+    def _is_of_names(self) -> Self:
+        """Check the size, symmetry, diagonal and eigenvalues of the matrix."""
+        lengths = {len(self.names), len(self.matrix), *map(len, self.matrix)}
+        if len(lengths) > 1 or len(set(self.names)) < len(self.names):
+            text = f"has rows of {', '.join(str(len(row)) for row in self.matrix) or 'no'} numbers"
+            raise ValueError(f"the correlation matrix {text} for the names {', '.join(self.names)}")
+        matrix = np.reshape(self.matrix, (len(self.names), len(self.names)))
+        wrong = np.abs(matrix - np.where(np.eye(len(matrix)), 1.0, matrix.T)) > CORRELATION_TOLERANCE
+        if wrong.any():
+            first = " and ".join(self.names[k] for k in np.argwhere(wrong)[0])
+            raise ValueError(f"the correlation matrix is not symmetric with a diagonal of 1, at {first}")
+        if np.linalg.eigvalsh(matrix).min(initial=0.0) < -MAX_ROUNDING * len(matrix):
+            raise ValueError(
+                "the correlation matrix has a negative eigenvalue: no data have such correlations"
+            )
+        return self
 
 
 class Pole(yamlio.Document):
@@ -114,10 +137,20 @@ class ParameterFile(yamlio.ResultFile):
     #: Settings of the fit that a simulation needs, such as model orders, subtracted means and column names.
     settings: dict[str, Any] = {}
     fit: Fit | None = None
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
     #: Drag parameters that a fit of the recoil law used; None for other fits. They are not written to the
     #: file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Self:
+        """Check that every name of the correlation is the name of a parameter."""
+        names = () if self.correlation is None else self.correlation.names
+        for name in names:
+            if name not in self.parameters:
+                hint = suggestion(name, list(self.parameters))
+                raise ValueError(f"the correlation names '{name}', which is no parameter; {hint}")
+        return self
 
     def write(self, path: str | Path) -> None:
         """Write the parameter file, completely or not at all. Floating-point numbers are not rounded."""
