@@ -9,13 +9,15 @@ import hashlib
 import io
 import json
 import math
+import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
+from operator import getitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, WrapValidator
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.constructor import DuplicateKeyError
@@ -23,12 +25,17 @@ from typing_extensions import TypedDict
 
 from swimid.errors import InputError, file_errors, first_line, nearest, suggestion
 from swimid.files import atomic
+from swimid.options import BEYOND, is_beyond
 
 #: Maximum size of a YAML file, bytes. A larger file is an error, and is not parsed.
 MAX_BYTES = 20_000_000
 #: Maximum number of nodes of a YAML document, where each alias counts as a copy of the node to which it
-#: refers. A document with more nodes is an error.
-MAX_NODES = 500_000
+#: refers, and :data:`ROW` numbers of a long list of numbers count as one node. A document with more nodes is
+#: an error. A node takes about 0.1 ms to parse, as do 5 words or 50 characters of a text.
+MAX_NODES, ROW = 100_000, 100
+#: Pattern of a long list of numbers on one line, and tag that marks it. Such a list is parsed as JSON, which
+#: is a thousand times as fast.
+_NUMBERS, _ROW_TAG = re.compile(r"(?<=[ [,])\[[-+.\deE, ]{200,}\](?=[],}\s])"), "!numbers"
 #: Maximum number of characters of a YAML text on one line, such as a comment line of a log.
 MAX_SCALAR = 100_000
 #: Maximum number of characters of a value in a message.
@@ -85,24 +92,31 @@ class ResultFile(Document):
         return validate(data, cls, Path(path))
 
 
+def entries(name: str, **kinds: Any) -> Any:
+    """Return the type of a block of a result file whose known keys, none of them required, have given types.
+
+    The block remains a dictionary in its order, and may have further keys.
+    """
+    known = TypedDict(name, kinds, total=False)  # type: ignore[operator]
+    known.__pydantic_config__ = ConfigDict(extra="allow", strict=True)
+    return Annotated[known, WrapValidator(lambda block, check: check(block) and block)]
+
+
 if TYPE_CHECKING:
     Provenance = dict[str, Any]
 else:
-
-    class Provenance(TypedDict, total=False):
-        """Block ``provenance`` of a result file; further keys are allowed."""
-
-        __pydantic_config__ = ConfigDict(extra="allow")
-
-        command: str
-        version: str
-        created: str
-        #: SHA-256 of the content of each input, by its name.
-        inputs: dict[str, str]
-        packages: dict[str, str]
-        #: Names of the inputs whose data are simulated.
-        simulated: list[str]
-        settings: dict[str, Any]
+    #: Block ``provenance`` of a result file. ``inputs`` has the SHA-256 of the content of each input,
+    #: ``simulated`` the names of the inputs whose data are simulated.
+    Provenance = entries(
+        "Provenance",
+        command=str,
+        version=str,
+        created=str,
+        inputs=dict[str, str],
+        packages=dict[str, str],
+        simulated=list[str],
+        settings=dict[str, Any],
+    )
 
 
 def plain(value: Any, *, finite: bool = False) -> Any:
@@ -146,6 +160,7 @@ def _yaml() -> YAML:
     yaml.default_flow_style = False
     yaml.width = 4096
     yaml.allow_duplicate_keys = False
+    yaml.constructor.add_constructor(_ROW_TAG, lambda _, node: tuple(json.loads(node.value)))
     yaml.representer.add_representer(float, _represent_float)
     return yaml
 
@@ -203,7 +218,7 @@ def load(path: str | Path) -> CommentedMap:
 
 def _refuse_open(data: Any, path: str | Path) -> None:
     """Raise an error that names the first value that is still the placeholder :data:`ASK`."""
-    places = list(_open_places(data, ()))
+    places = list(_places(data, lambda value: isinstance(value, str) and value == ASK))
     if places:
         key = [part for part in places[0] if isinstance(part, str)]
         text = f"is still {ASK}: state it, or delete the line"
@@ -212,18 +227,19 @@ def _refuse_open(data: Any, path: str | Path) -> None:
         raise InputError(text, file=path, line=line_of(data, places[0]), column=".".join(key) or None)
 
 
-def _open_places(data: Any, place: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
-    """Yield the path of keys and indices of each value that is the placeholder :data:`ASK`."""
+def _places(
+    data: Any, is_wrong: Callable[[Any], bool], place: tuple[Any, ...] = ()
+) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of keys and indices of each innermost value for which ``is_wrong`` is true."""
     parts: Any = ()
     if isinstance(data, Mapping):
         parts = data.items()
     elif isinstance(data, list | tuple):
         parts = enumerate(data)
+    elif is_wrong(data):
+        yield place
     for key, value in parts:
-        if isinstance(value, str) and value == ASK:
-            yield (*place, key)
-        else:
-            yield from _open_places(value, (*place, key))
+        yield from _places(value, is_wrong, (*place, key))
 
 
 def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
@@ -241,9 +257,17 @@ def of_format(path: str | Path, form: str, what: str) -> CommentedMap:
 
 
 def _parsed(yaml: YAML, text: str) -> Any:
-    """Return the content of a YAML text; raise an error if it has more than :data:`MAX_NODES` nodes."""
-    data = yaml.load(io.StringIO(text))
-    if _expanded(data, {}) > MAX_NODES:
+    """Return the content of a YAML text; raise an error if it has more than :data:`MAX_NODES` nodes.
+
+    The separators of nodes, words and characters are counted before the text is parsed, which takes long.
+    """
+    rest = _NUMBERS.sub("", text)
+    known = max(rest.count(",") + rest.count("\n"), len(rest.split()) // 5, len(rest) // 50)
+    text = _NUMBERS.sub(lambda row: f"{_ROW_TAG} '{row[0]}'", text)
+    if known <= MAX_NODES:
+        data = yaml.load(io.StringIO(text))
+        known = _expanded(data, {})
+    if known > MAX_NODES:
         raise ValueError(f"it has more than {MAX_NODES} nodes with its anchors written out")
     return data
 
@@ -254,7 +278,7 @@ def _expanded(node: Any, known: dict[int, int]) -> int:
     The number is at most ``MAX_NODES + 1``. ``known`` has the numbers of nodes that are already counted.
     """
     if not isinstance(node, dict | list):
-        return 1
+        return 1 + len(node) // ROW if isinstance(node, tuple) else 1
     if id(node) not in known:
         known[id(node)] = MAX_NODES + 1  # A node that contains itself counts as too large.
         inner = node.values() if isinstance(node, dict) else node
@@ -280,6 +304,11 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
     """
     if not isinstance(data, CommentedMap):
         _refuse_open(data, path)
+    if not issubclass(model, ResultFile):
+        for place in _places(data, is_beyond):
+            value = reduce(getitem, place, data)
+            column = ".".join(map(str, place))
+            raise InputError(f"{value:g} is {BEYOND}", file=path, line=line_of(data, place), column=column)
     try:
         return model.model_validate(plain(data))
     except ValidationError as error:

@@ -23,6 +23,7 @@ from swimid.errors import InputError, file_errors, first_line
 from swimid.files import atomic, isolated, memory, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
+from swimid.options import LARGEST, SMALLEST
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,6 +39,8 @@ ROWS = 100_000
 N_COPIES = 4
 #: Hint of the error that a log does not fit in memory. The placeholder is the name of the file.
 TOO_LONG = "average successive rows: swimid import {} --every 100 -o short.parquet"
+#: Hint of the error that the values of a column are too large or too small.
+RESCALE = "is the unit right? A mapping can state a factor: swimid import --map"
 #: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -467,11 +470,15 @@ def _check(log: Log, required: Sequence[str]) -> None:
         raise InputError(f"has {len(time) or 'no'} samples; at least 2 are needed", file=log.path)
     _refuse(np.isnan(time), "has no value", log, TIME)
     for name, values in log.columns.items():
-        _refuse(np.isinf(values), "is infinite", log, name)
-    backwards = np.append(False, np.diff(time) <= 0)
+        _refuse(np.abs(values) > LARGEST, f"is infinite or beyond ±{LARGEST:g}", log, name, RESCALE)
+        top = max(map(abs, _ends(values)))
+        if 0 < top < SMALLEST:
+            text = f"no value is larger than {top:g}; at least {SMALLEST:g} is needed"
+            raise InputError(text, file=log.path, column=name, hint=RESCALE)
+    backwards = np.append(False, np.diff(time) < SMALLEST)
     if backwards.any():
         before, after = map(float, time[np.argmax(backwards) - 1 :][:2])
-        what = "repeats" if after == before else "goes back"
+        what = "goes back" if after < before else "repeats"
         text = f"time {what}: {after!r} after {before!r}"
         _refuse(backwards, text, log, TIME, "sort the rows and drop repeated ones")
     for name in required:

@@ -101,16 +101,28 @@ class Pole(yamlio.Document):
     stderr_magnitude: float | None = None
 
 
+if TYPE_CHECKING:
+    Errors = Noise = HeldOut = dict[str, Any]
+else:
+    #: Errors of one channel, in its unit.
+    Errors = yamlio.entries("Errors", rmse=float | None, nrmse=float | None, unit=str, samples=int | None)
+    #: Noise of one channel: standard deviation of its values, and of its sample times.
+    Noise = yamlio.entries("Noise", value_sd=float | None, time_sd_s=float | None)
+    #: Trials that the fit did not use, and the errors of their channels.
+    HeldOut = yamlio.entries("HeldOut", channels=dict[str, Errors])
+
+
 class Fit(yamlio.Document):
     """Block ``fit`` of a parameter file: trials, errors of each channel, noise, convergence of the fit."""
 
     model_config = ConfigDict(extra="allow")
 
     trials: list[str]
-    channels: dict[str, dict[str, Any]] = {}
-    validation: dict[str, Any] = {}
+    channels: dict[str, Errors] = {}
+    validation: HeldOut = {}
     converged: bool
-    noise: dict[str, Any] = {}
+    #: Noise of each channel, or the entries of the noise of a discrete-time model.
+    noise: dict[str, Noise | float | str | bool | None] = {}
 
 
 class ParameterFile(yamlio.ResultFile):
@@ -413,7 +425,8 @@ def _channels(fit: Fit) -> Table:
     for label, entries in {"fit": fit.channels, "validation": fit.validation.get("channels", {})}.items():
         for name, entry in entries.items():
             unit, rmse, nrmse = str(entry.get("unit", "")), entry.get("rmse"), entry.get("nrmse")
-            noise, ratio = _noise(fit.noise.get(name, {}), rmse, unit)
+            known = fit.noise.get(name)
+            noise, ratio = _noise(known if isinstance(known, dict) else {}, rmse, unit)
             errors = [numbers.number(rmse, 3, unit), noise, ratio, numbers.percent(nrmse)]
             rows.append([name, label, *errors, entry.get("samples")])
     columns = ["channel", "data", "RMSE", "noise", "RMSE / noise", "NRMSE", "samples"]
