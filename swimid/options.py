@@ -160,7 +160,7 @@ class Options(BaseModel):
         for name, value in stated.items():
             parts = value.values() if isinstance(value, Mapping) else [value]
             if wrong := [part for part in parts if is_beyond(part)]:
-                raise UsageError(f"{cls.declared()[name].flag}: {wrong[0]:g} is {BEYOND}")
+                raise UsageError(f"{cls.declared()[name].flag}: {wrong[0]!r:.20} is {BEYOND}")
         return options
 
     @classmethod

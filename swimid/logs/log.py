@@ -39,6 +39,8 @@ ROWS = 100_000
 N_COPIES = 4
 #: Hint of the error that a log does not fit in memory. The placeholder is the name of the file.
 TOO_LONG = "average successive rows: swimid import {} --every 100 -o short.parquet"
+#: Minimum mean time step of a log, s: no recorder takes 1e12 samples a second.
+MIN_STEP_S = 1e-12
 #: Hint of the error that the values of a column are too large or too small.
 RESCALE = "is the unit right? A mapping can state a factor: swimid import --map"
 #: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
@@ -471,10 +473,7 @@ def _check(log: Log, required: Sequence[str]) -> None:
     _refuse(np.isnan(time), "has no value", log, TIME)
     for name, values in log.columns.items():
         _refuse(np.abs(values) > LARGEST, f"is infinite or beyond ±{LARGEST:g}", log, name, RESCALE)
-        top = max(map(abs, _ends(values)))
-        if 0 < top < SMALLEST:
-            text = f"no value is larger than {top:g}; at least {SMALLEST:g} is needed"
-            raise InputError(text, file=log.path, column=name, hint=RESCALE)
+        check_not_tiny(values, log.path, name)
     backwards = np.append(False, np.diff(time) < SMALLEST)
     if backwards.any():
         before, after = map(float, time[np.argmax(backwards) - 1 :][:2])
@@ -486,6 +485,17 @@ def _check(log: Log, required: Sequence[str]) -> None:
             raise InputError("every sample is missing", file=log.path, column=name)
     _warn_missing(log)
     warn_units(log)
+
+
+def check_not_tiny(values: Array, path: Path, column: str) -> None:
+    """Raise an error if all values of a column, or the mean time step, are too small for computations."""
+    low, high = _ends(values)
+    top, limit, what = max(-low, high), SMALLEST, "no value is larger than"
+    if column == TIME:
+        top, limit, what = (high - low) / max(len(values), 1), MIN_STEP_S, "the mean step is"
+    if 0 < top < limit:
+        text = f"{what} {top:g}; at least {limit:g} is needed"
+        raise InputError(text, file=path, column=column, hint=RESCALE)
 
 
 def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str | None = None) -> None:
