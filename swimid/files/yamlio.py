@@ -308,7 +308,9 @@ def validate(data: Mapping[str, Any], model: type[M], path: str | Path) -> M:
         for place in _places(data, is_beyond):
             value = reduce(getitem, place, data)
             column = ".".join(map(str, place))
-            raise InputError(f"{value!r:.20} is {BEYOND}", file=path, line=line_of(data, place), column=column)
+            raise InputError(
+                f"{value!r:.20} is {BEYOND}", file=path, line=line_of(data, place), column=column
+            )
     try:
         return model.model_validate(plain(data))
     except ValidationError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from swimid.errors import InputError, suggestion
 from swimid.files import yamlio
@@ -154,15 +154,17 @@ class ParameterFile(yamlio.ResultFile):
     #: file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
 
-    @model_validator(mode="after")
-    def _names_agree(self) -> Self:
+    @field_validator("correlation")
+    @classmethod
+    def _names_agree(cls, found: Correlation | None, info: ValidationInfo) -> Correlation | None:
         """Check that every name of the correlation is the name of a parameter."""
-        names = () if self.correlation is None else self.correlation.names
-        for name in names:
-            if name not in self.parameters:
-                hint = suggestion(name, list(self.parameters))
-                raise ValueError(f"the correlation names '{name}', which is no parameter; {hint}")
-        return self
+        known = info.data.get("parameters", {})
+        for name in () if found is None else found.names:
+            if known and name not in known:
+                raise ValueError(
+                    f"the correlation names '{name}', no parameter; {suggestion(name, [*known])}"
+                )
+        return found
 
     def write(self, path: str | Path) -> None:
         """Write the parameter file, completely or not at all. Floating-point numbers are not rounded."""
