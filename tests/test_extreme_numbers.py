@@ -65,7 +65,7 @@ CONTRADICTIONS = {
     "an error that is text": ("x_m: {rmse: 0.001, nrmse: 0.002, samples: 10, unit: m}\n  val",
                               "x_m: {rmse: abc, unit: m}\n  val", ["fit.channels.x_m.rmse"]),
     "channels that are no mapping": ("validation: {trials: [w25], channels: {x_m",
-                                     "validation: {channels: [x]}\n  more: {x: {x_m", ["validation.channels"]),
+                                     "validation: {channels: [x]}\n  more: {x: {x_m", ["validation"]),
     "a negative standard error": ("stderr: 0.003", "stderr: -0.003", ["greater than or equal to 0"]),
 }  # fmt: skip
 
