@@ -28,9 +28,28 @@ from swimid.notices import automatic
 
 Returned = TypeVar("Returned")
 
+#: Smallest and largest magnitude of a number other than 0 in a file or an option. Fits raise accelerations,
+#: which are values over squared times, to the third power at most. With these limits the result is within
+#: the range of double precision (1e-308 to 1e308).
+SMALLEST, LARGEST = 1e-30, 1e30
+
 #: Type of an option whose value is an input: a file, or an object in memory with the content of the file. On
 #: the command line it is always a file.
 Source = Annotated[Path | Any, Field(union_mode="left_to_right")]
+
+
+#: Clause of messages on a number that is not usable.
+BEYOND = f"not usable: a number other than 0 must be from {SMALLEST:g} to {LARGEST:g} in magnitude"
+
+
+def is_beyond(value: Any) -> bool:
+    """Return whether a value is a number whose magnitude is too small or too large for computations.
+
+    >>> [is_beyond(value) for value in (0.0, -1e300, float("inf"), "1e300", True)]
+    [False, True, True, False, False]
+    """
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and value != 0 and not SMALLEST <= abs(value) <= LARGEST
 
 
 def option(
@@ -138,9 +157,14 @@ class Options(BaseModel):
         """
         stated = {name: value for name, value in given.items() if value is not None}
         try:
-            return cls(**stated)
+            options = cls(**stated)
         except ValidationError as error:
             raise _refusal(cls, error) from error
+        for name, value in stated.items():
+            parts = value.values() if isinstance(value, Mapping) else [value]
+            if wrong := [part for part in parts if is_beyond(part)]:
+                raise UsageError(f"{cls.declared()[name].flag}: {wrong[0]!r:.20} is {BEYOND}")
+        return options
 
     @classmethod
     def declared(cls) -> dict[str, Declared]:

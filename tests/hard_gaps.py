@@ -362,7 +362,7 @@ def stranger(
     def make(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for grams in weights_g:
-            t, x = np.genfromtxt(SAMPLE / f"w{grams}.csv", delimiter=",", comments="#", skip_header=4).T
+            t, x = np.genfromtxt(SAMPLE / f"w{grams}.csv", delimiter=",", comments="#", skip_header=5).T
             t, x = change(grams, t, x)
             write_log(folder / f"w{grams}.csv", t_s=t, x_m=x)
         entries = {f"w{grams}": f", pulling_mass_kg: {grams / 1000:g}" for grams in weights_g}

@@ -257,7 +257,7 @@ def test_a_table_to_fuse_with_is_checked(vehicle: tuple[pd.DataFrame, pd.DataFra
 @pytest.fixture(scope="module")
 def camera() -> pd.DataFrame:
     """The sample of a camera read faster than it takes pictures, as another program wrote it."""
-    return pd.read_csv(ROOT / "sample_logs" / "camera" / "polled.csv", sep=";")
+    return pd.read_csv(ROOT / "sample_logs" / "camera" / "polled.csv", sep=";", comment="#")
 
 
 @pytest.mark.parametrize("asked", [{}, {"clean": False}], ids=["cleaned", "raw"])

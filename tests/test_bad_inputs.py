@@ -76,23 +76,23 @@ def refused(ran: Ran, status: int, words: list[str]) -> None:
 LOG_FAULTS: dict[str, tuple[Callable[[list[list[str]]], None], list[str]]] = {
     "misnamed column": (
         lambda c: c.__setitem__(0, ["t_s", "x_mm"]),
-        ["w20.csv, line 4, 'x_m': this column is missing", "did you mean 'x_mm'"],
+        ["w20.csv, line 5, 'x_m': this column is missing", "did you mean 'x_mm'"],
     ),
     "missing column": (
         lambda c: [row.pop() for row in c] and None,
-        ["w20.csv, line 4, 'x_m': this column is missing", "the file has: t_s"],
+        ["w20.csv, line 5, 'x_m': this column is missing", "the file has: t_s"],
     ),
     "non-numeric cell": (
         lambda c: c[7].__setitem__(1, "0.0x5"),
-        ["w20.csv, line 11, 'x_m': '0.0x5' is not a number"],
+        ["w20.csv, line 12, 'x_m': '0.0x5' is not a number"],
     ),
     "decimal comma": (
         lambda c: [row.__setitem__(1, f'"{row[1].replace(".", ",")}"') for row in c[1:]] and None,
-        ["w20.csv, line 5, 'x_m'", "decimal point as a dot"],
+        ["w20.csv, line 6, 'x_m'", "decimal point as a dot"],
     ),
     "time not increasing": (
         lambda c: c[9].__setitem__(0, c[8][0]),
-        ["w20.csv, line 13, 't_s': time repeats", "sort the rows"],
+        ["w20.csv, line 14, 't_s': time repeats", "sort the rows"],
     ),
     "empty log": (lambda c: c.__delitem__(slice(1, None)), ["w20.csv", "no samples"]),
     "too few samples": (lambda c: c.__delitem__(slice(4, None)), ["w20.csv", "at least 5"]),
@@ -108,7 +108,7 @@ LOG_FAULTS: dict[str, tuple[Callable[[list[list[str]]], None], list[str]]] = {
         lambda c: [row.__setitem__(1, "NaN") for row in c[1:]] and None,
         ["w20.csv, 'x_m': every sample is missing"],
     ),
-    "infinite sample": (lambda c: c[5].__setitem__(1, "inf"), ["w20.csv, line 9, 'x_m': is infinite"]),
+    "infinite sample": (lambda c: c[5].__setitem__(1, "inf"), ["w20.csv, line 10, 'x_m': is infinite"]),
 }
 
 

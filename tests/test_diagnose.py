@@ -244,7 +244,7 @@ def test_the_sample_is_what_its_generator_writes(tmp_path: Path) -> None:
     kept = SAMPLES / "gap"
     assert sorted(p.name for p in kept.iterdir()) == sorted(p.name for p in tmp_path.iterdir())
     for path in sorted(kept.glob("*.csv")):
-        made, there = (np.genfromtxt(f, delimiter=",", skip_header=1) for f in (tmp_path / path.name, path))
+        made, there = (np.genfromtxt(f, delimiter=",", skip_header=2) for f in (tmp_path / path.name, path))
         np.testing.assert_allclose(made, there, atol=2e-5)
     for name in ("trials.yaml", "params.yaml"):
         assert (tmp_path / name).read_text() == (kept / name).read_text()

@@ -417,7 +417,7 @@ class TestCommands:
     """Small inputs, so that a fit that comes about is a quick one."""
 
     def test_fit_drag(self, swimid: Callable[..., Ran], folder: Path) -> None:
-        rows = (SAMPLES / "rig" / "w40.csv").read_text().splitlines()[3:40]
+        rows = (SAMPLES / "rig" / "w40.csv").read_text().splitlines()[4:41]
         valid = "\n".join(["t_s,x_m", *rows[1:]]).encode()
         text = "format: swimid-trials/1\nexperiment: falling-weight\nrobot: boxfish\n"
         (folder / "drag.yaml").write_text(text + "trials: [{log: drag.csv, pulling_mass_kg: 0.04}]\n")
@@ -431,7 +431,7 @@ class TestCommands:
         run()
 
     def test_fit_drag_trials(self, swimid: Callable[..., Ran], folder: Path) -> None:
-        rows = (SAMPLES / "rig" / "w40.csv").read_text().splitlines()[3:30]
+        rows = (SAMPLES / "rig" / "w40.csv").read_text().splitlines()[4:31]
         (folder / "w10.csv").write_text("\n".join(rows))
 
         @examples(20)

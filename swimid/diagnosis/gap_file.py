@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -370,7 +370,7 @@ class GapFile(yamlio.ResultFile):
     reasons: list[str] = []
     #: Effects that could not be tested as causes, with the reason.
     left_out: dict[str, str] = {}
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _largest_first(self) -> GapFile:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +64,7 @@ class PowerFile(yamlio.ResultFile):
     effects: list[Row]
     #: Effects whose detection power could not be computed, with the reason.
     left_out: dict[str, str] = {}
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
 
 def evidence(file: PowerFile, notices: Sequence[ev.NoticeRecord] = ()) -> ev.Evidence:

@@ -24,6 +24,7 @@ from swimid.errors import InputError, extra_needed, file_errors, first_line, loo
 from swimid.files import atomic, isolated, memory, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
+from swimid.options import LARGEST, SMALLEST
 from swimid.results import numbers as texts
 
 if TYPE_CHECKING:
@@ -41,6 +42,10 @@ FREQUENCY_RTOL = 0.05
 ROWS = 100_000
 #: Number of copies of the content of a file that are in memory while a log is read.
 N_COPIES = 4
+#: Minimum mean time step of a log, s: no recorder takes 1e12 samples a second.
+MIN_STEP_S = 1e-12
+#: Hint of the error that the values of a column are too large or too small.
+RESCALE = "is the unit right? A mapping can state a factor: swimid import --map"
 #: Type of an argument for which a function accepts the path of a log, the log itself, or a table.
 LogLike: TypeAlias = "str | Path | Log | pd.DataFrame"
 
@@ -514,11 +519,12 @@ def _check(log: Log, required: Sequence[str]) -> None:
         raise InputError(f"has {len(time) or 'no'} samples; at least 2 are needed", file=log.path)
     _refuse(np.isnan(time), "has no value", log, TIME)
     for name, values in log.columns.items():
-        _refuse(np.isinf(values), "is infinite", log, name)
-    backwards = np.append(False, np.diff(time) <= 0)
+        _refuse(np.abs(values) > LARGEST, f"is infinite or beyond ±{LARGEST:g}", log, name, RESCALE)
+        check_not_tiny(values, log.path, name)
+    backwards = np.append(False, np.diff(time) < SMALLEST)
     if backwards.any():
         before, after = map(float, time[np.argmax(backwards) - 1 :][:2])
-        what = "repeats" if after == before else "goes back"
+        what = "goes back" if after < before else "repeats"
         text = f"time {what}: {after!r} after {before!r}"
         _refuse(backwards, text, log, TIME, "sort the rows and drop repeated ones")
     for name in required:
@@ -526,6 +532,17 @@ def _check(log: Log, required: Sequence[str]) -> None:
             raise InputError("every sample is missing", file=log.path, column=name)
     _warn_missing(log)
     warn_units(log)
+
+
+def check_not_tiny(values: Array, path: Path, column: str) -> None:
+    """Raise an error if all values of a column, or the mean time step, are too small for computations."""
+    low, high = _ends(values)
+    top, limit, what = max(-low, high), SMALLEST, "no value is larger than"
+    if column == TIME:
+        top, limit, what = (high - low) / max(len(values), 1), MIN_STEP_S, "the mean step is"
+    if 0 < top < limit:
+        text = f"{what} {top:g}; at least {limit:g} is needed"
+        raise InputError(text, file=path, column=column, hint=RESCALE)
 
 
 def _refuse(bad: NDArray[np.bool_], text: str, log: Log, column: str, hint: str | None = None) -> None:

@@ -45,9 +45,19 @@ from swimid.logs.foreign import (
     unit_factor,
 )
 from swimid.logs.kinematics import AXES, rearranged
-from swimid.logs.log import TIME, Log, LogLike, cells_to_numbers, longest_run, metadata_of, written_by
+from swimid.logs.log import (
+    TIME,
+    Log,
+    LogLike,
+    cells_to_numbers,
+    check_not_tiny,
+    longest_run,
+    metadata_of,
+    written_by,
+)
 from swimid.logs.sampling import PAUSE, UNIFORM_SHARE, usual_step
 from swimid.notices import Progress, silent, warn
+from swimid.options import LARGEST
 from swimid.results.result import Text
 
 Array = NDArray[np.float64]
@@ -527,7 +537,10 @@ def _read(mapping: Mapping, table: Table, path: Path, every: int = 1) -> MappedL
         end = replace(pieces[-1], columns=nothing, rows=pieces[-1].rows[:0], unlikely={})
         pieces.append(_average(end, averager, last=True))
         pieces[0] = replace(pieces[0], all_rows=averager.statistics)
-    return _concatenate(pieces)
+    whole = _concatenate(pieces)
+    for name, values in whole.columns.items():
+        check_not_tiny(values, path, name)
+    return whole
 
 
 def _average(piece: MappedLog, averager: Averager, *, last: bool = False) -> MappedLog:
@@ -585,11 +598,13 @@ def _mapped(
         raise InputError(text, file=path, column=by, hint=hint)
     if not chosen.all():
         found = {name: values[chosen] for name, values in found.items()}
-    infinite = [name for name, values in found.items() if np.isinf(values).any()]
+    infinite = [name for name, values in found.items() if (np.abs(values) > LARGEST).any()]
     for name in infinite:
-        found[name][np.isinf(found[name])] = np.nan
+        found[name][np.abs(found[name]) > LARGEST] = np.nan
     if infinite:
-        notes.append(f"infinite values taken as missing in {', '.join(infinite)}")
+        notes.append(
+            f"infinite values and values beyond ±{LARGEST:g} taken as missing in {', '.join(infinite)}"
+        )
     unlikely = empty_unlikely(found, sources, mapping.min_likelihood)
     lacking = [axis for axis in AXES if axis not in found]
     if 0 < len(lacking) < len(AXES):

@@ -88,7 +88,7 @@ class GaitFile(StudyFile):
     kept_in_draws: Number = None
     #: Best gait for each random sample of the coefficients: one row of parameters in the order of ``vary``.
     drawn: Rows = []
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
 
 class BestGait(FileResult[GaitFile]):

@@ -94,7 +94,7 @@ class RuleFile(StudyFile):
     optima: list[Optimum]
     #: Whether the coefficients of the model have standard errors. The rule is computed without them.
     uncertain: bool = False
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check_amplitudes(self) -> RuleFile:

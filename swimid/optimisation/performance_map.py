@@ -85,7 +85,7 @@ class MapFile(StudyFile):
     #: the end.
     broken: int
     unsettled: int
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
 
 class PerformanceMap(FileResult[MapFile]):

@@ -150,6 +150,14 @@ class Table(_Part):
     caption: str = ""
     folded: bool = False
 
+    @model_validator(mode="after")
+    def _a_cell_for_each_column(self) -> Self:
+        for number, row in enumerate(self.rows, 1):
+            if len(row) != len(self.columns):
+                text = f"the table '{self.id}' has {len(row)} cells in row {number}"
+                raise ValueError(f"{text} for {len(self.columns)} columns")
+        return self
+
 
 class Check(_Part):
     """Check of one property of a result: its value, the limit, and whether the value is within the limit."""
@@ -190,7 +198,7 @@ class Evidence(_Part):
     format: Literal["swimid-evidence/1"] = FORMAT
     #: Name of the result file to which the evidence belongs, and SHA-256 of the content of this file. Both
     #: are empty for a result in memory.
-    result: str = ""
+    result: str = Field(default="", pattern=r"^[^/\\\x00]*$")
     sha256: str = ""
     command: str
     title: str
@@ -209,7 +217,7 @@ class Evidence(_Part):
     #: Publications to cite together with the sentences in ``methods``.
     references: list[str] = []
     #: Copy of the block ``provenance`` of the result file: command, version and inputs.
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _nothing_impossible(self) -> Evidence:
@@ -355,11 +363,15 @@ def read(path: str | Path) -> Evidence:
     path = Path(path)
     try:
         with file_errors(path):
-            return Evidence.model_validate_json(path.read_bytes())
+            found = Evidence.model_validate_json(path.read_bytes())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise InputError(f"no {FORMAT} file: {first['msg']}", file=path, column=place or None) from error
+    if found.result in ("", ".", ".."):
+        text = f"names no result file, but '{found.result}'"
+        raise InputError(text, file=path, column="result", hint="make the result again")
+    return found
 
 
 def thinned(x: Any, y: Any, points: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import ConfigDict, Field, PrivateAttr
+import numpy as np
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
-from swimid.errors import InputError, UsageError, look_up
+from swimid.errors import InputError, UsageError, look_up, suggestion
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT: Literal["swimid-parameters/1"] = "swimid-parameters/1"
+#: Maximum difference between the two entries of a pair in a correlation matrix, and maximum rounding error
+#: of an entry in files with two decimals. An eigenvalue of a rounded matrix of n rows is wrong by at most n
+#: times that error, because the norm of a matrix is at most n times its largest entry.
+CORRELATION_TOLERANCE, MAX_ROUNDING = 1e-6, 0.005
 Status = Literal["estimated", "fixed", "at-bound", "unidentifiable"]
 #: Text that tables show for the status of an estimate, if it differs from the name of the status.
 STATUS = {"at-bound": "at its bound", "unidentifiable": "not identifiable"}
@@ -31,7 +36,7 @@ class Estimate(yamlio.Document):
     """
 
     value: float
-    stderr: float | None = None
+    stderr: float | None = Field(default=None, ge=0)
     unit: str
     bounds: tuple[float | None, float | None] = (None, None)
     status: Status
@@ -64,8 +69,26 @@ class Correlation(yamlio.Document):
     """Correlation matrix of the estimated parameters of a fit, with the names of its rows."""
 
     names: list[str]
-    #: Correlations, with room for rounding in the last digits.
-    matrix: list[list[Annotated[float, Field(ge=-1.000001, le=1.000001)]]]
+    #: Correlations, with room for rounding (:data:`CORRELATION_TOLERANCE`).
+    matrix: list[list[Annotated[float, Field(ge=-1 - CORRELATION_TOLERANCE, le=1 + CORRELATION_TOLERANCE)]]]
+
+    @model_validator(mode="after")
+    def _is_of_names(self) -> Self:
+        """Check the size, symmetry, diagonal and eigenvalues of the matrix."""
+        lengths = {len(self.names), len(self.matrix), *map(len, self.matrix)}
+        if len(lengths) > 1 or len(set(self.names)) < len(self.names):
+            text = f"has rows of {', '.join(str(len(row)) for row in self.matrix) or 'no'} numbers"
+            raise ValueError(f"the correlation matrix {text} for the names {', '.join(self.names)}")
+        matrix = np.reshape(self.matrix, (len(self.names), len(self.names)))
+        wrong = np.abs(matrix - np.where(np.eye(len(matrix)), 1.0, matrix.T)) > CORRELATION_TOLERANCE
+        if wrong.any():
+            first = " and ".join(self.names[k] for k in np.argwhere(wrong)[0])
+            raise ValueError(f"the correlation matrix is not symmetric with a diagonal of 1, at {first}")
+        if np.linalg.eigvalsh(matrix).min(initial=0.0) < -MAX_ROUNDING * len(matrix):
+            raise ValueError(
+                "the correlation matrix has a negative eigenvalue: no data have such correlations"
+            )
+        return self
 
 
 class Pole(yamlio.Document):
@@ -77,16 +100,28 @@ class Pole(yamlio.Document):
     stderr_magnitude: float | None = None
 
 
+if TYPE_CHECKING:
+    Errors = Noise = HeldOut = dict[str, Any]
+else:
+    #: Errors of one channel, in its unit.
+    Errors = yamlio.entries("Errors", rmse=float | None, nrmse=float | None, unit=str, samples=int | None)
+    #: Noise of one channel: standard deviation of its values, and of its sample times.
+    Noise = yamlio.entries("Noise", value_sd=float | None, time_sd_s=float | None)
+    #: Trials that the fit did not use, and the errors of their channels.
+    HeldOut = yamlio.entries("HeldOut", channels=dict[str, Errors])
+
+
 class Fit(yamlio.Document):
     """Block ``fit`` of a parameter file: trials, errors of each channel, noise, convergence of the fit."""
 
     model_config = ConfigDict(extra="allow")
 
     trials: list[str]
-    channels: dict[str, dict[str, Any]] = {}
-    validation: dict[str, Any] = {}
+    channels: dict[str, Errors] = {}
+    validation: HeldOut = {}
     converged: bool
-    noise: dict[str, Any] = {}
+    #: Noise of each channel, or the entries of the noise of a discrete-time model.
+    noise: dict[str, Noise | float | str | bool | None] = {}
     #: SHA-256 of the samples of each trial, by id. A trial with these samples has the values of this id.
     samples_sha256: dict[str, str] = {}
 
@@ -115,10 +150,22 @@ class ParameterFile(yamlio.ResultFile):
     #: Settings of the fit that a simulation needs, such as model orders, subtracted means and column names.
     settings: dict[str, Any] = {}
     fit: Fit | None = None
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
     #: Drag parameters that a fit of the recoil law used; None for other fits. They are not written to the
     #: file.
     _drag: ParameterFile | None = PrivateAttr(default=None)
+
+    @field_validator("correlation")
+    @classmethod
+    def _names_agree(cls, found: Correlation | None, info: ValidationInfo) -> Correlation | None:
+        """Check that every name of the correlation is the name of a parameter."""
+        known = info.data.get("parameters", {})
+        for name in () if found is None else found.names:
+            if known and name not in known:
+                raise ValueError(
+                    f"the correlation names '{name}', no parameter; {suggestion(name, [*known])}"
+                )
+        return found
 
     def write(self, path: str | Path) -> None:
         """Write the parameter file, completely or not at all. Floating-point numbers are not rounded."""
@@ -392,7 +439,8 @@ def _channels(fit: Fit) -> Table:
     for label, entries in {"fit": fit.channels, "validation": fit.validation.get("channels", {})}.items():
         for name, entry in entries.items():
             unit, rmse, nrmse = str(entry.get("unit", "")), entry.get("rmse"), entry.get("nrmse")
-            noise, ratio = _noise(fit.noise.get(name, {}), rmse, unit)
+            known = fit.noise.get(name)
+            noise, ratio = _noise(known if isinstance(known, dict) else {}, rmse, unit)
             errors = [numbers.number(rmse, 3, unit), noise, ratio, numbers.percent(nrmse)]
             rows.append([name, label, *errors, entry.get("samples")])
     columns = ["channel", "data", "RMSE", "noise", "RMSE / noise", "NRMSE", "samples"]

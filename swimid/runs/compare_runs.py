@@ -50,7 +50,7 @@ class RunComparison(yamlio.ResultFile):
     quantities: list[Quantity]
     #: For each item that is not the same in all runs: what differs between the runs.
     differences: dict[str, list[str]] = {}
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
 
 class ComparedRuns(FileResult[RunComparison]):

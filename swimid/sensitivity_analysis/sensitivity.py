@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -129,7 +129,7 @@ class SensitivityFile(yamlio.ResultFile):
     ranges: dict[str, Range]
     outputs: list[Output]
     simulations: Simulations
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
 
 class Sensitivity(FileResult[SensitivityFile]):

@@ -118,10 +118,24 @@ def _times(options: SimulateOptions, stroke: Cycle | None = None) -> Array:
     duration = options.duration_s or DURATION_S
     if options.duration_s is None and stroke is not None and math.isfinite(stroke.cycles):
         duration = stroke.cycles / stroke.frequency_hz
-    rate = options.sample_rate_hz or RATE_HZ
-    if duration * max(rate, 1.0 / options.dt) > MAX_SAMPLES:
-        raise UsageError(f"{duration:g} s at this rate and step are too many samples")
-    return np.arange(max(round(duration * rate), 1) + 1) / rate
+    return _grid(duration, options.sample_rate_hz or RATE_HZ, options.dt)
+
+
+def _grid(duration_s: float, rate_hz: float, step_s: float = math.inf) -> Array:
+    """Return sample times from 0 to the last one within the duration of a simulation, s.
+
+    Raises
+    ------
+    UsageError
+        If there is no second sample, or if there are too many samples or integration steps.
+    """
+    if duration_s * rate_hz < 1.0:
+        text = f"{duration_s:g} s at {rate_hz:g} samples a second are less than one sampling interval"
+        raise UsageError(text, hint=f"take --sample-rate-hz {1.0 / duration_s:.3g} or more")
+    if (count := duration_s * max(rate_hz, 1.0 / step_s)) > MAX_SAMPLES:
+        text = f"{duration_s:g} s at this rate and step are {count:.3g} samples; {MAX_SAMPLES:,} are allowed"
+        raise UsageError(text, hint="shorten --duration-s, lower --sample-rate-hz, or raise --dt")
+    return np.arange(math.floor(duration_s * rate_hz + 1e-9) + 1) / rate_hz
 
 
 def case_of_options(options: SimulateOptions) -> Case:
@@ -358,7 +372,7 @@ def _recorded(path: Path, options: SimulateOptions, model: Swimmer) -> tuple[Arr
     rate = options.sample_rate_hz
     if rate is None:
         return log.time_s[log.time_s <= end], swim
-    return begin + np.arange(int((end - begin) * rate) + 1) / rate, swim
+    return begin + _grid(end - begin, rate), swim
 
 
 def commands(model: Swimmer, trial: Trial, values: Array) -> dict[str, Array]:
@@ -648,8 +662,8 @@ def _arma(options: SimulateOptions, file: ParameterFile, path: Path) -> Case:
         trial = Trial("run", "fit", log.time_s, measured, inputs={name: log[name] for name in wanted})
         metadata["input"] = options.input.name
     elif model.sine is not None:
-        count = round((options.duration_s or DURATION_S) / model.sample_time_s)
-        trial = Trial("run", "fit", np.linspace(0.0, count * model.sample_time_s, count + 1), {})
+        times = _grid(options.duration_s or DURATION_S, 1.0 / model.sample_time_s)
+        trial = Trial("run", "fit", times, {})
     else:
         raise UsageError(f"this model runs on the column '{model.source}': give a log with --input run.csv")
     applied = Applied(model, file, path, options.chosen, [trial], options.own_effects)

@@ -135,7 +135,7 @@ class ComparisonFile(yamlio.ResultFile):
     profiles: list[ProfileComparison] = []
     #: Root-mean-square error of the mean speeds of all trials, m/s.
     mean_speed_rmse_m_s: Number = None
-    provenance: dict[str, Any] = Field(default_factory=dict)
+    provenance: yamlio.Provenance = Field(default_factory=dict)
 
     @property
     def mean_speeds(self) -> list[tuple[TrialComparison, float, float]]:

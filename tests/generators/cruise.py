@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from tests.generators.marks import mark
+
 EFFICIENCY = 0.341
 OFFSET_DEG = 5.42
 #: Height, length (cm); the arbitrary fin works like a smaller rectangle, unknown to the user.
@@ -89,6 +91,7 @@ def write_sample(folder: Path, *, seed: int = 21) -> None:
     """A speeds table of the boxfish's four fins and its trials file."""
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / "speeds.csv", table(np.random.default_rng(seed)))
+    mark(folder)
     (folder / "trials.yaml").write_text(
         "# Cruising speeds of the boxfish with four caudal fins (synthetic, seeded).\n"
         "format: swimid-trials/1\nexperiment: cruise\nrobot: boxfish\ntable: speeds.csv\n"

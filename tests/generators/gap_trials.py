@@ -11,6 +11,7 @@ from tests.blind import swim_actuation, swim_files, swimmers
 from tests.blind.swim_case import Act, Trial
 from tests.blind.swim_sensing import UP
 from tests.blind.swimmers import Noise
+from tests.generators.marks import mark
 
 #: Tracking noise: a camera's position and angle, a gyroscope.
 PLACE_M, ANGLE_RAD, RATE_RAD_S = 0.0015, 0.008, 0.015
@@ -103,3 +104,4 @@ def write(
 def write_sample(folder: Path) -> None:
     """Six 10 s runs of a tendon fish with play between its servos and its joints."""
     write(folder, "tfish", [swim_actuation.servo_backlash(np.random.default_rng(SEED), SIZE, "tfish")])
+    mark(folder)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from tests.generators.marks import mark
+
 
 @dataclass(frozen=True)
 class Polled:
@@ -113,3 +115,4 @@ def write_sample(folder: Path) -> None:
         f"{1000 * t:.1f};{1000 * x:.2f};{1000 * y:.2f};{math.degrees(a):.2f}" for t, x, y, a in made.rows
     ]
     (folder / "polled.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    mark(folder)

@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 
 from tests.generators import film_writer
+from tests.generators.marks import mark
 
 #: Distance from the nose marker back to the tail marker, m.
 SEPARATION_M = 0.16
@@ -280,7 +281,7 @@ def write_truth(path: Path, scene: Scene, body: int = 0) -> None:
     truth = motion(scene.swims[body], times)
     names = ["x_m", "y_m", "yaw_rad", "u_m_s", "v_m_s", "yaw_rate_rad_s"]
     with path.open("w", newline="") as stream:
-        stream.write("# source: rendered, exact\n")
+        stream.write("# source: simulated (rendered film), exact\n")
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["t_s", *names])
         for i, time in enumerate(times):
@@ -321,6 +322,7 @@ def write_scene(folder: Path, scene: Scene, name: str = "pool") -> tuple[Path, P
     video, setup, truth = (folder / f"{name}{end}" for end in (".mp4", "_setup.yaml", "_truth.csv"))
     write_video(video, scene)
     setup.write_text(setup_text(scene, number=len(scene.swims)), encoding="utf-8")
+    mark(setup.parent)
     write_truth(truth, scene)
     return video, setup, truth
 

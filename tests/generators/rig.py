@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from tests.generators.marks import mark
+
 #: The boxfish paper's identified values, in its own units (cm, g, s, mN = 100 dyn).
 BOXFISH = {
     "drag_coefficient": 0.705,
@@ -118,6 +120,7 @@ def write_sample(folder: Path, *, seed: int = 20) -> None:
         role = ", role: validate" * (weight == 25)
         lines.append(f"  - {{log: w{weight}.csv, id: w{weight}, pulling_mass_kg: {weight / 1000:.3f}{role}}}")
     (folder / "trials.yaml").write_text("\n".join(lines) + "\n")
+    mark(folder)
 
 
 def fall(
