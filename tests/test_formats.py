@@ -305,7 +305,7 @@ class TestParameters:
                 )
                 for k, v in enumerate(rng.normal(size=20) * 10.0 ** rng.integers(-20, 20, 20))
             },
-            correlation=parameters.Correlation(names=["a", "b"], matrix=[[1.0, 1 / 3], [1 / 3, 1.0]]),
+            correlation=parameters.Correlation(names=["a0", "a1"], matrix=[[1.0, 1 / 3], [1 / 3, 1.0]]),
             poles=[parameters.Pole(real=0.1, imag=1 / 7, magnitude=0.9)],
             stable=True,
             delay=1,

@@ -101,7 +101,9 @@ class Pole(yamlio.Document):
 
 
 if TYPE_CHECKING:
-    Errors = Noise = HeldOut = dict[str, Any]
+    Errors = dict[str, Any]
+    Noise = dict[str, Any]
+    HeldOut = dict[str, Any]
 else:
     #: Errors of one channel, in its unit.
     Errors = yamlio.entries("Errors", rmse=float | None, nrmse=float | None, unit=str, samples=int | None)
