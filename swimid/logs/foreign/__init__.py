@@ -420,7 +420,7 @@ def convert_text(table: Table) -> Table:
             continue
         found, odd = numbers_in(values)
         if odd.sum() > MAX_ODD * (odd.sum() + np.isfinite(found).sum()):
-            columns |= _split_lists(name, values, table.units)
+            columns |= _split_cells(name, values, table.units)
             continue
         columns[name] = found
         if odd.any():
@@ -433,19 +433,21 @@ def convert_text(table: Table) -> Table:
     return replace(table, columns=columns)
 
 
-def _split_lists(name: str, values: NDArray[Any], units: dict[str, str]) -> dict[str, NDArray[Any]]:
-    """Return a column for each element of the lists in a column of text, or the column without lists.
+def _split_cells(name: str, values: NDArray[Any], units: dict[str, str]) -> dict[str, NDArray[Any]]:
+    """Return a column for each element of the lists in a column of text; the column if it has no lists.
 
     If one unit follows each number in the cells, add it to ``units`` and return the numbers.
     """
     import pandas as pd
 
     cells = pd.Series(values).dropna().astype("string").str.strip()
+    if cells.empty or not re.match(r"[\[(]|[-+.\d]+ ?[A-Za-z°µ%]", cells.iloc[0]):
+        return {name: values}
     parts = cells.str.extract(r"^([-+\d.eE]+) ?([A-Za-z°µ%/]+\d?)$")
     if parts[1].nunique(dropna=False) == 1 and parts[1].notna().any():
         units[name] = str(parts[1].iloc[0])
         return {name: numbers_in(parts[0].reindex(range(len(values))))[0]}
-    if cells.empty or not cells.str.fullmatch(r"[\[(][^\[\]()]*[\])]").all():
+    if not cells.str.fullmatch(r"[\[(][^\[\]()]*[\])]").all():
         return {name: values}
     parts = cells.str[1:-1].str.strip().str.split(r"\s*[,;]\s*|\s+", regex=True, expand=True)
     found = {f"{name}[{k + 1}]": numbers_in(parts[k].reindex(range(len(values))))[0] for k in parts}
