@@ -20,7 +20,7 @@ class ImportOptions(Options):
         metavar="FORMAT",
         help="Format of the file: anipose, ardupilot, coco, deeplabcut, dynamixel, idtrackerai, kinovea, "
         "movement, opensim, optitrack, px4, qualisys, ros2, sleap, swimid, tracker, trackpy, vicon, c3d, "
-        "db3, delimited, hdf5, lvm, mat, mcap, parquet, tdms, ulog, xlsx  "
+        "db3, delimited, hdf5, json, lvm, mat, mcap, parquet, tdms, ulog, xlsx  "
         "[default: recognised by its content].",
     )
     select: str | None = option(
