@@ -157,6 +157,26 @@ def test_a_comma_that_may_be_either_mark_is_a_question(decimal: str, factor: flo
     assert np.allclose(found.columns["turns_m"], factor * np.array(speeds) / 1000)
 
 
+def test_a_unit_in_each_cell(tmp_path: Path) -> None:
+    rows = [[t, f"{x} mm", f"{y}%", "3 fish"] for t, x, y in _rows()]
+    rows[1][3] = "4 birds"
+    path = _write(tmp_path / "a.csv", rows, names=["t_s", "x", "duty", "seen"])
+    found = open_table(path)
+    assert np.allclose(found.columns["x"], X)
+    assert found.units == {"x": "mm", "duty": "%"}
+    assert np.allclose(found.columns["duty"], Y, atol=1e-3)
+    assert found.columns["seen"][1] == "4 birds"
+    assert '{source: "x", target: x_m, unit: "mm"}' in _draft(path)
+
+
+def test_one_cell_of_text_among_dates(tmp_path: Path) -> None:
+    rows = [[f"2024-05-01 10:00:{t[:6]:0>7}", x, y] for t, x, y in _rows()]
+    rows[30][0] = "ERR"
+    found = _mapped(_write(tmp_path / "a.csv", rows, names=["Timestamp", "x_mm", "y_mm"]))
+    assert np.flatnonzero(np.isnan(found.time_s)).tolist() == [30]
+    assert found.notes == [f"cells that are no dates are left empty, 1 of {N} in Timestamp: 'ERR' in line 32"]
+
+
 def test_lists_in_cells_are_columns(tmp_path: Path) -> None:
     rows = [[t, f'"[{x}, {y}, 1.0]"', f"({x} {y})"] for t, x, y in _rows()]
     table = open_table(_write(tmp_path / "a.csv", rows, names=["t", "p", "v"]))
@@ -228,7 +248,14 @@ BOOT = [
 ]
 
 
-@pytest.mark.parametrize("form", ["t_ms:{}\tx_mm:{}\ty_mm:{}", "12:00:01.250 -> t_ms={}, x_mm={}, y_mm={}"])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "t_ms:{}\tx_mm:{}\ty_mm:{}",
+        "12:00:01.250 -> t_ms={}, x_mm={}, y_mm={}",
+        "[12:00:01.250] t_ms: {} x_mm: {} y_mm: {}",
+    ],
+)
 def test_labelled_lines_after_boot_lines(form: str, tmp_path: Path) -> None:
     lines = [form.format(f"{1000 * float(t):.0f}", x, y) for t, x, y in _rows()]
     lines.insert(90, "WARN: imu timeout 3")

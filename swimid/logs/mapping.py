@@ -36,6 +36,7 @@ from swimid.logs.foreign import (
     Options,
     Table,
     canonical,
+    in_words,
     is_text,
     numbers_in,
     open_table,
@@ -570,7 +571,7 @@ def _mapped(
     metadata: dict[str, Any],
     clock: Clock,
 ) -> MappedLog:
-    notes = list(table.notes)
+    notes = table.notes
     sources = {column.target: table.column(column.source, path) for column in columns}
     columns = [_with_unit(column, table.units.get(sources[column.target]), path) for column in columns]
     time = _time(mapping, table, sources, path)
@@ -1014,8 +1015,11 @@ def _parsed(
     cells = _joined(parts)
     stamps = _dates(cells, time.format)
     bad = (cells.notna() & stamps.isna()).to_numpy(dtype=bool)
-    if bad.any():
-        row = int(np.argmax(bad))
+    row = int(np.argmax(bad))
+    if 0 < bad.mean() <= MAX_ODD and time.format is None:
+        text = f"cells that are no dates are left empty, {bad.sum()} of {len(bad)} in {' and '.join(names)}"
+        table.notes.append(f"{text}: '{cells.iloc[row][:40]}' in {in_words(table.place(row))}")
+    elif bad.any():
         text = f"'{cells.iloc[row][:40]}' is neither a number nor a date or time that is known"
         formats = " or ".join(map(repr, date_formats(cells))) or EXAMPLE
         hint = f"state how it is written under 'time:' of the mapping, as in format: {formats}{MISSING_HINT}"
@@ -1429,7 +1433,7 @@ def _guess_time(table: Table, columns: dict[str, Any]) -> tuple[dict[str, Any] |
         texts = [name for name in stamps if is_text(columns[name])]
         time: dict[str, Any] = {"source": texts if len(texts) > 1 else texts[0], "origin": "first"}
         cells = _joined([columns[name] for name in texts])
-        if _dates(cells, None).isna().any():
+        if _dates(cells, None).notna().mean() < (1 - MAX_ODD) * cells.notna().mean():
             formats = date_formats(cells)
             time["format"] = formats[0] if len(formats) == 1 else ASK
             comment = f"as in format: {' or '.join(map(repr, formats)) or EXAMPLE}"

@@ -434,25 +434,34 @@ def convert_text(table: Table) -> Table:
             continue
         found, odd = numbers_in(values)
         if odd.sum() > MAX_ODD * (odd.sum() + np.isfinite(found).sum()):
-            columns |= _split_lists(name, values)
+            columns |= _split_cells(name, values, table.units)
             continue
         columns[name] = found
         if odd.any():
             emptied.setdefault(tuple(np.flatnonzero(odd).tolist()), []).append(name)
     for rows, names in emptied.items():
         cells = table.columns[names[0]]
-        places = [f"'{cells[row]}' in {_in_words(table.place(row))}"[:80] for row in rows[:3]]
+        places = [f"'{cells[row]}' in {in_words(table.place(row))}"[:80] for row in rows[:3]]
         text = f"cells that are no numbers are left empty, {len(rows)} of {len(cells)} in {', '.join(names)}"
         table.notes.append(f"{text}: {', '.join(places)}{', ...' * (len(rows) > 3)}")
     return replace(table, columns=columns)
 
 
-def _split_lists(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Return a column for each element of the lists in a column of text, or the column without lists."""
+def _split_cells(name: str, values: NDArray[Any], units: dict[str, str]) -> dict[str, NDArray[Any]]:
+    """Return a column for each element of the lists in a column of text; the column if it has no lists.
+
+    If one unit follows each number in the cells, add it to ``units`` and return the numbers.
+    """
     import pandas as pd
 
     cells = pd.Series(values).dropna().astype("string").str.strip()
-    if cells.empty or not cells.str.fullmatch(r"[\[(][^\[\]()]*[\])]").all():
+    if cells.empty or not re.match(r"[\[(]|[-+.\d]+ ?[A-Za-z°µ%]", cells.iloc[0]):
+        return {name: values}
+    parts = cells.str.extract(r"^([-+\d.eE]+) ?([A-Za-z°µ%/]+\d?)$")
+    if parts[1].nunique(dropna=False) == 1 and parts[1].notna().any():
+        units[name] = str(parts[1].iloc[0])
+        return {name: numbers_in(parts[0].reindex(range(len(values))))[0]}
+    if not cells.str.fullmatch(r"[\[(][^\[\]()]*[\])]").all():
         return {name: values}
     parts = cells.str[1:-1].str.strip().str.split(r"\s*[,;]\s*|\s+", regex=True, expand=True)
     found = {f"{name}[{k + 1}]": numbers_in(parts[k].reindex(range(len(values))))[0] for k in parts}
@@ -461,7 +470,8 @@ def _split_lists(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return found
 
 
-def _in_words(place: dict[str, int]) -> str:
+def in_words(place: dict[str, int]) -> str:
+    """Return the place of a row in a file as text, such as ``line 12``."""
     return " ".join(f"{kind} {number}" for kind, number in place.items())
 
 

@@ -2,7 +2,7 @@
 
 Arduino sketches print labels with each value, so that the serial plotter can name the curves. The reader of
 delimited text reads such a file as a table with one column for each label. A time of day that the serial
-monitor puts before a line (``12:30:01.123 -> ``) becomes the column ``clock``.
+monitor puts before a line (``12:30:01.123 -> ``, ``[12:30:01.123] ``) becomes the column ``clock``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,10 @@ from itertools import chain
 
 _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|[-+]?inf)"
 _PAIR = re.compile(rb"([A-Za-z][\w./\[\]()-]*?)[ ]*[:=][ ]*(" + _NUMBER + rb")", re.I)
-_CLOCK, _PAIRS = rb"(?:(?P<clock>[\d:.]+) -> ?)?", rb"(?P<pairs>%b(?:[ ,;\t]+%b)*)" % ((_PAIR.pattern,) * 2)
+_CLOCK, _PAIRS = (
+    rb"(?:\[?(?P<clock>[\d:.]+)(?:\]| ->) ?)?",
+    rb"(?P<pairs>%b(?:[ ,;\t]+%b)*)" % ((_PAIR.pattern,) * 2),
+)
 _LINE = re.compile(rb"\s*" + _CLOCK + _PAIRS + rb"[ ,;\t]*", re.I)
 #: Minimum number of lines by which a file of labelled values is recognised, and their minimum fraction after
 #: the first of them. All have the same first label. Others are messages, as of a microcontroller that starts.
