@@ -78,10 +78,12 @@ def test_a_dataflash_log(tmp_path: Path, swimid: Run) -> None:
     assert np.allclose(mapping.apply(mapping.of(rules), path).columns["yaw_rad"], np.pi / 2 + YAW, atol=1e-4)
     _dataflash(tmp_path / "cut.bin", noise=b"\xa3\x95\x81cut")
     assert len(_read(tmp_path / "cut.bin", select="ATT")) == N
-    (tmp_path / "empty.bin").write_bytes(b"\xa3\x95\x80")
-    ran = swimid("import", tmp_path / "empty.bin", "-o", tmp_path / "o.csv")
-    assert ran.status == 3
-    assert "Traceback" not in ran.err
+    for content, words in ((b"\xa3\x95\x80", "no message type"), (bytes(range(64)), "--as NAME")):
+        (tmp_path / "other.bin").write_bytes(content)
+        ran = swimid("import", tmp_path / "other.bin", "-o", tmp_path / "o.csv")
+        assert ran.status == 3
+        assert words in ran.err
+        assert "Traceback" not in ran.err
 
 
 def test_a_mavlink_log(tmp_path: Path) -> None:
