@@ -78,6 +78,11 @@ def test_a_dataflash_log(tmp_path: Path, swimid: Run) -> None:
     assert np.allclose(mapping.apply(mapping.of(rules), path).columns["yaw_rad"], np.pi / 2 + YAW, atol=1e-4)
     _dataflash(tmp_path / "cut.bin", noise=b"\xa3\x95\x81cut")
     assert len(_read(tmp_path / "cut.bin", select="ATT")) == N
+    data = bytearray(path.read_bytes())
+    data[2000:2040] = bytes(40)
+    (tmp_path / "damaged.bin").write_bytes(data)
+    ran = swimid("import", tmp_path / "damaged.bin", "--select", "ATT", "-o", tmp_path / "d.csv", "--json")
+    assert "damaged" in " ".join(ran.json["result"]["notes"])
     for content, words in ((b"\xa3\x95\x80", "no message type"), (bytes(range(64)), "--as NAME")):
         (tmp_path / "other.bin").write_bytes(content)
         ran = swimid("import", tmp_path / "other.bin", "-o", tmp_path / "o.csv")

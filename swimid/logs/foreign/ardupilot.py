@@ -8,6 +8,8 @@ forward, left, up.
 
 from __future__ import annotations
 
+import contextlib
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,15 +74,17 @@ def _open_binary(path: Path, options: Options, select: str | None) -> Table:
         opened = DFReader.DFReader_binary
     elif head[8:9] not in _MARKS:
         raise InputError(f"is no {_TITLE}", file=path, hint="name its format: --as NAME")
-    log = opened(str(path))
     messages: dict[str, list[Any]] = {}
-    while (message := log.recv_match(type=select)) is not None:
-        messages.setdefault(message.get_type(), []).append(message)
+    with contextlib.redirect_stdout(io.StringIO()) as said, contextlib.redirect_stderr(said):
+        log = opened(str(path))
+        while (message := log.recv_match(type=select)) is not None:
+            messages.setdefault(message.get_type(), []).append(message)
+    notes = ["the file is damaged; its readable part was read"] * bool(said.getvalue())
     known = {name for name, (one, *_) in messages.items() if _has_quantity(one.to_dict())}
     kind = choose(select, [name for name in messages if select or name in known], "message type", path)
     records = [dict(foreign.flat(one.to_dict())) | {"recorded_s": one._timestamp} for one in messages[kind]]
     units = getattr(messages[kind][0], "fieldunits_by_name", {})
-    return Table(foreign.of_records(records), units=units, metadata={"type": kind})
+    return Table(foreign.of_records(records), units=units, metadata={"type": kind}, notes=notes)
 
 
 def _has_quantity(fields: dict[str, Any]) -> bool:
