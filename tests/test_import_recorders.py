@@ -78,20 +78,27 @@ def test_a_dataflash_log(tmp_path: Path, swimid: Run) -> None:
     assert np.allclose(mapping.apply(mapping.of(rules), path).columns["yaw_rad"], np.pi / 2 + YAW, atol=1e-4)
     _dataflash(tmp_path / "cut.bin", noise=b"\xa3\x95\x81cut")
     assert len(_read(tmp_path / "cut.bin", select="ATT")) == N
-    (tmp_path / "empty.bin").write_bytes(b"\xa3\x95\x80")
-    ran = swimid("import", tmp_path / "empty.bin", "-o", tmp_path / "o.csv")
-    assert ran.status == 3
-    assert "Traceback" not in ran.err
+    data = bytearray(path.read_bytes())
+    data[2000:2040] = bytes(40)
+    (tmp_path / "damaged.bin").write_bytes(data)
+    ran = swimid("import", tmp_path / "damaged.bin", "--select", "ATT", "-o", tmp_path / "d.csv", "--json")
+    assert "damaged" in " ".join(ran.json["result"]["notes"])
+    for content, words in ((b"\xa3\x95\x80", "no message type"), (bytes(range(64)), "--as NAME")):
+        (tmp_path / "other.bin").write_bytes(content)
+        ran = swimid("import", tmp_path / "other.bin", "-o", tmp_path / "o.csv")
+        assert ran.status == 3
+        assert words in ran.err
+        assert "Traceback" not in ran.err
 
 
 def test_a_mavlink_log(tmp_path: Path) -> None:
     dialect = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
     link, data, still = dialect.MAVLink(None, srcSystem=1), bytearray(), (0, 0, 0)
     for k, t in enumerate(T):
-        ms, place = (
-            round(1000 * t),
-            (round(1e7 * (47.1 + X_M[k] / NORTH_M)), round(1e7 * (8.5 + Y_M[k] / EAST_M))),
-        )
+        ms = round(1000 * t)
+        place = (round(1e7 * (47.1 + X_M[k] / NORTH_M)), round(1e7 * (8.5 + Y_M[k] / EAST_M)))
+        if k < 3:
+            place = (0, 0)  # before the receiver knows its position
         for message in (
             link.attitude_encode(ms, 0.0, 0.0, YAW[k], 0.0, 0.0, 0.5),
             link.local_position_ned_encode(ms, X_M[k], Y_M[k], 0.3, 0.2, 0.0, 0.0),
@@ -117,8 +124,9 @@ def test_a_mavlink_log(tmp_path: Path) -> None:
     assert np.allclose(imu["mz_T"], -43e-6)
     # 1e-7 degrees are 11 mm
     fix = _read(path, select="GLOBAL_POSITION_INT")
-    assert np.allclose(fix.columns["x_m"], X_M, atol=0.012)
-    assert np.allclose(fix.columns["y_m"], -Y_M, atol=0.012)
+    assert np.isnan(fix.columns["x_m"][:3]).all()
+    assert np.allclose(fix.columns["x_m"][3:], X_M[3:] - X_M[3], atol=0.012)
+    assert np.allclose(fix.columns["y_m"][3:], Y_M[3] - Y_M[3:], atol=0.012)
     assert fix.metadata["origin_latitude_deg"] == pytest.approx(47.1)
     # two messages in one log
     join = {"as": "ardupilot", "select": "ATTITUDE", "columns": [{"source": "yaw_rad", "target": "yaw_rad"}]}

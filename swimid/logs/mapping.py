@@ -459,8 +459,10 @@ def _offset(
     there, near_s = np.isfinite(that), align.within_s or np.inf
     spread, turning = np.std(that[there]), np.std(np.gradient(that[there], time_s[there]))
     slow_s = max(MIN_SLOW_S, MIN_SLOW_PERIODS * 2 * np.pi * float(spread / max(turning, 1e-300)))
+    # A held value is on average half a step older than one on the line through the samples.
+    delay_s = 0.5 * usual_step(time_s[there]) * (joined.between == "hold")
     found = clocks.clock_offset(
-        time_s[there],
+        time_s[there] + delay_s,
         that[there, None],
         log.time_s[order],
         log.columns[align.this][order, None],
@@ -668,7 +670,9 @@ def _with_own_times(
     rest = [column for column in columns if column.target != TIME]
     if time is None:
         return mapping, [Column(source=TIME, target=TIME), *rest]
-    rate, hz = table.scalars.get(str(time.rate_hz), time.rate_hz), 1 / usual_step(table.columns[TIME])
+    rate, hz, values = table.scalars.get(str(time.rate_hz), time.rate_hz), np.nan, table.columns[TIME]
+    if values.dtype.kind in "iuf":
+        hz = 1 / usual_step(values)
     if rate is not None and not (isinstance(rate, float) and abs(rate / hz - 1) <= RATE_RTOL):
         text = f"states its times, at {hz:.6g} Hz: a rate of {rate} Hz contradicts them"
         raise InputError(text, file=path, hint="leave the rate out")

@@ -20,8 +20,8 @@ class ImportOptions(Options):
         metavar="FORMAT",
         help="Format of the file: anipose, ardupilot, coco, deeplabcut, dynamixel, dynamixel-ax, "
         "dynamixel-x, gpx, idtrackerai, kinovea, movement, nmea, opensim, optitrack, px4, qualisys, ros2, "
-        "sleap, swimid, tracker, trackpy, vicon, c3d, db3, delimited, hdf5, json, lvm, mat, mavlink, mcap, netcdf, "
-        "npz, parquet, tdms, ulog, xlsx  "
+        "sleap, swimid, tracker, trackpy, vicon, c3d, db3, delimited, hdf5, json, lvm, mat, mavlink, mcap, "
+        "netcdf, npz, parquet, tdms, ulog, xlsx  "
         "[default: recognised by its content].",
     )
     select: str | None = option(

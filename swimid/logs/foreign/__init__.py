@@ -850,7 +850,7 @@ def open_table(
         raise
     except Exception as error:
         text = f"is no readable {found.title}: {first_line(error)}"
-        raise InputError(text, file=path, hint=hint) from error
+        raise InputError(text, file=path, hint=hint or "export or copy the file again") from error
     if not table.columns:
         raise InputError("holds no samples", file=path)
     if found.recognises is not None:

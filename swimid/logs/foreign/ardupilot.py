@@ -8,6 +8,8 @@ forward, left, up.
 
 from __future__ import annotations
 
+import contextlib
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,6 +55,7 @@ _TIMES = {"TimeUS": 1e-6, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 _PLACES = {("Lat", "Lng"): 1.0, ("lat", "lon"): 1e-7}
 #: Fields that number the instances of a sensor.
 _INSTANCES = ("I", "C", "Instance", "id")
+_TITLE = "binary log of ArduPilot or MAVLink"
 #: First bytes of a binary DataFlash log, and bytes with which a message of MAVLink begins, after its time.
 MAGIC, _MARKS = b"\xa3\x95", (b"\xfe", b"\xfd")
 
@@ -66,16 +69,22 @@ def _open_binary(path: Path, options: Options, select: str | None) -> Table:
     """Return a table of the messages of one type in a binary log, with the names and units of the log."""
     from pymavlink import DFReader, mavutil
 
-    opened = DFReader.DFReader_binary if Peek.of(path).head.startswith(MAGIC) else mavutil.mavlogfile
-    log = opened(str(path))
+    head, opened = Peek.of(path).head, mavutil.mavlogfile
+    if head.startswith(MAGIC):
+        opened = DFReader.DFReader_binary
+    elif head[8:9] not in _MARKS:
+        raise InputError(f"is no {_TITLE}", file=path, hint="name its format: --as NAME")
     messages: dict[str, list[Any]] = {}
-    while (message := log.recv_match(type=select)) is not None:
-        messages.setdefault(message.get_type(), []).append(message)
+    with contextlib.redirect_stdout(io.StringIO()) as said, contextlib.redirect_stderr(said):
+        log = opened(str(path))
+        while (message := log.recv_match(type=select)) is not None:
+            messages.setdefault(message.get_type(), []).append(message)
+    notes = ["the file is damaged; its readable part was read"] * bool(said.getvalue())
     known = {name for name, (one, *_) in messages.items() if _has_quantity(one.to_dict())}
     kind = choose(select, [name for name in messages if select or name in known], "message type", path)
     records = [dict(foreign.flat(one.to_dict())) | {"recorded_s": one._timestamp} for one in messages[kind]]
     units = getattr(messages[kind][0], "fieldunits_by_name", {})
-    return Table(foreign.of_records(records), units=units, metadata={"type": kind})
+    return Table(foreign.of_records(records), units=units, metadata={"type": kind}, notes=notes)
 
 
 def _has_quantity(fields: dict[str, Any]) -> bool:
@@ -84,7 +93,6 @@ def _has_quantity(fields: dict[str, Any]) -> bool:
     return bool({*_TIMES} & {*fields}) and bool({*FIELDS, *MAVLINK, *places} & {*fields})
 
 
-_TITLE = "binary log of ArduPilot or MAVLink"
 BINARY = Format("mavlink", _TITLE, _open_binary, None, (".bin", ".tlog"), (MAGIC,), "mavlink")
 
 

@@ -26,12 +26,17 @@ _SENTENCE = re.compile(rb"\$[A-Z]{2}(RMC|GGA),")
 def east_north(latitude_deg: Array, longitude_deg: Array) -> tuple[dict[str, Array], dict[str, float]]:
     """Return positions to the east and to the north of the first one, m, and the metadata of the first one.
 
+    A position at 0, 0 is none, because receivers write it before they know their position.
+
     >>> east_north(np.array([60.0, 60.001]), np.array([10.0, 10.0]))[0]["y_m"].round(1).tolist()
     [0.0, 111.4]
     """
-    fix = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
+    fix = np.isfinite(latitude_deg * longitude_deg) & ((latitude_deg != 0) | (longitude_deg != 0))
     first = int(np.argmax(fix))
-    lat, lon = np.radians(latitude_deg), np.radians(longitude_deg - longitude_deg[first])
+    lat, lon = (
+        np.radians(np.where(fix, latitude_deg, np.nan)),
+        np.radians(longitude_deg - longitude_deg[first]),
+    )
     square = FLATTENING * (2 - FLATTENING)
     normal = AXIS_M / np.sqrt(1 - square * np.sin(lat) ** 2)
     # Cartesian coordinates, with the first position in the plane of x and z (Torge 2001, Geodesy, sec. 4.1.3)
@@ -59,10 +64,12 @@ def _read_gpx(path: Path, options: Options, select: str | None) -> Table:
     import gpxpy
 
     tracks = gpxpy.parse(path.read_text(encoding="utf-8-sig")).tracks
-    points = {one.name or str(k): list(one.walk(only_points=True)) for k, one in enumerate(tracks, start=1)}
+    titles = [one.name or "" for one in tracks]
+    names = [t if t and titles.count(t) == 1 else str(k) for k, t in enumerate(titles, start=1)]
+    points = {name: list(one.walk(only_points=True)) for name, one in zip(names, tracks, strict=True)}
     track = points[choose(select, [name for name, found in points.items() if found], "track", path)]
-    names = {"latitude": "latitude", "longitude": "longitude", "altitude_m": "elevation", "time": "time"}
-    return _table([{name: getattr(p, of) for name, of in names.items()} for p in track], path, [])
+    fields = {"latitude": "latitude", "longitude": "longitude", "altitude_m": "elevation", "time": "time"}
+    return _table([{name: getattr(p, of) for name, of in fields.items()} for p in track], path, [])
 
 
 def _read_nmea(path: Path, options: Options, select: str | None) -> Table:
