@@ -988,6 +988,8 @@ _NAMES: list[tuple[str, str]] = [
     (r"joint[ _.]?(angle)?[ _.\[]*(?P<axis>\d+)\]?", "joint{axis}_rad"),
     (r"(cmd|command|setpoint)[ _.\[]*(?P<axis>\d+)\]?", "cmd{axis}_rad"),
 ]
+#: Pattern of the name of a latitude. A heading beside it is probably that of a compass.
+_LATITUDE = re.compile(r"lat(itude)?([ _.\[(]|$)", re.I)
 _UNIT = re.compile(r"(?P<bare>.*?)[ _]*(?:[\[(](?P<inside>[^\])]+)[\])]|/ ?(?P<over>[^\d\s]\S*))\s*")
 #: Pattern of a column name that ends in a unit, such as ``heading_deg`` or ``x mm``.
 _ENDING = re.compile(r"(?P<bare>.+?)[ _](?P<unit>[A-Za-z°µ/]+(?:_s2?)?)")
@@ -1105,8 +1107,10 @@ def _of_names(table: Table) -> list[str]:
             left_out = _line("-", {"source": source, "target": "..."}, f"no numbers: {_first(values)}")
             lines.append(f"  # {left_out}")
             continue
-        entries = {"source": source, "target": target, "unit": unit}
-        lines.append("  " + _line("-", entries, _first(values)))
+        note = _first(values)
+        if target == "yaw_rad" and "heading" in source.lower() and any(map(_LATITUDE.match, columns)):
+            target, note = ASK, f"{note}; a compass heading is yaw_rad with factor: -1 and offset: 1.5708"
+        lines.append("  " + _line("-", {"source": source, "target": target, "unit": unit}, note))
     lines.append("metadata: {}   # robot: ..., frequency_hz: ... (of the stroke, if known)")
     return lines
 
