@@ -11,7 +11,7 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from swimid import import_log
+from swimid import guess_mapping, import_log
 from swimid.logs.beat import find_beat
 
 N = 1500
@@ -325,3 +325,9 @@ def test_rests_around_a_swim_do_not_hide_its_beat(hz: float, shape: str, rest_s:
     beat = find_beat(t, np.round(0.3 * swum * wave + noise * np.random.default_rng(1).normal(size=len(t)), 4))
     assert beat is not None
     assert beat.frequency_hz == pytest.approx(hz, rel=0.005)
+
+
+@pytest.mark.parametrize(("names", "target"), [(("lat", "lon"), "ASK"), (("x_m", "y_m"), "yaw_rad")])
+def test_a_heading_beside_a_latitude_is_asked_for(names: tuple[str, str], target: str) -> None:
+    table = pd.DataFrame({"time_s": T, **dict.fromkeys(names, T), "heading_deg": T})
+    assert f'{{source: "heading_deg", target: {target}' in guess_mapping(table).document

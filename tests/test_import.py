@@ -297,7 +297,13 @@ def test_rows_out_of_order_are_sorted_and_reported(swimid: Run, tmp_path: Path) 
     lines = ["t_s,u_m_s", *(f"{t},{u}" for t, u in rows), ",5.0"]
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
     ran = swimid("import", tmp_path / "a.csv", "-o", tmp_path / "run.csv", "--json")
-    assert ran.json["result"]["rows"] == {"untimed": 1, "repeated": 1, "clashing": 1, "late": 1}
+    assert ran.json["result"]["rows"] == {
+        "unfilled": 0,
+        "untimed": 1,
+        "repeated": 1,
+        "clashing": 1,
+        "late": 1,
+    }
     assert "SWM057" in [w["code"] for w in ran.json["warnings"]]
     record = log.read(tmp_path / "run.csv")
     assert np.allclose(record["u_m_s"], np.arange(200.0))

@@ -193,10 +193,10 @@ def find_beats(
         return []
     active = _active_part(x)
     if np.ptp(active) < MAX_ACTIVE_SHARE * len(x):
-        first, end = active
-        found = find_beats(t[first:end], x[first:end], lowest_hz=lowest_hz, highest_hz=highest_hz)
-        if found:
-            return found
+        part = slice(*active)
+        of_part = find_beats(t[part], x[part], lowest_hz=lowest_hz, highest_hz=highest_hz)
+        if of_part:
+            return of_part
     duration, step = t[-1] - t[0], float(np.median(np.diff(t)))
     low = max(lowest_hz or 0.0, MIN_CYCLES / duration)
     # Limit the range of the search: an unevenly sampled record determines no more frequencies than an evenly

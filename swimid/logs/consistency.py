@@ -297,19 +297,19 @@ def find_jumped(columns: Mapping[str, Array]) -> list[Jumped]:
     """
     found = []
     for names, place, rules in _channels(columns):
-        known = np.isfinite(place).all(axis=1)
-        if not rules.get("brief"):
-            known &= ~find_held(columns[TIME], list(place.T)).repeated
-        known = np.flatnonzero(known)
+        known = np.flatnonzero(np.isfinite(place).all(axis=1))
         # Compare only samples that differ from the one before, because a log may repeat measurements.
-        fresh = np.append(True, np.any(np.diff(place[known], axis=0) != 0, axis=1))[: len(known)]
-        rows = known[fresh]
+        kept = known
+        if not rules.get("brief"):
+            kept = known[~find_held(columns[TIME], list(place.T)).repeated[known]]
+        fresh = np.append(True, np.any(np.diff(place[kept], axis=0) != 0, axis=1))[: len(kept)]
+        rows = kept[fresh]
         if len(rows) <= WINDOW:
             continue
-        until = columns[TIME][np.append(known[np.flatnonzero(fresh)[1:] - 1], known[-1])]
+        until = columns[TIME][np.append(kept[np.flatnonzero(fresh)[1:] - 1], kept[-1])]
         stays, elsewhere = find_jumps(columns[TIME][rows], place[rows], until, **rules)
         out = np.zeros(len(place), dtype=bool)
-        out[known] = ~stays[np.cumsum(fresh) - 1]
+        out[known] = ~stays[np.maximum(np.searchsorted(rows, known, side="right") - 1, 0)]
         if rules.get("brief"):
             # A value that is held for longer than usual is no spike.
             ends, usual = runs(out), 2 * np.median(np.diff(rows))
@@ -344,7 +344,8 @@ def _channels(columns: Mapping[str, Array]) -> Iterator[tuple[tuple[str, ...], A
     if len(track) == 1:
         yield (track[0],), columns[track[0]][:, None], {}
     for name in names:
-        place, rules = columns[name][:, None], {"brief": True}
+        place = columns[name][:, None]
+        rules: dict[str, Any] = {"brief": True}
         if name.endswith("_rad"):
             place = np.column_stack((np.cos(place), np.sin(place)))
         if name in ANGLES:

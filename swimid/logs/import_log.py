@@ -390,17 +390,12 @@ def _describe(one: Jumped, source: MappedLog, lines: NDArray[np.int64], cleaned:
         told.append(
             f"goes on at another value in line {', '.join(str(lines[row]) for row in one.elsewhere[:5])}"
         )
-    column = one.columns[0]
-    if (
-        len(ends)
-        and len(one.columns) == 1
-        and (code := find_code(source.columns[column][one.out])) is not None
-    ):
-        _, factor, offset = source.sources.get(column, ("", 1.0, 0.0))
-        told.append(
-            f"they hold exactly {(code - offset) / factor:.6g}: if it marks missing samples, write reader: "
-            f"{{missing: [{(code - offset) / factor:.6g}]}} in the mapping"
-        )
+    codes = {find_code(source.columns[column][one.out]) for column in one.columns if len(ends)}
+    if len(codes) == 1 and (code := codes.pop()) is not None:
+        _, factor, offset = source.sources.get(one.columns[0], ("", 1.0, 0.0))
+        value = f"{(code - offset) / factor + 0.0:.6g}"
+        hint = f"if it marks missing samples, write reader: {{missing: [{value}]}} in the mapping"
+        told.append(f"they hold exactly {value}: {hint}")
     return f"{', '.join(one.columns)}: {'; '.join(told)}"
 
 

@@ -124,7 +124,7 @@ def find_uneven(time_s: np.ndarray) -> tuple[str, bool]:
 def clock_unit(steps_s: np.ndarray) -> float:
     """Return the unit, s, to which time stamps were rounded; 0 if the time steps show none.
 
-    All time steps are multiples of the unit, and the mean step is not. ``steps_s`` holds the time steps, s.
+    All time steps are multiples of the unit, and their mean is not. ``steps_s`` holds the time steps, s.
 
     >>> round(clock_unit(np.diff(np.round(np.arange(100) / 240, 3))), 9), clock_unit(np.full(9, 0.02))
     (0.001, 0.0)
@@ -135,6 +135,8 @@ def clock_unit(steps_s: np.ndarray) -> float:
     unit = min(float(distinct[0]), float(np.min(np.diff(distinct), initial=np.inf)))
     if unit <= 0.0 or abs(mean / unit - round(mean / unit)) < GRID_TOL or len(distinct) < 2:
         return 0.0
+    if unit > 0.99 * distinct[0] and np.mean(steps_s < 1.5 * unit) >= UNIFORM_SHARE:
+        return 0.0  # an even record with missing samples
     off = np.abs(distinct / unit - np.round(distinct / unit))
     return unit if off.max() < GRID_TOL else 0.0
 

@@ -46,7 +46,7 @@ def test_reversed_headings(file: str, low: int, high: int, imported: Any) -> Non
 
 @pytest.mark.parametrize(
     ("file", "angle"),
-    [("plus180.csv", "178"), ("plus90.csv", "9"), ("compass.csv", "5"), ("turn_plus180.csv", "180")],
+    [("plus180.csv", "1"), ("plus90.csv", "9"), ("compass.csv", "5"), ("turn_plus180.csv", "180")],
 )
 def test_a_heading_at_an_angle_to_the_course(file: str, angle: str, imported: Any) -> None:
     found = imported("t4-heading-against-course", file)
