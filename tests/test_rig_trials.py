@@ -228,8 +228,8 @@ def rig(folder: Path, experiment: str, mass: float, log: str, entry: str = "") -
         f"format: swimid-robot/1\nname: boat\nbody: {{inertial_mass_kg: {mass}}}\n"
     )
     (folder / "log.csv").write_text(log)
-    text = f"format: swimid-trials/1\nexperiment: {experiment}\nrobot: boat.yaml\ntrials:\n  - {{log: log.csv{entry}}}\n"
-    (folder / "trials.yaml").write_text(text)
+    text = f"format: swimid-trials/1\nexperiment: {experiment}\nrobot: boat.yaml\ntrials:\n"
+    (folder / "trials.yaml").write_text(f"{text}  - {{log: log.csv{entry}}}\n")
     return folder / "trials.yaml"
 
 
