@@ -13,7 +13,7 @@ import pytest
 from swimid.errors import InputError
 from swimid.inertial import faults
 from swimid.inertial.options import TrackImuOptions
-from swimid.inertial.record import Record, find_mount
+from swimid.inertial.record import Record, find_mount, find_rests
 from tests.conftest import Ran
 from tests.generators import imu
 
@@ -308,3 +308,30 @@ def test_a_channel_that_stays_at_its_limit_is_clipped(sign: float) -> None:
     assert not faults.is_clipped(quiet(wave), wave).any()
     # two visits of the limit are too few
     assert not faults.is_clipped(quiet(wave[:400]), clipped[:400]).any()
+
+
+def test_single_corrupt_readings_in_a_rest_are_interpolated(run: imu.Run, rng: np.random.Generator) -> None:
+    """A rest continues over a corrupt reading, and a record without one in its rests stays as it is."""
+    acceleration = run.acceleration.copy()
+    rows = [50, 100, 150, *rng.choice(np.arange(400, 1000), 5, replace=False)]
+    acceleration[rows, 2] -= 2.56
+    repaired, found = faults.repair(replace(record(run), acceleration=acceleration))
+    assert "corrupt readings" in names(found)
+    assert repaired.filled[rows, 0].all()
+    assert np.abs(repaired.acceleration[[50, 100, 150], 2] - G).max() < 0.3
+    assert find_rests(repaired)[0].at == "start"
+    only = run.acceleration.copy()
+    only[600, 2] -= 2.56
+    assert "corrupt readings" not in names(faults.repair(replace(record(run), acceleration=only))[1])
+
+
+@pytest.mark.parametrize("norm", [1.0, 2.2])
+def test_single_corrupt_quaternions_are_interpolated(run: imu.Run, norm: float) -> None:
+    quaternion = run.quaternion.copy()
+    quaternion[[100, 500, 501, 700]] = norm * np.array([0.5, 0.5, 0.5, 0.5])
+    repaired, found = faults.repair(replace(record(run), quaternion=quaternion))
+    assert names(found) == ["corrupt quaternions"]
+    assert found[-1].count == 4
+    assert repaired.quaternion is not None
+    same = np.abs(np.sum(repaired.quaternion * run.quaternion, axis=1))
+    assert np.degrees(2 * np.arccos(np.clip(same, 0, 1))).max() < 3.0

@@ -7,6 +7,7 @@ import pytest
 
 from swimid.fitting import drives, mistakes
 from swimid.fitting.model import SwimInput, Trial
+from swimid.rig.model import towed
 from swimid.robots import file as robots
 from swimid.swimmer.planar.model import MultilinkModel
 
@@ -63,3 +64,13 @@ def test_channels_are_corrected(
     for name, values in {**trial.measured, **changes}.items():
         np.testing.assert_allclose(found.measured[name], values, atol=1e-12)
     assert sizes(found) == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_the_sign_of_a_measured_force_is_among_the_mistakes() -> None:
+    given = Trial("tow", "fit", TIME, {"x_m": TIME}, {"force_N": 2.0 + TIME})
+    model = towed(mass_kg=8.0, force_N=1.0, area_known=False)
+    found = {one.says: one.undo(given) for one in mistakes.catalogue(model, [given])}
+    turned = found["the sign of force_N changed"]
+    assert turned is not None
+    np.testing.assert_array_equal(turned.inputs["force_N"], -2.0 - TIME)
+    np.testing.assert_array_equal(turned.measured["x_m"], TIME)

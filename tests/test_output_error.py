@@ -13,8 +13,19 @@ from scipy import optimize
 
 from swimid.errors import NoTrustworthyResult
 from swimid.fitting import output_error
+from swimid.fitting.fit_common import is_still
 from swimid.fitting.model import Trial
-from swimid.fitting.problem import BRIEF, CREEPING, STALLED, Box, Patience, Problem, Solution, minimise
+from swimid.fitting.problem import (
+    BRIEF,
+    CREEPING,
+    STALLED,
+    Blocks,
+    Box,
+    Patience,
+    Problem,
+    Solution,
+    minimise,
+)
 from swimid.fitting.uncertainty import sandwich
 from swimid.notices import Step
 from tests.toy_models import DECAY, TRUTH, Toy, decay, parameter, trials
@@ -382,3 +393,29 @@ def test_the_default_start_replaces_one_that_diverges(rng: np.random.Generator) 
     found = output_error.estimate_start(model, model.parameters, trial, {"y": 0.01})
     # the standard error of the slope is 0.01 over the root of the sum of squared times
     assert found["rate[t]"] == pytest.approx(0.7, abs=4 * 0.01 / np.sqrt(np.sum(time**2)))
+
+
+def test_blocks_of_trials_are_the_matrix_of_all_derivatives(rng: np.random.Generator) -> None:
+    """The products, a selection of columns and the factors of blocks are those of the whole matrix."""
+    masks = np.array([[1, 1, 1, 0, 0], [1, 1, 0, 1, 0], [1, 1, 0, 0, 1]])
+    parts = [rng.normal(size=(9, 5)) * mask for mask in masks]
+    whole, blocks = np.concatenate(parts), Blocks.of(parts)
+    np.testing.assert_allclose(blocks.normal(), whole.T @ whole)
+    chosen = np.array([True, False, True, True, False])
+    np.testing.assert_allclose(blocks.columns(chosen).normal(), (whole.T @ whole)[np.ix_(chosen, chosen)])
+    bases, factors = blocks.factored(np.ones(5))
+    for basis, factor, part in zip(bases, factors, parts, strict=True):
+        np.testing.assert_allclose(basis @ factor, part, atol=1e-12)
+
+
+def test_samples_identify_a_trial_under_any_name() -> None:
+    time = np.arange(5.0)
+    trials = [Trial(name, "fit", time, {"x_m": time * size}) for name, size in (("a", 1), ("b", 1), ("a", 2))]
+    assert trials[0].digest == trials[1].digest
+    assert trials[0].digest != trials[2].digest
+
+
+def test_a_channel_of_noise_alone_is_still(rng: np.random.Generator) -> None:
+    noise = rng.normal(size=300)
+    assert is_still([noise, noise + 5.0])
+    assert not is_still([noise, noise + 5.0 * np.sin(np.arange(300) / 30)])

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 
 from swimid.fitting.between_trials import OwnValues, compute_trend_p, estimate_spread
@@ -219,3 +220,71 @@ def test_a_column_of_the_same_name_in_another_log_is_not_fitted(swimid: Run, tmp
         log["x_raw_m"] = 1000 * log["x_m"]
         log.to_csv(path, index=False, float_format="%.7f")
     assert swimid("fit-drag", trials, "--json").json["result"]["parameters"] == plain["parameters"]
+
+
+def rig(folder: Path, experiment: str, mass: float, log: str, entry: str = "") -> Path:
+    """Write a robot, one log and a trials file, and return the trials file."""
+    (folder / "boat.yaml").write_text(
+        f"format: swimid-robot/1\nname: boat\nbody: {{inertial_mass_kg: {mass}}}\n"
+    )
+    (folder / "log.csv").write_text(log)
+    text = f"format: swimid-trials/1\nexperiment: {experiment}\nrobot: boat.yaml\ntrials:\n"
+    (folder / "trials.yaml").write_text(f"{text}  - {{log: log.csv{entry}}}\n")
+    return folder / "trials.yaml"
+
+
+def test_a_body_that_coasts_down_gives_its_linear_drag(
+    swimid: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """No force acts, and the search starts at a drag of 0, its bound: u = 1.2 exp(-3 t / 10)."""
+    time = np.arange(0.0, 12.0, 0.1)
+    speed = 1.2 * np.exp(-0.3 * time) + 0.01 * rng.normal(size=len(time))
+    rows = [f"{t:.2f},0.0,{u:.5f}" for t, u in zip(time, speed, strict=True)]
+    trials = rig(tmp_path, "towed", 10.0, "\n".join(["t_s,force_N,u_m_s", *rows]) + "\n")
+    held = ("--fix", "quadratic_drag=0", "--fix", "added_mass=0", "--free", "linear_drag")
+    ran = swimid("fit-drag", trials, *held, "-o", tmp_path / "f.yaml")
+    assert ran.status == 0, ran.err
+    drag = yaml.safe_load((tmp_path / "f.yaml").read_text())["parameters"]["linear_drag"]
+    assert drag["value"] == pytest.approx(3.0, abs=0.1)
+    assert drag["status"] == "estimated"
+
+
+@pytest.mark.parametrize("lost", [slice(20, 22), slice(36, 40)])
+def test_positions_that_return_to_exactly_zero_are_named(swimid: Run, tmp_path: Path, lost: slice) -> None:
+    time = np.arange(0.0, 2.0, 0.05)
+    place = 0.1 * time + 0.001
+    place[lost] = 0.0
+    rows = [f"{t:.2f},{x:.5f}" for t, x in zip(time, place, strict=True)]
+    log = "\n".join(["t_s,x_m", *rows]) + "\n"
+    ran = swimid(
+        "fit-drag",
+        rig(tmp_path, "falling-weight", 1.0, log, ", driving_force_N: 0.1"),
+        "-o",
+        tmp_path / "f.yaml",
+    )
+    assert ran.status == 3
+    assert f"line {lost.start + 2}, 'x_m': is exactly 0 in {lost.stop - lost.start} rows" in ran.err
+
+
+def test_a_mass_of_zero_is_refused(swimid: Run, tmp_path: Path) -> None:
+    trials = rig(tmp_path, "towed", 0, "t_s,force_N,x_m\n0,1,0\n1,1,1\n2,1,2\n")
+    ran = swimid("fit-drag", trials, "-o", tmp_path / "f.yaml")
+    assert ran.status == 3
+    assert "inertial_mass_kg" in ran.err
+
+
+def test_spikes_of_a_towing_force_are_interpolated(
+    swimid: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """A body of 10 kg with a quadratic drag of 6 N s2/m2 is towed at a speed that varies."""
+    time = np.arange(0.0, 8.0, 0.05)
+    speed = 0.3 + 0.2 * np.sin(0.8 * time)
+    force = 10.0 * 0.16 * np.cos(0.8 * time) + 6.0 * speed**2
+    place = 0.3 * time + 0.25 * (1 - np.cos(0.8 * time)) + 0.001 * rng.normal(size=len(time))
+    force[[30, 77, 120]] *= [-0.84, 100.0, -0.84]
+    rows = [f"{t:.3f},{f:.5f},{x:.5f}" for t, f, x in zip(time, force, place, strict=True)]
+    trials = rig(tmp_path, "towed", 10.0, "\n".join(["t_s,force_N,x_m", *rows]) + "\n")
+    ran = swimid("fit-drag", trials, "--fix", "added_mass=0", "-o", tmp_path / "f.yaml")
+    assert "3 outliers of force_N" in ran.err
+    drag = yaml.safe_load((tmp_path / "f.yaml").read_text())["parameters"]["quadratic_drag"]
+    assert drag["value"] == pytest.approx(6.0, rel=0.03)

@@ -153,9 +153,10 @@ def catalogue(model: Model, trials: Sequence[Trial]) -> list[Mistake]:
         found.append(Mistake(f"the sign of driven joint {k + 1} changed", partial(_joint, -1.0, [k])))
     if joints:
         found += [Mistake(says, partial(_joint, by, range(joints))) for says, by in JOINTS.items()]
-    driving = dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units)
-    found += [Mistake(f"the sign of {name} changed", partial(_reversed, name)) for name in driving]
     swimmer = model.swimmer
+    columns = {} if swimmer is None else {name: law.column for name, law in swimmer.inputs.items()}
+    for name in dict.fromkeys(n for t in trials for n in (*t.swim.inputs, *t.inputs) if n not in units):
+        found.append(Mistake(f"the sign of {columns.get(name, name)} changed", partial(_reversed, name)))
     if swimmer is not None and not swimmer.in_space:
         found.append(Mistake("a start in steady swimming (start_state: steady)", _steady))
     return found

@@ -733,8 +733,9 @@ def _estimate_noise(smoothed: Smoothed, fixes: Fixes, fix_sd_m: float | None) ->
 
     The fixes that are not outliers give the noise: the sum of their squared residuals, divided by the number
     of degrees of freedom that the motion leaves them (MacKay 1992, doi:10.1162/neco.1992.4.3.415, eq. 2.24).
-    Its fixed point is that of expectation maximisation, which needs many more iterations. The weight of an outlier decreases with the square of its residual (Cauchy).
-    No fix is excluded, so that a path that follows outliers can recover.
+    Its fixed point is that of expectation maximisation, which needs many more iterations. The weight of an
+    outlier decreases with the square of its residual (Cauchy). No fix is excluded, so that a path that
+    follows outliers can recover.
     """
     residual, variance = _residuals(fixes, smoothed)
     (place_sd, place), (turn_sd, turn) = (

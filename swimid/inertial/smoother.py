@@ -342,8 +342,8 @@ class Smoothed:
     """Result of the smoother: path after correction of its errors, and covariance of the remaining errors."""
 
     path: Nominal
-    #: Path before this correction. The covariance of the errors holds for derivatives at this path only: a
-    #: lever that a later linearisation moves would let errors of the attitude count as errors of the position.
+    #: Path before this correction. The covariance of the errors holds for derivatives at this path only. At
+    #: another path, whose lever differs, errors of the attitude would count as errors of the position.
     about: Nominal
     #: Errors of the path that were estimated in the last iteration of the smoother.
     errors: Errors

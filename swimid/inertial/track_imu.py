@@ -575,7 +575,7 @@ def _fusion_tests(fused: Estimate, options: TrackImuOptions) -> Iterator[Test]:
     axis, factor, sd = _gyroscope_scale(fused)
     value, prior = f"{factor:.4f} ± {BAND * sd:.4f} (w{axis})", fused.smoothed.sensor.scale_sd
     reason = (
-        f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} of the turn rate w{axis} that the other log shows: "
+        f"the gyroscope reads {factor:.4f} ± {BAND * sd:.4f} of the turn rate w{axis} in the other log: "
         f"give its unit or the factor {1 / factor:.4f} in a mapping (--map); the motion allows for it"
     )
     passed, limit = abs(factor - 1) <= MAX_SCALE * np.hypot(prior, sd), f"1 ± {MAX_SCALE * prior:.3g}"

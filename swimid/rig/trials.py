@@ -177,8 +177,8 @@ def _without_standstill(log: Log) -> tuple[Array, Array]:
     zero = np.flatnonzero((position == 0.0) & (np.maximum.accumulate(position) > 0.1 * span))
     if len(zero):
         raise InputError(
-            f"is exactly 0 in {len(zero)} rows, from {time[zero[0]]:.4g} s to {time[zero[-1]]:.4g} s, after it "
-            f"had grown to {np.max(position[: zero[0]]):.3g} m: is that a code for a lost sample?",
+            f"is exactly 0 in {len(zero)} rows, from {time[zero[0]]:.4g} s to {time[zero[-1]]:.4g} s, after "
+            f"it had grown to {np.max(position[: zero[0]]):.3g} m: is that a code for a lost sample?",
             file=log.path,
             line=log.line(int(np.flatnonzero(there)[zero[0]])),
             column="x_m",
