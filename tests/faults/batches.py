@@ -321,11 +321,11 @@ ATTACKS = [
         for how in (signal.SIGINT, signal.SIGKILL)
     ),
     Attack("two processes on one run", _twice, count=3, time_s=300.0),
-    Attack("batch: names and link loops", _names, time_s=60.0),
-    Attack("batch: shape of a plan", _shape, time_s=60.0),
-    Attack("batch: input changed", _changed, count=700, time_s=300.0),
-    Attack("batch: symbolic link", _link, count=700, time_s=300.0),
-    Attack("batch: lock of another machine", _lock, count=700, time_s=300.0),
+    Attack("batch: names and link loops", _names, time_s=300.0),
+    Attack("batch: shape of a plan", _shape, time_s=300.0),
+    Attack("batch: input changed", _changed, count=300, time_s=300.0),
+    Attack("batch: symbolic link", _link, count=300, time_s=300.0),
+    Attack("batch: lock of another machine", _lock, count=300, time_s=300.0),
     Attack("batch: input replaced while its item runs", _replaced, count=3, time_s=600.0),
     Attack("batch: two plans in one folder", _two_plans, count=3, time_s=600.0),
 ]
