@@ -125,19 +125,13 @@ def digests_of(inputs: Iterable[Input]) -> Inputs:
             hint = "run the command again when nothing writes the file"
             raise InputError("has changed while it was read", file=os.path.relpath(path), hint=hint)
         if changed:
-            warn(
-                "SWM176",
-                f"{os.path.relpath(path)} has changed since it was read; the result is of its former content",
-            )
+            text = "has changed since it was read; the result is of its former content"
+            warn("SWM176", f"{os.path.relpath(path)} {text}")
         digests.add(reading.name_of(given), digest, path)
     return digests
 
 
-def collect(
-    inputs: Iterable[Input],
-    *,
-    settings: dict[str, Any] | None = None,
-) -> dict[str, Any]:
+def collect(inputs: Iterable[Input], *, settings: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the block ``provenance`` of a result file: command, version, inputs, packages and settings.
 
     Parameters

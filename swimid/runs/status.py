@@ -142,7 +142,7 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
     """
     if os.path.realpath(folder) != str(folder):
         # Nothing is read or removed through a link, which may lead to files that are not of the run.
-        text = f"its folder {folder} is a symbolic link, or below one: remove the link"
+        text = f"its folder items/{item.id} is a symbolic link, or below one: remove the link"
         return "failed", Status(
             id=item.id, state="failed", version="", steps_sha256="", error={"message": text}
         )
