@@ -8,7 +8,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -176,11 +176,12 @@ def test_an_input_that_changes_while_it_is_used_is_said(lab: Path, padding: int,
     film.write_bytes((SAMPLES / "pool" / "pool.mp4").read_bytes() + bytes(padding))
     sha256 = hashlib.sha256(film.read_bytes()).hexdigest()
 
-    @contextmanager
-    def appending(_description: str, total: int | None = None) -> Iterator[Any]:
+    def append(amount: int = 1) -> None:
         with film.open("ab") as stream:
             stream.write(b"more")
-        yield lambda amount=1: None
+
+    def appending(_description: str, total: int | None = None) -> Any:
+        return nullcontext(append)
 
     setup = SAMPLES / "pool" / "pool_setup.yaml"
     if padding:

@@ -28,7 +28,7 @@ from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.results import evidence as ev
 from swimid.runs import status as states
-from swimid.runs.plan import TRIALS, Item, Step, folder_of, item_of
+from swimid.runs.plan import TRIALS, Item, Step, folder_of, is_linked, item_of
 from swimid.runs.status import LOG, STATUS, USAGE, Status, StepStatus
 
 #: Number of times that an item is tried again after a crash.
@@ -82,7 +82,7 @@ def run_item(run: str, ident: str) -> str:
     """
     item, limits = item_of(run, ident)
     folder = folder_of(Path(run), ident)
-    if os.path.realpath(folder) != str(folder):
+    if is_linked(folder):
         return "failed"
     folder.mkdir(parents=True, exist_ok=True)
     for attempt in range(1, RETRIES + 2):
