@@ -258,7 +258,7 @@ def _shape(rng: np.random.Generator, folder: Path) -> bool:
 
 def _replaced(rng: np.random.Generator, folder: Path) -> bool:
     """Replace an input while its item runs: the item is outdated, and done again."""
-    plan, log = _write(folder, 1), folder / "logs" / "log0.csv"
+    plan, log = _write(folder, 2), folder / "logs" / "log0.csv"
     reference = folder / "other"
     archive.write_log(folder / "new.csv", 7)
     process = batch_runs.started(plan, folder / "run")
