@@ -231,7 +231,7 @@ def name_of(path: str | Path) -> str:
     except ValueError:  # The paths are on two drives of Windows.
         return os.path.basename(place)
     above = {str(one) for one in Path(os.path.expanduser("~")).parents} | _HOMES
-    if common != folder and (common in above or common == os.path.dirname(common)):
+    if common in above or common == os.path.dirname(common):
         return os.path.basename(place)
     return Path(os.path.relpath(place, folder)).as_posix()
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import swimid as package
-from swimid.errors import UsageError
+from swimid.errors import InputError
 from tests.conftest import SAMPLES, Ran, interrupting
 
 Run = Callable[..., Ran]
@@ -113,7 +114,7 @@ def test_published_files_do_not_name_the_home_folder(
     words = ["fit-drag", str(lab / "trials.yaml"), "-o", "drag.yaml"]
     monkeypatch.setattr(sys, "argv", ["swimid", *words])
     assert swimid(*words).status == 0
-    assert swimid("report", "drag.yaml", "-o", "page.html").status == 0
+    assert swimid("report", lab / "../lab/../../../public/drag.yaml", "-o", "page.html").status == 0
     package_folder = str(Path(package.__file__).parents[1])
     for path in public.iterdir():
         text = path.read_text()
@@ -168,10 +169,25 @@ def test_a_search_begins_anew_if_its_effect_has_changed(lab: Path, change: str) 
     assert {"droop.py", "rate.txt"} <= set(resumed.evidence.provenance["inputs"])
 
 
-def test_an_input_that_changes_while_it_is_read_is_said(lab: Path) -> None:
-    def spoil(_description: str, total: int | None = None) -> Any:
-        Path("force.csv").write_text(Path("force.csv").read_text().replace("0.5", "0.6"))
-        raise UsageError("stopped")
+@pytest.mark.slow
+@pytest.mark.parametrize(("padding", "said"), [(0, "SWM176"), (2 << 20, "has changed while it was read")])
+def test_an_input_that_changes_while_it_is_used_is_said(lab: Path, padding: int, said: str) -> None:
+    film = lab / "film.mp4"
+    film.write_bytes((SAMPLES / "pool" / "pool.mp4").read_bytes() + bytes(padding))
+    sha256 = hashlib.sha256(film.read_bytes()).hexdigest()
 
-    with pytest.raises(UsageError, match="stopped"):
-        package.import_log("a.csv", map_path="map.yaml", progress=spoil)
+    def append(amount: int = 1) -> None:
+        with film.open("ab") as stream:
+            stream.write(b"more")
+
+    def appending(_description: str, total: int | None = None) -> Any:
+        return nullcontext(append)
+
+    setup = SAMPLES / "pool" / "pool_setup.yaml"
+    if padding:
+        with pytest.raises(InputError, match=said):
+            package.track_video(film, setup=setup, progress=appending)
+        return
+    with pytest.warns(UserWarning, match=said):
+        made = package.track_video(film, setup=setup, progress=appending)
+    assert made.evidence.provenance["inputs"]["film.mp4"] == sha256

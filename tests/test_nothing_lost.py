@@ -188,7 +188,7 @@ class TestCheckpoints:
             thread.join()
             assert len(refused) == expected
             keep.done()
-        assert f"is being written by another run of swimid (process {os.getpid()})" in str(refused[0])
+        assert f"is being written by another run of swimid (process {os.getpid()} on " in str(refused[0])
         assert "map.yaml.lock" in str(refused[0])
 
 
@@ -212,7 +212,7 @@ def test_a_command_on_a_locked_output_names_the_process(swimid: Run, tmp_path: P
         holder.stdout.readline()
         ran = swimid(*command)
         assert ran.status == 2
-        assert f"is being written by another run of swimid (process {holder.pid})" in ran.err
+        assert f"is being written by another run of swimid (process {holder.pid} on " in ran.err
         assert "wait for it" in ran.err
         assert not out.exists()
         holder.kill()

@@ -324,7 +324,7 @@ def lock(output: Path) -> BaseFileLock:
             file.acquire()
         except Timeout:
             raise UsageError(
-                f"{output} is being written by another run of swimid, {holder_of(path)}",
+                f"{output} is being written by another run of swimid ({holder_of(path)})",
                 hint=f"wait for it, or name another output; if no such run exists, delete {path}",
             ) from None
     _TAKEN[path] = file, thread

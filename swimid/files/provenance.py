@@ -57,27 +57,44 @@ def path_of(given: Input) -> Path:
 class Inputs(dict[str, str]):
     """SHA-256 of the inputs of a result by the names that the result states (:func:`swimid.reading.name_of`).
 
-    ``paths`` has the path of each file, relative to the working folder. It is not written to a file.
+    ``paths`` has the absolute path of each file. It is not written to a file.
     """
 
     def __init__(self) -> None:
         self.paths: dict[str, str] = {}
 
-    def add(self, name: str, digest: str, path: str = "") -> None:
-        """Add an input. A different input of the same name is numbered."""
+    def add(self, name: str, digest: str, path: str = "") -> str:
+        """Add an input, and return its name. A different input of the same name is numbered."""
         count, key = 1, name
         while self.get(key, digest) != digest:
             count += 1
             key = f"{name} ({count})"
         self[key] = digest
-        if path:
-            self.paths[key] = path
+        self.paths[key] = path
+        return key
 
 
 def paths_of(block: Mapping[str, Any]) -> list[str]:
-    """Return the paths of the inputs of a result, as far as they are known, from its provenance."""
-    inputs = block.get("inputs") or {}
-    return [getattr(inputs, "paths", {}).get(name, name) for name in inputs]
+    """Return the paths of the inputs of a result relative to the working folder, from its provenance."""
+    paths = getattr(block.get("inputs"), "paths", {})
+    return [os.path.relpath(paths[name]) if paths.get(name) else name for name in block.get("inputs") or {}]
+
+
+def rename(block: dict[str, Any], output: Path) -> None:
+    """Name the inputs in the provenance of a result, in place, as the result file ``output`` states them.
+
+    The provenance of a result that was read from a file stays as it is.
+    """
+    before, after, names = block.get("inputs"), Inputs(), {}
+    if not isinstance(before, Inputs):
+        return
+    with reading.record(output):
+        for name, digest in before.items():
+            path = before.paths[name]
+            names[name] = after.add(reading.name_of(path) if path else name, digest, path)
+        changed = {"inputs": after, "command": command_line()}
+    changed["simulated"] = [names[name] for name in block.get("simulated", ())]
+    block |= {key: changed[key] for key in block.keys() & changed.keys()}
 
 
 def digests_of(inputs: Iterable[Input]) -> Inputs:
@@ -98,25 +115,23 @@ def digests_of(inputs: Iterable[Input]) -> Inputs:
         if not isinstance(given, str | Path):
             digests.add(given.name, given.digest())
             continue
-        path, opened = os.path.relpath(given), known.get(os.path.abspath(given))
+        path = os.path.abspath(given)
+        opened = known.get(path)
         if opened is None:
             digests.add(reading.name_of(given), sha256(given), path)
             continue
         digest, changed = opened.digest()
         if not digest:
             hint = "run the command again when nothing writes the file"
-            raise InputError("has changed while it was read", file=path, hint=hint)
+            raise InputError("has changed while it was read", file=os.path.relpath(path), hint=hint)
         if changed:
-            warn("SWM176", f"{path} has changed since it was read; the result is of its former content")
+            text = "has changed since it was read; the result is of its former content"
+            warn("SWM176", f"{os.path.relpath(path)} {text}")
         digests.add(reading.name_of(given), digest, path)
     return digests
 
 
-def collect(
-    inputs: Iterable[Input],
-    *,
-    settings: dict[str, Any] | None = None,
-) -> dict[str, Any]:
+def collect(inputs: Iterable[Input], *, settings: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the block ``provenance`` of a result file: command, version, inputs, packages and settings.
 
     Parameters

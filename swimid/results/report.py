@@ -18,6 +18,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import swimid
+from swimid import reading
 from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.files.provenance import now, sha256
@@ -284,7 +285,7 @@ def render(
     environment.globals.update(
         levels=LEVELS, checks=CHECKS, leaves=ev.leaves, cell=cell_text, numeric=is_numeric
     )
-    environment.filters.update(md=_markdown, code=_code)
+    environment.filters.update(md=_markdown, code=_code, name_of=reading.name_of)
     groups = compared(results)
     folded = [fit for fits, _ in groups for fit in fits]
     shown: list[tuple[ev.Evidence, Result | None]] = [(content, None) for _, content in groups]

@@ -319,6 +319,8 @@ class Result:
         """
         inputs = paths_of((self.evidence or self.bare()).provenance)
         target = atomic.check_writable(Path(path), inputs=inputs)
+        for owner in (self.document, self.evidence):
+            provenance.rename(getattr(owner, "provenance", {}), target)
         with atomic.together():
             written = self._write(target)
             if self.evidence is not None and not atomic.is_device(target):

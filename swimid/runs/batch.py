@@ -174,7 +174,7 @@ def _do(run: Path, todo: list[str], total: int, options: BatchOptions, progress:
                     try:
                         counts[future.result()] += 1
                     except OSError as error:
-                        problems[futures[future]] = f"{error.strerror or error}: {error.filename}"
+                        problems[futures[future]] = f"{error}".replace(f"{run}/", "")
                         counts["failed"] += 1
                     show(step, ", ".join(f"{count} {state}" for state, count in counts.items()))
                     step()

@@ -28,7 +28,7 @@ from swimid.errors import UsageError
 from swimid.files import atomic
 from swimid.results import evidence as ev
 from swimid.runs import status as states
-from swimid.runs.plan import TRIALS, Item, Step, folder_of, item_of
+from swimid.runs.plan import TRIALS, Item, Step, folder_of, is_linked, item_of
 from swimid.runs.status import LOG, STATUS, USAGE, Status, StepStatus
 
 #: Number of times that an item is tried again after a crash.
@@ -82,7 +82,7 @@ def run_item(run: str, ident: str) -> str:
     """
     item, limits = item_of(run, ident)
     folder = folder_of(Path(run), ident)
-    if os.path.realpath(folder) != str(folder):
+    if is_linked(folder):
         return "failed"
     folder.mkdir(parents=True, exist_ok=True)
     for attempt in range(1, RETRIES + 2):
@@ -93,7 +93,7 @@ def run_item(run: str, ident: str) -> str:
             return "busy"
         if stopping.is_set() or code == INTERRUPTED:
             return "missing"
-        (folder / LOG).write_bytes(log)
+        (folder / LOG).write_text(log, encoding="utf-8")
         found = states.read(folder)
         if code == 0 and found is not None:
             return found.state
@@ -110,7 +110,7 @@ def run_item(run: str, ident: str) -> str:
     return "failed"
 
 
-def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | None, bytes]:
+def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -> tuple[int | None, str]:
     """Do an item in a new process. Return its exit status and the end of its log.
 
     The exit status is None if the item took longer than its time limit. Locks that the process leaves are
@@ -144,11 +144,11 @@ def _process(folder: Path, run: str, ident: str, attempt: int, limit_s: float) -
                 if not atomic.holder_of(lock):
                     lock.unlink(missing_ok=True)
         log.seek(max(log.seek(0, os.SEEK_END) - MAX_LOG, 0))
-        return code, log.read()
+        return code, reading.without_places(log.read().decode("utf-8", "replace"))
 
 
-def _end(log: bytes) -> str:
-    return reading.without_places("\n".join(log.decode("utf-8", "replace").splitlines()[-MAX_LINES:]))
+def _end(log: str) -> str:
+    return "\n".join(log.splitlines()[-MAX_LINES:])
 
 
 def _status(item: Item, folder: Path, state: Any, steps: list[StepStatus], error: dict[str, Any]) -> Status:

@@ -198,8 +198,13 @@ def item_of(run: str | Path, ident: str) -> tuple[Item, Limits]:
 
 
 def folder_of(run: Path, ident: str) -> Path:
-    """Return the folder of an item in the folder of its run, which is without symbolic links."""
-    return run.resolve() / "items" / ident
+    """Return the folder of an item in the folder of its run."""
+    return run / "items" / ident
+
+
+def is_linked(folder: Path) -> bool:
+    """Return whether the folder of an item, or the folder of all items, is a symbolic link."""
+    return folder.is_symlink() or folder.parent.is_symlink()
 
 
 def resolve(path: Path, run: Path, data: Any = None) -> Resolved:

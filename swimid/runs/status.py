@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -21,7 +20,7 @@ from swimid import reading
 from swimid.files import atomic, yamlio
 from swimid.results import evidence as ev
 from swimid.results import numbers
-from swimid.runs.plan import Item
+from swimid.runs.plan import Item, is_linked
 
 State = Literal["done", "no result", "refused", "failed"]
 #: States in the order in which they need attention. An item is ``missing`` before it is done, and ``busy``
@@ -140,9 +139,9 @@ def state_of(item: Item, folder: Path) -> tuple[str, Status | None]:
 
     The status of an outdated item is returned too, so that its version can be shown.
     """
-    if os.path.realpath(folder) != str(folder):
+    if is_linked(folder):
         # Nothing is read or removed through a link, which may lead to files that are not of the run.
-        text = f"its folder {folder} is a symbolic link, or below one: remove the link"
+        text = f"its folder items/{item.id} is a symbolic link, or below one: remove the link"
         return "failed", Status(
             id=item.id, state="failed", version="", steps_sha256="", error={"message": text}
         )
