@@ -176,7 +176,8 @@ def load(path: str | Path) -> CommentedMap:
     if data is None:
         raise InputError("is empty", file=path)
     if not isinstance(data, CommentedMap):
-        raise InputError("its top level must be 'key: value' lines", file=path, line=1)
+        hint = "a YAML file is needed here; is this the right file?"
+        raise InputError("its top level must be 'key: value' lines", file=path, line=1, hint=hint)
     if found := _decimal_comma(data, text):
         raise InputError(found[0], file=path, line=line_of(data, found[1]))
     _refuse_open(data, path)
