@@ -341,7 +341,6 @@ class TestNotebook:
             (lambda t: swimid.compare(5, params="a.yaml"), "compare takes trials as path or", "swimid.load"),
             (lambda t: swimid.read_log(t), "read_log takes path as path, not as DataFrame", "CSV or"),
             (lambda t: swimid.report([t]), "report takes inputs as sequence of", "Parameter files"),
-            (lambda t: swimid.plot({"x": 1}), "plot takes logs as path, Log or DataFrame", "Several"),
             (lambda t: swimid.simulate(params=t), "a DataFrame holds no parameters", "parameter file"),
             (lambda t: swimid.read_robot(t), "read_robot takes name as str or path", "built_in_robots"),
             (lambda t: swimid.load_result(t), "load_result takes path as path", "parameter"),
@@ -355,6 +354,8 @@ class TestNotebook:
     def test_a_wrong_file_or_table_is_named(self) -> None:
         with pytest.raises(swimid.InputError, match="a YAML file is needed here"):
             swimid.fit_drag(self.LOG)
+        with pytest.raises(swimid.InputError, match="log: a dict is no table"):
+            swimid.plot({"x_m": [0.0, 1.0]})  # type: ignore[arg-type]
         with pytest.raises(swimid.InputError, match="log: a dict is no table"):
             swimid.Log.from_frame({"t_s": [0.0, 1.0]})  # type: ignore[arg-type]
         with pytest.raises(swimid.InputError, match="did you mean 'boxfish'"):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from swimid.commands import KINDS, found
-from swimid.errors import InputError, Named, UnknownName, UsageError, suggestion
+from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
 from swimid.files import atomic, tabular, yamlio
 from swimid.files.provenance import sha256
 from swimid.notices import warn
@@ -594,6 +594,8 @@ def load_result(path: str | Path) -> Result:
         if form is None:
             reason = "has no 'format'"
         hint = suggestion(name, formats(), "known")
+        if close := nearest(name, formats()):
+            hint = f"did you mean '{class_of(close).file_type.model_fields['format'].default}'?"
         raise InputError(reason, file=path, line=1, column="format", hint=hint)
     return class_of(name).load(path)
 
