@@ -18,10 +18,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from swimid.reading import note
 
+Value = TypeVar("Value")
 #: Name of the Python argument for each command-line option of the function that is running. It is None on the
 #: command line, where messages name the options as they are typed.
 _ARGUMENTS: ContextVar[Mapping[str, str] | None] = ContextVar("_ARGUMENTS")
@@ -213,17 +214,11 @@ def nearest(word: str, allowed: list[str] | tuple[str, ...]) -> str | None:
     return min(begun, key=len, default=None)
 
 
-def look_up(name: str, among: Mapping[str, Any], what: str) -> Any:
-    """Return the value of a name in a mapping.
+class Named(dict[str, Value]):
+    """Mapping of names to values. An unknown name raises :class:`UnknownName` with the nearest name."""
 
-    Raises
-    ------
-    UnknownName
-        If the mapping, which the message calls ``what``, does not have the name.
-    """
-    if name not in among:
-        raise UnknownName(f"{what} has no '{name}'", hint=suggestion(str(name), list(map(str, among))))
-    return among[name]
+    def __missing__(self, name: str) -> Value:
+        raise UnknownName(f"there is no '{name}'", hint=suggestion(str(name), list(self)))
 
 
 def suggestion(word: str, allowed: list[str] | tuple[str, ...], lead: str = "there are") -> str:

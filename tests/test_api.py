@@ -341,8 +341,9 @@ class TestNotebook:
             (lambda t: swimid.compare(5, params="a.yaml"), "compare takes trials as path or", "swimid.load"),
             (lambda t: swimid.read_log(t), "read_log takes path as path, not as DataFrame", "CSV or"),
             (lambda t: swimid.report([t]), "report takes inputs as sequence of", "Parameter files"),
-            (lambda t: swimid.plot({"x": 1}), "plot takes logs as path, Log or DataFrame", "Several"),
             (lambda t: swimid.simulate(params=t), "a DataFrame holds no parameters", "parameter file"),
+            (lambda t: swimid.read_robot(t), "read_robot takes name as str or path", "built_in_robots"),
+            (lambda t: swimid.load_result(t), "load_result takes path as path", "parameter"),
         ],
     )
     def test_a_wrong_type_is_one_line_that_says_what_to_pass(self, call: Any, text: str, hint: str) -> None:
@@ -350,9 +351,24 @@ class TestNotebook:
             call(pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [0.0, 0.1]}))
         assert hint in str(caught.value.hint)
 
+    def test_a_wrong_file_or_table_is_named(self) -> None:
+        with pytest.raises(swimid.InputError, match="a YAML file is needed here"):
+            swimid.fit_drag(self.LOG)
+        with pytest.raises(swimid.InputError, match="log: a dict is no table"):
+            swimid.plot({"x_m": [0.0, 1.0]})  # type: ignore[arg-type]
+        with pytest.raises(swimid.InputError, match="log: a dict is no table"):
+            swimid.Log.from_frame({"t_s": [0.0, 1.0]})  # type: ignore[arg-type]
+        with pytest.raises(swimid.InputError, match="did you mean 'boxfish'"):
+            swimid.load([{"log": self.LOG}], experiment="falling-weight", robot="boxfsh")
+
     def test_a_wrong_name_is_met_with_the_nearest(self, drag: swimid.Fitted) -> None:
         log = swimid.read_log(self.LOG)
-        for call, near in ((lambda: drag["added_masss"], "added_mass"), (lambda: log["x_mm"], "x_m")):
+        wrong = {
+            "added_mass": lambda: drag["added_masss"],
+            "x_m": lambda: log["x_mm"],
+            "methods": lambda: drag.tables()["method"],
+        }
+        for near, call in wrong.items():
             with pytest.raises(KeyError, match=f"did you mean '{near}'"):
                 call()
         with pytest.raises(swimid.UsageError, match="did you mean 'overlay-x_m'"):

@@ -128,7 +128,10 @@ TRIALS_FAULTS: dict[str, tuple[str, list[str]]] = {
         HEAD + "  - {log: w11.csv, pulling_mass_kg: 0.01}\n",
         ["w11.csv: cannot be read: No such file"],
     ),
-    "log is a folder": (HEAD + "  - {log: ., pulling_mass_kg: 0.01}\n", ["Is a directory"]),
+    "log is a folder": (
+        HEAD + "  - {log: ., pulling_mass_kg: 0.01}\n",
+        ["is a folder; a file is needed here"],
+    ),
     "unknown robot": (
         HEAD.replace("boxfish", "boxfsh") + "  - {log: w10.csv, pulling_mass_kg: 0.01}\n",
         ["there is no robot 'boxfsh'", "did you mean 'boxfish'"],

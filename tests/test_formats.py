@@ -126,7 +126,7 @@ class TestLog:
         (tmp_path / "c.parquet").write_bytes(b"PAR1 no, not really")
         with pytest.raises(InputError, match="no readable Parquet"):
             log.read(tmp_path / "c.parquet")
-        with pytest.raises(InputError, match="Is a directory"):
+        with pytest.raises(InputError, match="is a folder; a file is needed here"):
             log.read(tmp_path)
 
     @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def entries(name: str, **kinds: Any) -> Any:
 
     The block remains a dictionary in its order, and may have further keys.
     """
-    known = TypedDict(name, kinds, total=False)  # type: ignore[operator]
+    known: Any = TypedDict(name, kinds, total=False)  # type: ignore[misc]
     known.__pydantic_config__ = ConfigDict(extra="allow", strict=True)
     return Annotated[known, WrapValidator(lambda block, check: check(block) and block)]
 
@@ -211,7 +211,8 @@ def load(path: str | Path) -> CommentedMap:
     if data is None:
         raise InputError("is empty", file=path)
     if not isinstance(data, CommentedMap):
-        raise InputError("its top level must be 'key: value' lines", file=path, line=1)
+        hint = "a YAML file is needed here; is this the right file?"
+        raise InputError("its top level must be 'key: value' lines", file=path, line=1, hint=hint)
     if found := _decimal_comma(data, text):
         raise InputError(found[0], file=path, line=line_of(data, found[1]))
     _refuse_open(data, path)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from swimid.errors import InputError, extra_needed, file_errors, first_line, look_up
+from swimid.errors import InputError, Named, extra_needed, file_errors, first_line
 from swimid.files import atomic, isolated, memory, tabular, yamlio
 from swimid.files.tabular import column_names, head, missing_column, number, number_hint
 from swimid.notices import warn
@@ -186,8 +186,7 @@ class Log:
         return drawn
 
     def __getitem__(self, column: str) -> NDArray[np.float64]:
-        values: NDArray[np.float64] = look_up(column, self.columns, f"the log {self.name}")
-        return values
+        return Named(self.columns)[column]
 
     def __contains__(self, column: str) -> bool:
         return column in self.columns
@@ -285,6 +284,9 @@ def arrays(frame: pd.DataFrame, name: str) -> dict[str, NDArray[Any]]:
     """
     from pandas.api import types
 
+    if not hasattr(frame, "columns"):
+        text = f"a {type(frame).__name__} is no table"
+        raise InputError(text, file=name, hint="pass a DataFrame, a Log or the path of a log")
     if frame.index.name == TIME and TIME not in frame:
         frame = frame.reset_index()
     twice = frame.columns[frame.columns.duplicated()]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
-from swimid.errors import InputError, UsageError, look_up, suggestion
+from swimid.errors import InputError, Named, UsageError, suggestion
 from swimid.files import yamlio
 from swimid.files.provenance import Held
 from swimid.results import numbers
@@ -338,8 +338,7 @@ class Fitted(FileResult[ParameterFile]):
         return self.file.fit is not None and self.file.fit.converged
 
     def __getitem__(self, name: str) -> Estimate:
-        found: Estimate = look_up(name, self.file.parameters | self.file.derived, "the fit")
-        return found
+        return Named(self.file.parameters | self.file.derived)[name]
 
     def _own_facts(self) -> dict[str, str]:
         file = self.file

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from swimid.commands import KINDS, found
-from swimid.errors import InputError, UsageError, suggestion
+from swimid.errors import InputError, Named, UnknownName, UsageError, nearest, suggestion
 from swimid.files import atomic, tabular, yamlio
 from swimid.files.provenance import paths_of, sha256
 from swimid.notices import warn
@@ -247,7 +247,7 @@ class Result:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return the tables that a report shows for the result. The key is the id of the table."""
-        return {table.id: _frame(table.columns, table.rows) for table in self.content().tables}
+        return Named({table.id: _frame(table.columns, table.rows) for table in self.content().tables})
 
     @property
     def figure_names(self) -> list[str]:
@@ -258,7 +258,7 @@ class Result:
         """Draw the figures that a report shows for the result. The key is the id of the figure."""
         from swimid.results import drawing
 
-        return {figure.id: drawing.canvas([figure]) for figure in self._shown("figures")}
+        return Named({figure.id: drawing.canvas([figure]) for figure in self._shown("figures")})
 
     def plot(self, name: str, axes: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
         """Draw one figure of the result. A notebook shows the figure, and ``pyplot.savefig`` saves it.
@@ -284,7 +284,7 @@ class Result:
 
         figures = {figure.id: figure for figure in self._shown("figures")}
         if name not in figures:
-            raise UsageError(f"there is no figure '{name}'", hint=suggestion(name, list(figures)))
+            raise UnknownName(f"there is no figure '{name}'", hint=suggestion(name, list(figures)))
         figure = figures[name]
         if axes is None:
             from matplotlib import pyplot
@@ -597,6 +597,8 @@ def load_result(path: str | Path) -> Result:
         if form is None:
             reason = "has no 'format'"
         hint = suggestion(name, formats(), "known")
+        if close := nearest(name, formats()):
+            hint = f"did you mean '{class_of(close).file_type.model_fields['format'].default}'?"
         raise InputError(reason, file=path, line=1, column="format", hint=hint)
     return class_of(name).load(path)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 import swimid
-from swimid.errors import NoTrustworthyResult, UsageError
+from swimid.errors import Named, NoTrustworthyResult, UsageError
 from swimid.files import atomic, tabular, yamlio
 from swimid.files.atomic import file_names
 from swimid.files.provenance import Input
@@ -201,14 +201,14 @@ class Simulation(Result):
     @property
     def runs(self) -> dict[str, Simulated]:
         """Simulations by name, each with its channels and its quantities."""
-        return {one.case.id: one for one in self.document}
+        return Named({one.case.id: one for one in self.document})
 
     @property
     def frames(self) -> dict[str, pd.DataFrame]:
         """Log of each simulation, by the name of the simulation. Units are SI, named in the columns."""
         import pandas as pd
 
-        return {name: pd.DataFrame(one.columns) for name, one in self.runs.items()}
+        return Named({name: pd.DataFrame(one.columns) for name, one in self.runs.items()})
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -228,7 +228,7 @@ class Simulation(Result):
     @property
     def quantities(self) -> dict[str, Quantity]:
         """Quantities of the only simulation, such as mean speed and stride, each with its standard error."""
-        return self._only("runs").quantities
+        return Named(self._only("runs").quantities)
 
     def _only(self, several: str) -> Any:
         runs = getattr(self, several)
