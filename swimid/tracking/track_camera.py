@@ -83,6 +83,8 @@ def track_camera(
         Pictures, or folders of pictures. At least three of them show the whole board, at different tilts.
     output : path, optional
         Camera file to write. ``track_setup`` copies it into a setup (``camera``).
+    progress : Progress
+        Shows the progress over the pictures.
 
     Returns
     -------
@@ -100,6 +102,11 @@ def track_camera(
     ----------
     Zhang, Z. (2000). A flexible new technique for camera calibration. IEEE Transactions on Pattern Analysis
     and Machine Intelligence 22(11), 1330-1334. doi:10.1109/34.888718
+
+    Examples
+    --------
+    >>> made = track_camera(["board"], squares="9x6", square_mm=25.0)  # doctest: +SKIP
+    >>> draft = track_setup("pool.mp4", camera=made.file.camera)  # doctest: +SKIP
     """
     files, board = list(_files(pictures)), options.board
     with recorded(repeat=True) as notices, progress("finding the board", len(files)) as step:
