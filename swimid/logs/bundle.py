@@ -31,6 +31,9 @@ MAX_SEARCHES = 5
 #: from which it is tried, number of points with the largest noise whose labels are exchanged, number of
 #: frames in which this is tried, and minimum ratio by which it must reduce the noise.
 SUSPICIOUS, SUSPECTS, SAMPLE, MIN_GAIN = 5.0, 4, 200, 1.25
+#: Maximum redundancy of a frame in which a third point may be left out in place of two exchanged labels. An
+#: exchange contradicts the linkage along four axes, and a point that is left out explains two of them.
+FEW = 4
 #: Number of values that the prior of the noise of a point is worth. Its mean is that of all points. It acts
 #: only where the residuals cannot tell the noise of one point from that of another.
 PRIOR_VALUES = 4.0
@@ -387,11 +390,17 @@ class _Estimate:
         rows = np.flatnonzero((self.film.there & ~self.used).any(axis=1))
         if "lengths" in self.linkage.free or not len(rows):
             return False
-        film, used = self.film.part(rows), self.used[rows]
-        out, found = film.there & ~used, []
+        agreed, found = np.zeros(len(self.used), dtype=int), []
+        # With few points, a third one may be left out in place of two that are exchanged.
+        few = self.linkage.redundancy <= FEW
         for i, j in combinations(range(len(self.noise)), 2):
             order = np.arange(len(self.noise))
             order[[i, j]] = j, i
+            tried = rows[few | (self.film.there & ~self.used)[rows][:, [i, j]].any(axis=1)]
+            if not len(tried):
+                continue
+            film, used = self.film.part(tried), self.used[tried]
+            out = film.there & ~used
             trial = _Estimate.of(film.ordered(order.tolist()), self.linkage)
             trial.noise, trial.exponent, trial.level = self.noise, self.exponent, self.level
             both = out[:, i] & out[:, j] & used.any(axis=1)
@@ -401,15 +410,15 @@ class _Estimate:
             result = trial.residuals()
             agree = ~(trial.is_far(result) & trial.used).any(axis=1) & trial.used[:, i] & trial.used[:, j]
             agree &= np.sum(result.share.sum(axis=2) * trial.used, axis=1) > 2.0 - links.MIN_SHARE
-            found.append((agree, order, trial))
-        alone: Flags = np.asarray(np.sum([agree for agree, _, _ in found], axis=0) == 1)
-        for agree, order, trial in found:
-            mine = agree & alone
-            self.film.put(rows[mine], trial.film.part(mine))
-            self.order[rows[mine]], self.used[rows[mine]] = order, trial.used[mine]
-            self.log_likelihood[rows[mine]] = trial.log_likelihood[mine]
-            self.state[rows[mine]] = trial.state[mine]
-        return bool(alone.any())
+            agreed[tried[agree]] += 1
+            found.append((tried, agree, order, trial))
+        for tried, agree, order, trial in found:
+            mine = agree & (agreed[tried] == 1)
+            at = tried[mine]
+            self.film.put(at, trial.film.part(mine))
+            self.order[at], self.used[at], self.state[at] = order, trial.used[mine], trial.state[mine]
+            self.log_likelihood[at] = trial.log_likelihood[mine]
+        return bool((agreed == 1).any())
 
     # ------------------------------------------------------------ faults
 

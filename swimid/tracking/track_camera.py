@@ -83,6 +83,8 @@ def track_camera(
         Pictures, or folders of pictures. At least three of them show the whole board, at different tilts.
     output : path, optional
         Camera file to write. ``track_setup`` copies it into a setup (``camera``).
+    progress : Progress
+        Shows the progress over the pictures.
 
     Returns
     -------
@@ -100,53 +102,56 @@ def track_camera(
     ----------
     Zhang, Z. (2000). A flexible new technique for camera calibration. IEEE Transactions on Pattern Analysis
     and Machine Intelligence 22(11), 1330-1334. doi:10.1109/34.888718
+
+    Examples
+    --------
+    >>> made = track_camera(["board"], squares="9x6", square_mm=25.0)  # doctest: +SKIP
+    >>> draft = track_setup("pool.mp4", camera=made.file.camera)  # doctest: +SKIP
     """
     files, board = list(_files(pictures)), options.board
-    with recorded(repeat=True) as notices:
-        with progress("finding the board", len(files)) as step:
-            seen, size = _corners(files, board, step)
-        if len(seen) < MIN_PICTURES:
-            text = (
-                f"{len(seen)} of {len(files)} pictures show a board of {options.squares} squares; at least "
-            )
-            hint = f"tilt the board to all sides, in all parts of the picture; if {options.squares} counts "
-            hint += f"inner corners, give --squares {board[0] + 2}x{board[1] + 2}"
-            raise NoTrustworthyResult(f"{text}{MIN_PICTURES} at different tilts are needed", hint=hint)
-    place = np.zeros((board[0] * board[1], 3), np.float32)
-    place[:, :2] = 1e-3 * options.square_mm * np.mgrid[: board[0], : board[1]].T.reshape(-1, 2)
-    world, image = [place] * len(seen), [corners.astype(np.float32) for corners in seen.values()]
+    with recorded(repeat=True) as notices, progress("finding the board", len(files)) as step:
+        seen, size = _corners(files, board, step)
+    if len(seen) < MIN_PICTURES:
+        text = f"{len(seen)} of {len(files)} pictures show a board of {options.squares} squares; at least "
+        hint = f"tilt the board to all sides, in all parts of the picture; if {options.squares} counts "
+        hint += f"inner corners, give --squares {board[0] + 2}x{board[1] + 2}"
+        raise NoTrustworthyResult(f"{text}{MIN_PICTURES} at different tilts are needed", hint=hint)
+    corner = np.zeros((board[0] * board[1], 3), np.float32)
+    corner[:, :2] = 1e-3 * options.square_mm * np.mgrid[: board[0], : board[1]].T.reshape(-1, 2)
+    world, image = [corner] * len(seen), [one.astype(np.float32) for one in seen.values()]
     rms, matrix, lens, turns, _, errors, _, each = cv2.calibrateCameraExtended(world, image, size, None, None)
-    values, errors = np.r_[matrix[0, 0], matrix[1, 1], matrix[:2, 2], lens.ravel()[:5]], errors.ravel()[:9]
-    each, normals = each.ravel(), [cv2.Rodrigues(turn)[0][:, 2] for turn in turns]
-    cosines = [abs(float(one @ other)) for one, other in combinations(normals, 2)]
-    tilt = float(np.degrees(np.arccos(np.clip(min(cosines), 0.0, 1.0))))
-    parts = {tuple(part) for part in (4 * np.concatenate(list(seen.values())) // size).astype(int).tolist()}
-    checks = _checks(len(seen), tilt, len(parts), (rms, each), float(np.max(errors[:2] / values[:2])))
-    rows: list[dict[str, Any]] = [
-        {"parameter": name, "value": float(value), "standard error": float(error)}
-        for name, value, error in zip(NAMES, values, errors, strict=True)
-    ]
-    used: list[dict[str, Any]] = [
-        {"picture": name, "reprojection error, px": float(error)}
-        for name, error in zip(seen, each, strict=True)
-    ]
-    focal = numbers.measured(float(values[0]), float(errors[0]))
+    values = np.r_[matrix[0, 0], matrix[1, 1], matrix[:2, 2], lens.ravel()[:5]].tolist()
+    errors, each = errors.ravel()[:9].tolist(), each.ravel().tolist()
+    normals = [cv2.Rodrigues(turn)[0][:, 2] for turn in turns]
+    cosine = min(abs(float(one @ other)) for one, other in combinations(normals, 2))
+    parts = np.unique((4 * np.concatenate(list(seen.values())) // size).astype(int), axis=0)
+    checks = _checks(len(seen), float(np.degrees(np.arccos(min(cosine, 1.0)))), len(parts), rms, each)
+    focal = 100 * max(errors[0] / values[0], errors[1] / values[1])
+    limit, reason = f"± {MAX_FOCAL_SE:.0%}", f"the focal length has a standard error of {focal:.2g} %"
+    checks.append(
+        ev.check("Focal length", f"± {focal:.2g} %", focal <= 100 * MAX_FOCAL_SE, limit, reason=reason)
+    )
     document = CameraFile(
-        camera=Camera(matrix=matrix.tolist(), size_px=size, distortion=values[4:].tolist()),
+        camera=Camera(matrix=matrix.tolist(), size_px=size, distortion=tuple(values[4:])),
         reprojection_error_px=float(rms),
-        standard_errors=dict(zip(NAMES, errors.tolist(), strict=True)),
+        standard_errors=dict(zip(NAMES, errors, strict=True)),
         pictures=list(seen),
         provenance=provenance.collect(files, settings=options.settings()),
     )
+    rows: list[dict[str, Any]] = [
+        {"parameter": name, "value": value, "standard error": error}
+        for name, value, error in zip(NAMES, values, errors, strict=True)
+    ]
+    answer = f"Focal length {numbers.measured(values[0], errors[0])} px, reprojection error {rms:.2g} px."
     evidence = ev.Evidence(
         command="track camera",
         title=f"Calibration of a camera from {len(seen)} pictures",
-        verdict=ev.judged(f"Focal length {focal} px, reprojection error {rms:.2g} px.", checks),
+        verdict=ev.judged(answer, checks),
         facts={"Pictures": f"{len(seen)} of {len(files)}, {size[0]} x {size[1]} px"},
         checks=checks,
         tables=[
             ev.table("parameters", "Camera", rows, "Focal lengths and centre in px, distortion of OpenCV."),
-            ev.table("pictures", "Pictures", used),
+            ev.leaf_table("pictures", "Reprojection errors, px", dict(zip(seen, each, strict=True))),
         ],
         notices=ev.notices(notices),
         methods=["The camera was calibrated with OpenCV from pictures of a checkerboard (Zhang 2000)."],
@@ -172,47 +177,43 @@ def _corners(
     A warning names each other picture with the reason.
     """
     seen: dict[str, Array] = {}
-    size: tuple[int, int] | None = None
+    size = (0, 0)
     for file in files:
         step()
         picture: Any = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-        reason, corners = "", None
         if picture is None:
             reason = "cannot be decoded"
-        elif size is not None and picture.shape[::-1] != size:
+        elif seen and picture.shape[::-1] != size:
             reason = f"has {picture.shape[1]} x {picture.shape[0]} pixels, the first {size[0]} x {size[1]}"
         else:
             found, corners = cv2.findChessboardCornersSB(picture, board, flags=FIND)
-            if not found:
-                reason = f"does not show the whole board of {board[0]} x {board[1]} inner corners"
-        if not reason:
-            size, here = (picture.shape[1], picture.shape[0]), np.asarray(corners, float).reshape(-1, 2)
-            same = [name for name, there in seen.items() if np.abs(here - there).max() < SAME_PX]
-            if not same:
-                seen[str(file)] = here
-                continue
-            reason = f"shows the board in the same place as {same[0]}"
-        warn("SWM174", f"{file} {reason}: it is not used")
-    return seen, size or (0, 0)
+            reason = f"does not show the whole board of {board[0]} x {board[1]} inner corners"
+            if found:
+                here = np.asarray(corners, float).reshape(-1, 2)
+                same = [name for name, there in seen.items() if np.abs(here - there).max() < SAME_PX]
+                reason = f"shows the board in the same place as {' and '.join(same)}" * bool(same)
+                if not same:
+                    seen[str(file)], size = here, (picture.shape[1], picture.shape[0])
+        if reason:
+            warn("SWM174", f"{file} {reason}: it is not used")
+    return seen, size
 
 
-def _checks(count: int, tilt: float, parts: int, error: tuple[float, Array], focal: float) -> list[ev.Check]:
-    """Return the checks of a calibration."""
-    rms, each = error
-    reason = (
+def _checks(count: int, tilt: float, parts: int, rms: float, each: list[float]) -> list[ev.Check]:
+    """Return the checks of the pictures of a calibration."""
+    error = f"{rms:.2g} px, pictures {min(each):.2g} to {max(each):.2g} px"
+    flat = (
         f"the boards are tilted against each other by {tilt:.0f} degrees at most: pictures in one plane do "
     )
-    reason += "not determine the focal length"
-    value = f"{rms:.2g} px, pictures {each.min():.2g} to {each.max():.2g} px"
-    return [
-        ev.check("Pictures", str(count), count >= GOOD_PICTURES, f">= {GOOD_PICTURES}",
-                 reason=f"only {count} different pictures show the board"),
-        ev.check("Tilt between pictures", f"{tilt:.0f}°", tilt >= MIN_TILT_DEG, f">= {MIN_TILT_DEG:g}°",
-                 otherwise="fail", reason=reason),
-        ev.check("Parts of the picture", f"{parts} of 16", parts >= MIN_PARTS, f">= {MIN_PARTS}",
-                 reason=f"the board covers {parts} of 16 parts of the picture; the others are not known"),
-        ev.check("Reprojection error", value, rms <= MAX_ERROR_PX, f"<= {MAX_ERROR_PX:g} px",
-                 reason=f"the corners fit no camera within {MAX_ERROR_PX:g} px: {value}"),
-        ev.check("Focal length", f"± {100 * focal:.2g} %", focal <= MAX_FOCAL_SE, f"± {MAX_FOCAL_SE:.0%}",
-                 reason=f"the focal length has a standard error of {100 * focal:.2g} %"),
+    flat += "not determine the focal length"
+    name = "Tilt between pictures"
+    rows: list[tuple[str, str, bool, str, Any, str]] = [
+        (name, f"{tilt:.0f}°", tilt >= MIN_TILT_DEG, f">= {MIN_TILT_DEG:g}°", "fail", flat),
+        ("Pictures", f"{count}", count >= GOOD_PICTURES, f">= {GOOD_PICTURES}", "warn",
+         f"only {count} different pictures show the board"),
+        ("Parts of the picture", f"{parts} of 16", parts >= MIN_PARTS, f">= {MIN_PARTS}", "warn",
+         f"the board covers {parts} of 16 parts of the picture; the others are not known"),
+        ("Reprojection error", error, rms <= MAX_ERROR_PX, f"<= {MAX_ERROR_PX:g} px", "warn",
+         f"the corners fit no camera within {MAX_ERROR_PX:g} px: {error}"),
     ]  # fmt: skip
+    return [ev.check(*row[:4], otherwise=row[4], reason=row[5]) for row in rows]
