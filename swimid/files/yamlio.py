@@ -97,8 +97,8 @@ def entries(name: str, **kinds: Any) -> Any:
 
     The block remains a dictionary in its order, and may have further keys.
     """
-    known: Any = TypedDict(name, kinds, total=False)  # type: ignore[misc]
-    known.__pydantic_config__ = ConfigDict(extra="allow", strict=True)
+    known = TypedDict(name, kinds, total=False)  # type: ignore[misc]
+    known.__pydantic_config__ = ConfigDict(extra="allow", strict=True)  # type: ignore[attr-defined]
     return Annotated[known, WrapValidator(lambda block, check: check(block) and block)]
 
 
